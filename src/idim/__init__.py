@@ -1,0 +1,57 @@
+"""idim: drive gains and dynamic parameters of robots, serial and parallel, from their logs."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from idim.errors import IdimError
+    from idim.estimation.base_parameters import BaseParameters, base_parameters
+    from idim.estimation.identify import identify
+    from idim.estimation.payload import weigh
+    from idim.estimation.result import Result
+    from idim.model.inverse_dynamics import InverseDynamics
+    from idim.robots.load import load_robot
+    from idim.robots.robot import Robot
+    from idim.signals.run import Run, read_run
+
+__version__ = "0.1.0"
+__all__ = [
+    "BaseParameters",
+    "IdimError",
+    "InverseDynamics",
+    "Result",
+    "Robot",
+    "Run",
+    "base_parameters",
+    "identify",
+    "load_robot",
+    "read_run",
+    "weigh",
+]
+
+_HOMES = {
+    "BaseParameters": "estimation.base_parameters",
+    "IdimError": "errors",
+    "InverseDynamics": "model.inverse_dynamics",
+    "Result": "estimation.result",
+    "Robot": "robots.robot",
+    "Run": "signals.run",
+    "base_parameters": "estimation.base_parameters",
+    "identify": "estimation.identify",
+    "load_robot": "robots.load",
+    "read_run": "signals.run",
+    "weigh": "estimation.payload",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for when it is asked for (PEP 562): ``import idim`` itself stays light."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'idim' has no attribute '{name}'")
+    return getattr(import_module(f"idim.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,76 @@
+"""Triangular factors: all that the estimators need to know of a run, however long.
+
+Each joint's decimated rows ``[W_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one for
+each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from idim.estimation.rows import stream_rows
+from idim.model.inverse_dynamics import InverseDynamics
+from idim.signals.decimation import Decimator
+from idim.signals.preparation import Prepared
+
+STRETCHES = 20
+CURRENTS = 3  # columns of a joint's current: v, v', v''
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """A run, reduced.
+
+    Attributes
+    ----------
+    R : ndarray
+        (stretches, n, p, p) triangles of ``[W_j v_j v_j' v_j'']``, p = columns + 3.
+    rows : ndarray
+        (stretches, n) number of rows behind each.
+    condition : float
+        Largest condition number of the closures along the run.
+    """
+
+    R: np.ndarray
+    rows: np.ndarray
+    condition: float
+
+
+def reduce_run(
+    idm: InverseDynamics,
+    columns: tuple[str, ...],
+    prepared: Prepared,
+    decimator: Decimator,
+    progress: Callable[[int], None] = lambda outputs: None,
+) -> Factors:
+    """Reduce a prepared run to its triangular factors over the standard ``columns``.
+
+    Raises
+    ------
+    IdimError
+        Where the closures refuse a sample.
+    """
+    regressor = idm.columns(columns)
+    outputs = len(decimator.instants(len(prepared.time)))
+    n, p = len(idm.actuated), len(columns) + CURRENTS
+    R, rows = np.zeros((STRETCHES, n, p, p)), np.zeros((STRETCHES, n), dtype=int)
+    condition = 0.0
+    for part in stream_rows(idm, regressor, prepared, decimator):
+        condition = max(condition, part.condition)
+        stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
+        for j in range(n):
+            mine = np.flatnonzero(regressor.rows == j)
+            A = np.zeros((len(part.time), p))
+            A[:, regressor.columns[mine]] = part.entries[mine].T
+            A[:, -CURRENTS:] = part.currents[:, j].T
+            for s in np.unique(stretch):
+                chosen = A[(stretch == s) & part.keep[j]]
+                if len(chosen):
+                    merged = np.linalg.qr(np.concatenate([R[s, j, : min(rows[s, j], p)], chosen]), mode="r")
+                    R[s, j, : len(merged)] = merged
+                    rows[s, j] += len(chosen)
+        progress(len(part.time))
+    return Factors(R, rows, condition)

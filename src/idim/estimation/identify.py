@@ -1,0 +1,140 @@
+"""From an experiment to a result: the whole identification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from idim.errors import IdimError
+from idim.estimation.assembly import Assembly, require_scale
+from idim.estimation.current_domain import ml, ols, wls
+from idim.estimation.data import Data, Progress, read_runs, reduce_runs
+from idim.estimation.homogeneous import mixed, tls
+from idim.estimation.interpretation import make_result
+from idim.estimation.problem import Problem
+from idim.estimation.reduction import RATIO, essential
+from idim.estimation.result import Result
+from idim.estimation.solution import Solution
+from idim.robots.load import load_robot
+from idim.robots.robot import Robot
+from idim.signals.experiment import check_robot, read_experiment
+from idim.signals.run import Run
+
+WITH_GAINS: dict[str, Callable[[Problem, np.ndarray], Solution]] = {"ols": ols, "wls": wls}
+FOR_GAINS: dict[str, Callable[[Problem], Solution]] = {"ml": ml, "mixed": mixed, "tls": tls}
+METHODS = (*FOR_GAINS, *WITH_GAINS)
+
+def identify(
+    source: str | Path | Robot,
+    runs: Sequence[Run] | None = None,
+    method: str = "ml",
+    prior_gains: Mapping[str, float] | None = None,
+    ratio: float = RATIO,
+    joint_reduction: bool = False,
+    decimator: Literal["fir", "chebyshev"] = "fir",
+    progress: Progress = lambda what, done, total: None,
+) -> Result:
+    """Identify drive gains and dynamic parameters.
+
+    Parameters
+    ----------
+    source : path or Robot
+        An experiment file; or a robot, together with ``runs``.
+    runs : sequence of Run, optional
+        From :func:`idim.read_run`; only with a robot.
+    method : {"ml", "mixed", "tls", "wls", "ols"}
+        Maximum likelihood, mixed LS-TLS and the paper's TLS find the drive gains from a known payload;
+        weighted and ordinary least squares take ``prior_gains``, or torques.
+    prior_gains : mapping, optional
+        Joint to gain, N m/A or N/A; the experiment file's if left out.
+    ratio : float
+        The paper's r_sigma for the essential parameters.
+    joint_reduction : bool
+        Re-estimate the gains along with the essential parameters, as the paper does, instead of
+        keeping those found with all base parameters.
+    decimator : {"fir", "chebyshev"}
+        Compact FIR, or the paper's filter.
+    progress : callable, optional
+        Called as the work goes on.
+
+    Raises
+    ------
+    IdimError
+        Where a file is wrong, the data cannot be used, or they cannot give what the method asks for.
+    """
+    if method not in METHODS:
+        raise IdimError(f"there is no method '{method}'; choose from {', '.join(METHODS)}.")
+    if isinstance(source, Robot):
+        if not runs:
+            raise IdimError("a robot alone cannot be identified; give its runs too.")
+        robot = source
+    else:
+        if runs is not None:
+            raise IdimError("runs are given beside an experiment file, which names its own; give a robot with runs, or the file alone.")
+        experiment = read_experiment(source)
+        robot = load_robot(experiment.robot)
+        check_robot(experiment, robot)
+        runs = read_runs(experiment, experiment.runs)
+        prior_gains = prior_gains or experiment.prior_gains
+    if method in WITH_GAINS:
+        gains = given_gains(robot, runs, prior_gains, method)
+    elif runs[0].kind == "torque":
+        raise IdimError(f"the logs hold torques, whose gain is 1, so there is nothing for method '{method}' to find; use --method wls.")
+    data = reduce_runs(robot, runs, decimator=decimator, progress=progress)
+
+    def solve(problem: Problem) -> Solution:
+        return WITH_GAINS[method](problem, gains) if method in WITH_GAINS else FOR_GAINS[method](problem)
+
+    assembly = data.assembly()
+    if method in FOR_GAINS:
+        require_scale(assembly, [run.payload for run in data.runs], method)
+    progress("estimation", 0, 1)
+    solution = with_mass_uncertainty(data, assembly, solve(assembly.problem), solve)
+    final = solve if joint_reduction else (lambda problem: wls(problem, solution.gains))
+    candidates = tuple(name for name in data.base.names if name in assembly.problem.parameters)
+    kept, reduced = essential(assembly.problem, candidates, final, ratio)
+    progress("estimation", 1, 1)
+    return make_result(data, assembly, method, solution, kept, reduced)
+
+
+def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:
+    """Gains for least squares: 1 for torques, otherwise the prior ones, (n,).
+
+    Raises
+    ------
+    IdimError
+        Where currents are logged and some joint has no prior gain.
+    """
+    if runs[0].kind == "torque":
+        return np.ones(len(robot.actuated))
+    missing = [joint for joint in robot.actuated if joint not in (prior_gains or {})]
+    if missing:
+        raise IdimError(
+            f"method '{method}' needs a drive gain for every joint, and joint '{missing[0]}' has none; "
+            "add 'prior_gains' to the experiment file, or use --method ml with a known payload."
+        )
+    return np.array([prior_gains[joint] for joint in robot.actuated])  # type: ignore[index]
+
+
+def with_mass_uncertainty(
+    data: Data, assembly: Assembly, solution: Solution, solve: Callable[[Problem], Solution]
+) -> Solution:
+    """Add what the uncertainty of the known masses does to the estimates, one payload at a time."""
+    extra = np.zeros_like(solution.jackknife)
+    masses = {run.payload.name: run.payload for run in data.runs if run.payload and run.payload.mass_std}
+    for payload in masses.values():
+        assert payload.mass is not None
+        heavier = payload.model_copy(update={"mass": payload.mass + payload.mass_std})
+        payloads = [heavier if run.payload and run.payload.name == payload.name else run.payload for run in data.runs]
+        other = solve(data.assembly(payloads).problem)
+        shift = _stacked(other) - _stacked(solution)
+        extra += np.outer(shift, shift)
+    return replace(solution, covariance=solution.covariance + extra, jackknife=solution.jackknife + extra)
+
+
+def _stacked(solution: Solution) -> np.ndarray:
+    return np.concatenate([solution.theta, solution.gains, solution.delays])

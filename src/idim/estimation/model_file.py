@@ -1,0 +1,150 @@
+"""``model.json``: a result as a file, with a schema version."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from idim.errors import IdimError
+from idim.estimation.result import Estimate, PayloadEstimate, Result, TorqueError
+from idim.files import write_atomically
+from idim.robots.native import native_text, parse_native
+from idim.signals.decimation import Decimator
+from idim.signals.preparation import Preparation
+
+SCHEMA = "idim-model/1"
+
+
+def to_document(result: Result) -> dict[str, Any]:
+    """The JSON document of a result; ``rel_std`` in per cent, null where a value is known."""
+    preparation = result.preparation
+    return {
+        "schema": SCHEMA,
+        "robot": result.robot.name,
+        "method": result.method,
+        "kind": result.kind,
+        "runs": list(result.runs),
+        "drive_gains": [_estimate(each, "joint") for each in result.drive_gains.values()],
+        "delays": [_estimate(each, "joint") for each in result.delays.values()],
+        "parameters": [_estimate(each) | {"regrouping": each.regrouping} for each in result.parameters.values()],
+        "essential": [_estimate(each) | {"regrouping": each.regrouping} for each in result.essential.values()],
+        "payloads": payload_documents(result.payloads),
+        "residuals": [
+            {"joint": each.joint, "rms": each.rms, "signal": each.signal, "relative": each.relative, "unit": each.unit}
+            for each in result.residuals
+        ],
+        "preparation": {
+            "bandwidth": preparation.bandwidth,
+            "cutoff": preparation.cutoff,
+            "decimation": preparation.decimator.factor,
+            "decimator": preparation.decimator.kind,
+            "speed_fraction": preparation.speed_fraction,
+        },
+        "statistics": dict(result.statistics),
+        "notes": list(result.notes),
+        "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
+        "robot_file": native_text(result.robot),
+    }
+
+
+def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:
+    """Payloads as they stand in ``model.json`` and in what ``idim payload --json`` prints."""
+    return [
+        {
+            "name": each.name,
+            "run": each.run,
+            "parameters": {
+                kind: _estimate(estimate) | {"known": kind in each.known, "regrouping": estimate.regrouping}
+                for kind, estimate in each.parameters.items()
+            },
+        }
+        for each in payloads
+    ]
+
+
+def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
+    return {
+        key: estimate.name,
+        "value": estimate.value,
+        "std": estimate.std,
+        "rel_std": estimate.rel_std,
+        "unit": estimate.unit,
+    }
+
+
+def save(result: Result, path: str | Path) -> None:
+    """Write ``result`` to ``path``, atomically."""
+    write_atomically(path, json.dumps(to_document(result), indent=1, allow_nan=False) + "\n")
+
+
+def load(path: str | Path) -> Result:
+    """Read a result.
+
+    Raises
+    ------
+    IdimError
+        Where the file cannot be read, or is no model of this schema.
+    """
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise IdimError(f"{path} cannot be read ({error.strerror}); give the model.json that 'idim identify' wrote.") from None
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+        raise IdimError(f"{path} is not a JSON file; give the model.json that 'idim identify' wrote.") from None
+    if not isinstance(document, dict) or "schema" not in document:
+        raise IdimError(f"{path} is not a model; give the model.json that 'idim identify' wrote.")
+    if document["schema"] != SCHEMA:
+        raise IdimError(f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again with this version.")
+    try:
+        return _result(document, path)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise IdimError(f"{path} is damaged: {error!r} while reading the model; write it again with 'idim identify'.") from None
+
+
+def _result(document: Mapping[str, Any], path: str | Path) -> Result:
+    preparation = document["preparation"]
+    return Result(
+        robot=parse_native(document["robot_file"], path),
+        method=document["method"],
+        kind=document["kind"],
+        drive_gains=_estimates(document["drive_gains"], "joint"),
+        delays=_estimates(document["delays"], "joint"),
+        parameters=_estimates(document["parameters"]),
+        essential=_estimates(document["essential"]),
+        payloads=tuple(
+            PayloadEstimate(
+                each["name"],
+                each["run"],
+                {kind: _read(entry) for kind, entry in each["parameters"].items()},
+                frozenset(kind for kind, entry in each["parameters"].items() if entry["known"]),
+            )
+            for each in document["payloads"]
+        ),
+        residuals=tuple(
+            TorqueError(each["joint"], float(each["rms"]), float(each["signal"]), each["unit"]) for each in document["residuals"]
+        ),
+        covariance_names=tuple(document["covariance"]["names"]),
+        covariance=np.array(document["covariance"]["matrix"], dtype=float),
+        preparation=Preparation(
+            float(preparation["bandwidth"]),
+            None if preparation["cutoff"] is None else float(preparation["cutoff"]),
+            Decimator(int(preparation["decimation"]), preparation["decimator"]),
+            float(preparation["speed_fraction"]),
+        ),
+        statistics=document["statistics"],
+        runs=tuple(document["runs"]),
+        notes=tuple(document["notes"]),
+    )
+
+
+def _estimates(entries: list[Mapping[str, Any]], key: str = "name") -> dict[str, Estimate]:
+    return {entry[key]: _read(entry, key) for entry in entries}
+
+
+def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
+    value, std = (None if entry[k] is None else float(entry[k]) for k in ("value", "std"))
+    return Estimate(entry[key], value, std, entry["unit"], entry.get("regrouping", ""))

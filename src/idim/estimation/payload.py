@@ -1,0 +1,87 @@
+"""Weighing payloads: what an identified robot can say of an unknown load (paper, section 5.2)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from idim.errors import IdimError
+from idim.estimation.current_domain import wls
+from idim.estimation.data import Progress, read_runs, reduce_runs
+from idim.estimation.identify import given_gains
+from idim.estimation.interpretation import payload_estimates
+from idim.estimation.result import PayloadEstimate, Result
+from idim.robots.load import load_robot
+from idim.signals.experiment import check_robot, read_experiment
+
+
+def weigh(
+    model: Result,
+    experiment: str | Path,
+    gains: str = "identified",
+    progress: Progress = lambda what, done, total: None,
+) -> tuple[PayloadEstimate, ...]:
+    """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its other runs.
+
+    Parameters
+    ----------
+    model : Result
+        Identified model: its gains, their uncertainty, and its preparation of the signals.
+    experiment : path
+        Experiment file with at least one run of unknown payload and one of another load.
+    gains : {"identified", "prior"}
+        The model's gains, or the file's ``prior_gains`` (the paper's cases 2 and 1).
+
+    Returns
+    -------
+    tuple of PayloadEstimate
+        One for each run with an unknown payload. The standard deviations include what the identified
+        gains' own uncertainty does.
+
+    Raises
+    ------
+    IdimError
+        Where a file is wrong or of another robot, or the runs cannot tell the payload.
+    """
+    described = read_experiment(experiment)
+    robot = load_robot(described.robot)
+    check_robot(described, robot)
+    if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
+        raise IdimError(
+            f"{experiment} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of another geometry; "
+            "give the model of this robot."
+        )
+    if not any(run.payload is not None and run.payload.mass is None for run in described.runs):
+        raise IdimError(f"{experiment}: no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
+    runs = read_runs(described, described.runs)
+    if gains == "prior":
+        g_tau, covariance = given_gains(robot, runs, described.prior_gains, "wls"), None
+    else:
+        g_tau = np.array([model.drive_gains[joint].value for joint in robot.actuated], dtype=float)
+        rows = [k for k, name in enumerate(model.covariance_names) if name.startswith("gain_")]
+        covariance = model.covariance[np.ix_(rows, rows)]
+    data = reduce_runs(robot, runs, model.preparation, progress=progress)
+    assembly = data.assembly()
+    lost = [name for each in assembly.payloads for name in each.unknown if name in assembly.unexcited]
+    if lost:
+        raise IdimError(
+            f"{experiment}: the runs cannot tell the payload from the robot itself; add a run without payload, or with a known one."
+        )
+    solution = wls(assembly.problem, g_tau)
+    if covariance is not None:
+        step = 1e-4
+        slopes = np.stack(
+            [
+                (wls(assembly.problem, g_tau * (1 + step * (np.arange(len(g_tau)) == j))).theta - solution.theta) / (step * g_tau[j])
+                for j in range(len(g_tau))
+            ],
+            axis=1,
+        )
+        jackknife = solution.jackknife.copy()
+        n_theta = assembly.problem.n_theta
+        jackknife[:n_theta, :n_theta] += slopes @ covariance @ slopes.T
+        solution = replace(solution, jackknife=jackknife)
+    estimates = payload_estimates(data, assembly, solution)
+    return tuple(each for each in estimates if "m" not in each.known)

@@ -1,0 +1,49 @@
+"""Torques along a run, predicted by an identified model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from idim.estimation.result import Prediction, Result, TorqueError, known_parameters, torque_unit
+from idim.estimation.rows import stream_rows
+from idim.signals.preparation import prepare
+from idim.signals.run import Run, arrange
+
+
+def predict(result: Result, run: Run) -> Prediction:
+    """Predicted and measured torques at the decimated instants of a run; see :meth:`Result.predict`."""
+    model, base = result.model, result.base
+    run = arrange(run, model.actuated)
+    prepared = prepare(run, result.preparation)
+    chi = np.array([result.params[name] for name in base.names])
+    if run.payload is not None:
+        tool = {name: k for k, name in enumerate(model.parameter_names)}
+        for kind, value in known_parameters(run.payload, result.payload(run.payload.name)).items():
+            chi = chi + value * base.matrix[:, tool[f"{kind}_{result.robot.tool}"]]
+    regressor = model.columns(base.standard)
+    gains = np.array([result.drive_gains[joint].value for joint in model.actuated])
+    delays = np.array([result.delays[joint].value for joint in model.actuated])
+    time, predicted, measured, keep = [], [], [], []
+    for part in stream_rows(model, regressor, prepared, result.preparation.decimator):
+        tau = np.zeros((len(model.actuated), len(part.time)))
+        np.add.at(tau, regressor.rows, part.entries * chi[regressor.columns][:, None])
+        v, v_d, v_dd = part.currents
+        time.append(part.time)
+        predicted.append(tau.T)
+        measured.append((gains[:, None] * (v - delays[:, None] * v_d + delays[:, None] ** 2 / 2 * v_dd)).T)
+        keep.append(part.keep.T)
+    return Prediction(
+        model.actuated, np.concatenate(time), np.concatenate(predicted), np.concatenate(measured), np.concatenate(keep)
+    )  # fmt: skip
+
+
+def torque_errors(result: Result, prediction: Prediction) -> tuple[TorqueError, ...]:
+    """Rms of error and signal of each joint over the kept instants."""
+    errors = []
+    for j, joint in enumerate(prediction.joints):
+        kept = prediction.keep[:, j]
+        measured, predicted = prediction.measured[kept, j], prediction.predicted[kept, j]
+        if kept.any():
+            rms, signal = (float(np.sqrt(np.mean(x**2))) for x in (measured - predicted, measured))
+            errors.append(TorqueError(joint, rms, signal, torque_unit(result.robot, joint)))
+    return tuple(errors)

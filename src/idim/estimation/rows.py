@@ -1,0 +1,74 @@
+"""The decimated rows of a run, ``[W | V_tau]`` of eq. (20), streamed block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from idim.model.inverse_dynamics import InverseDynamics, Regressor
+from idim.signals.decimation import Decimator
+from idim.signals.preparation import Prepared
+
+FAST_SAMPLES = 4096  # a block, before decimation: large enough to amortise Python, small for memory
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of all joints at K output instants.
+
+    ``time`` (K,) in s; ``keep`` (n, K); ``entries`` of the regressor (entries, K); ``currents``
+    (3, n, K): the command and its first two time derivatives; ``outputs`` their numbers in the run.
+    ``condition`` is the largest condition number of the closures among the block's samples.
+    """
+
+    time: np.ndarray
+    keep: np.ndarray
+    entries: np.ndarray
+    currents: np.ndarray
+    outputs: slice
+    condition: float
+
+
+def stream_rows(idm: InverseDynamics, regressor: Regressor, prepared: Prepared, decimator: Decimator) -> Iterator[Rows]:
+    """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (section 3.1).
+
+    Raises
+    ------
+    IdimError
+        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    """
+    n = len(prepared.time)
+    keep = decimator.keep(prepared.usable).T
+    time = prepared.time[decimator.instants(n)]
+    size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
+    path: np.ndarray | None = None  # configurations of the block before, which the next one goes on from
+    begun = 0
+    for block in decimator.blocks(n, size):
+        at = block.samples
+        start = None if path is None else path[:, min(at.start - begun, path.shape[1] - 1)]
+        labels = Labels(prepared.run.name, prepared.time[at])
+        q, qd, qdd = (np.ascontiguousarray(x[at].T) for x in (prepared.q, prepared.qd, prepared.qdd))
+        motion = idm.motion(q, qd, qdd, labels, start)
+        path, begun = motion.c, at.start
+        currents = np.stack([prepared.command[at].T, prepared.command_d[at].T, prepared.command_dd[at].T])
+        yield Rows(
+            time[block.outputs],
+            keep[:, block.outputs],
+            decimator.apply(regressor(idm.layout, motion), block),
+            decimator.apply(currents, block),
+            block.outputs,
+            float(motion.condition.max(initial=0.0)),
+        )
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What messages call the samples of a run: its name and the time."""
+
+    run: str
+    time: np.ndarray
+
+    def __getitem__(self, sample: int) -> str:
+        return f"t = {self.time[sample]:.4f} s of run '{self.run}'"

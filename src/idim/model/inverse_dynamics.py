@@ -1,0 +1,175 @@
+"""The inverse dynamic identification model of a robot, evaluated for many samples (eqs. 15, 16)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from idim.model.coordinates import Coordinates, coordinates
+from idim.model.dynamics import parameter_names, torques
+from idim.model.loops import Labels, Loops, Motion, close_loops, differentiate, follow
+from idim.model.program import Program, compile_program
+from idim.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class Regressor:
+    """Chosen columns of ``IDM_st``: the entries that can be other than zero.
+
+    ``program`` maps (c, yd, ydd, passive rows of J) of a sample to its entries; entry k stands in
+    row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``).
+    """
+
+    names: tuple[str, ...]
+    program: Program
+    rows: np.ndarray
+    columns: np.ndarray
+
+    def __call__(self, layout: Coordinates, motion: Motion) -> np.ndarray:
+        """Entries (entries, N) for the samples of ``motion``."""
+        projection = motion.J[layout.passive].reshape(-1, motion.c.shape[1])
+        return self.program(np.vstack([motion.c, motion.yd, motion.ydd, projection]))
+
+
+class InverseDynamics:
+    """``tau_idm = IDM_st(q, qd, qdd) chi_st`` of a serial, tree or parallel robot.
+
+    Parameters
+    ----------
+    robot : Robot
+        From :func:`idim.load_robot`.
+    parameters : {"all", "inertial"}
+        ``"all"``: 14 standard parameters a joint (inertia, rotor, friction, offset); ``"inertial"``:
+        the ten inertial ones alone. A platform always has ten.
+
+    Attributes
+    ----------
+    parameter_names : tuple of str
+        Names of the n_st standard parameters, the order of the regressor's columns.
+    actuated : tuple of str
+        Names of the n actuated joints, the order of the regressor's rows.
+    """
+
+    def __init__(self, robot: Robot, parameters: str = "all"):
+        if parameters not in ("all", "inertial"):
+            raise ValueError(f"parameters must be 'all' or 'inertial', not {parameters!r}")
+        self.robot = robot
+        self.layout = coordinates(robot)
+        self.parameter_names = parameter_names(robot, parameters)
+        self.actuated = robot.actuated
+
+    @cached_property
+    def loops(self) -> Loops | None:
+        """The solved closures; None for a robot without closures whose joints are all actuated."""
+        layout = self.layout
+        return close_loops(layout) if self.robot.closures or layout.passive.size else None
+
+    def motion(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        qdd: np.ndarray,
+        labels: Labels | None = None,
+        start: np.ndarray | None = None,
+    ) -> Motion:
+        """State of the whole virtual tree along a path of actuated samples (n, N).
+
+        ``labels[k]`` is what messages call sample k; the path begins from the closed configuration
+        ``start`` (n_c,), home if left out.
+        """
+        if self.loops is None:
+            n, samples = q.shape
+            J = np.broadcast_to(np.eye(n)[:, :, None], (n, n, samples))
+            return Motion(q, qd, qdd, J, np.ones(samples))
+        return differentiate(self.loops, follow(self.loops, q, labels, start), qd, qdd, labels)
+
+    def columns(self, names: Sequence[str]) -> Regressor:
+        """The regressor pruned to the standard parameters ``names``."""
+        layout = self.layout
+        c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
+        J, projection = self._projection()
+        chi = {name: ca.SX.sym(name) for name in self.parameter_names}
+        tau = torques(layout, c, yd, ydd, J, chi)
+        W = ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names)))
+        rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
+        entries = ca.vertcat(*W.nonzeros()) if rows.size else ca.SX(0, 1)
+        return Regressor(tuple(names), compile_program([c, yd, ydd, projection.T], [entries]), rows, columns)
+
+    def _projection(self) -> tuple[ca.SX, ca.SX]:
+        """``J`` with the identity in its actuated rows, and the symbols of its passive rows."""
+        layout, n = self.layout, len(self.actuated)
+        projection = ca.SX.sym("J", len(layout.passive), n)
+        J = ca.SX(layout.n_y, n)
+        for k, row in enumerate(layout.actuated):
+            J[int(row), k] = 1
+        for k, row in enumerate(layout.passive):
+            J[int(row), :] = projection[k, :]
+        return J, projection
+
+    @cached_property
+    def full(self) -> Regressor:
+        """All standard columns."""
+        return self.columns(self.parameter_names)
+
+    def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """The regressor ``IDM_st`` of eq. (15), (N, n, n_st).
+
+        Parameters
+        ----------
+        q, qd, qdd : ndarray
+            Positions, velocities and accelerations of the actuated joints, (N, n), SI units. The
+            samples are taken as points of a path that starts at home.
+
+        Raises
+        ------
+        IdimError
+            Where the loops cannot be closed, or a pose is too close to a singularity.
+        """
+        motion = self.motion(*self._samples(q, qd, qdd))
+        entries = self.full(self.layout, motion)
+        W = np.zeros((entries.shape[1], len(self.actuated), len(self.parameter_names)))
+        W[:, self.full.rows, self.full.columns] = entries.T
+        return W
+
+    def torques(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        qdd: np.ndarray,
+        chi: Mapping[str, float] | np.ndarray,
+    ) -> np.ndarray:
+        """Torques of the actuated joints, (N, n) in N m or N, for standard parameters ``chi``.
+
+        ``chi`` is a vector (n_st,) or a mapping by name, in which what is missing is zero.
+        """
+        motion = self.motion(*self._samples(q, qd, qdd))
+        vector = self._vector(chi)
+        entries = self.full(self.layout, motion)
+        tau = np.zeros((entries.shape[1], len(self.actuated)))
+        for k, (row, column) in enumerate(zip(self.full.rows, self.full.columns, strict=True)):
+            if vector[column]:
+                tau[:, row] += entries[k] * vector[column]
+        return tau
+
+    def _samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
+        n = len(self.actuated)
+        samples = [np.asarray(array, dtype=float) for array in arrays]
+        if samples[0].ndim != 2 or samples[0].shape[1] != n or len({array.shape for array in samples}) > 1:
+            shapes = ", ".join(str(array.shape) for array in samples)
+            raise ValueError(f"q, qd and qdd must each be (N, {n}), one column for each of {self.actuated}; got {shapes}")
+        return [np.ascontiguousarray(array.T) for array in samples]
+
+    def _vector(self, chi: Mapping[str, float] | np.ndarray) -> np.ndarray:
+        if not isinstance(chi, Mapping):
+            vector = np.asarray(chi, dtype=float)
+            if vector.shape != (len(self.parameter_names),):
+                raise ValueError(f"chi must have {len(self.parameter_names)} entries, got shape {vector.shape}")
+            return vector
+        unknown = [name for name in chi if name not in self.parameter_names]
+        if unknown:
+            raise KeyError(f"the model has no standard parameter '{unknown[0]}'")
+        return np.array([chi.get(name, 0.0) for name in self.parameter_names], dtype=float)

@@ -1,0 +1,324 @@
+"""Closing the loops numerically, for all samples, in one assembly mode (paper, eqs. 3 to 8).
+
+Every sample is reached along a path from the home configuration: steps are halved until Newton's
+corrections shrink fast, so a solution never jumps to another assembly mode unseen. Many paths are
+followed at once, each in a lane of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from idim.errors import IdimError
+from idim.model._least_squares import solve
+from idim.model.closures import ClosureEquations, closure_equations, gaps
+from idim.model.coordinates import Coordinates
+
+RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
+CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
+REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
+SHORTEST = 2.0**-14  # of the way between two samples: shorter steps mean that there is no way
+CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
+SEGMENTS = 512
+
+
+class Labels(Protocol):
+    """What messages call the samples."""
+
+    def __getitem__(self, sample: int) -> str: ...
+
+
+class _Numbers:
+    def __getitem__(self, sample: int) -> str:
+        return f"sample {sample}"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the closures give for samples along the last axis.
+
+    ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N), ``condition`` (N,) of the
+    passive columns, lengths scaled by the characteristic length.
+    """
+
+    c: np.ndarray
+    yd: np.ndarray
+    ydd: np.ndarray
+    J: np.ndarray
+    condition: np.ndarray
+
+
+@dataclass(frozen=True)
+class Loops:
+    """The closures of a robot and its solved home configuration ``home`` (n_c,)."""
+
+    layout: Coordinates
+    equations: ClosureEquations
+    home: np.ndarray
+    rank: int
+
+    @property
+    def unit(self) -> np.ndarray:
+        """What one unit of a scaled passive coordinate is, in rad or m, (n_passive,)."""
+        return np.where(self.layout.angular[self.layout.passive], 1.0, self.equations.length)
+
+    def condition(self, c: np.ndarray) -> np.ndarray:
+        """Condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
+        residual, G_p = self.newton(c)
+        return solve(G_p, self.equations.pattern, residual[:, None, :], False)[1]
+
+    def newton(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual (rows, N) and scaled passive columns of ``G`` (rows, n_passive, N) at ``c`` (n_c, N)."""
+        rows, values = self.equations.rows, self.equations.newton(c)
+        return values[:rows], values[rows:].reshape(rows, len(self.layout.passive), c.shape[1])
+
+
+def close_loops(layout: Coordinates) -> Loops:
+    """Close the loops of a robot at home and check that its actuated joints move all of it.
+
+    Raises
+    ------
+    IdimError
+        Where the loops do not close near the home of the robot's file, where actuation is redundant,
+        or where passive coordinates stay free.
+    """
+    robot, equations = layout.robot, closure_equations(layout)
+    loops = Loops(layout, equations, layout.home, rank=0)
+    c = _assemble(loops)
+    gap = gaps(layout, c[:, 0])
+    if (gap / (equations.length, 1.0)).max(initial=0.0) > RESIDUAL:
+        worst = int(gap.max(axis=1).argmax())
+        closure, (distance, angle) = robot.closures[worst], gap[worst]
+        raise IdimError(
+            f"robot '{robot.name}': the loops do not close near the home configuration, closure {worst + 1} "
+            f"('{closure.a.body}' to '{closure.b.body}') stays open by {1e3 * distance:.3g} mm and {np.degrees(angle):.3g} degrees; "
+            "correct the placements or give the passive joints a 'home' closer to the assembled robot."
+        )
+    G_p, G_a = _jacobians(loops, c)
+    rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
+    total = int(np.linalg.matrix_rank(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), tol=1e-7))
+    n, n_passive = len(layout.actuated), len(layout.passive)
+    if rank < n_passive:
+        free = np.abs(np.linalg.svd(G_p[:, :, 0])[2][rank:]).max(axis=0) > 1e-6
+        names = ", ".join(layout.names[k] for k in layout.passive[free])
+        raise IdimError(
+            f"robot '{robot.name}': its {n} actuated joints leave {n_passive - rank} dof free at the home configuration, "
+            f"where {names} can still move; actuate more joints, or move home away from a singular pose."
+        )
+    if total > rank:
+        raise IdimError(
+            f"robot '{robot.name}': actuation is redundant, {n} actuated joints for {layout.n_y - total} dof; mark "
+            f"{total - rank} of them passive (redundant actuation is not supported), or check the closures and the dof of platforms."
+        )
+    return Loops(layout, equations, c[:, 0], rank)
+
+
+def _jacobians(loops: Loops, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scaled ``G`` of the passive and of the actuated coordinates, (rows, ., N)."""
+    equations, samples = loops.equations, c.shape[1]
+    still = np.zeros((loops.layout.n_y, samples))
+    motion = equations.motion(np.vstack([c, still]))[: equations.rows * len(loops.layout.actuated)]
+    return loops.newton(c)[1], motion.reshape(equations.rows, len(loops.layout.actuated), samples)
+
+
+def _assemble(loops: Loops) -> np.ndarray:
+    """The configuration (n_c, 1) near home in which the loops close, or as good as that; home may be singular."""
+    layout, c = loops.layout, loops.home[:, None]
+    for _ in range(50):
+        residual, G_p = loops.newton(c)
+        correction = -np.linalg.pinv(G_p[:, :, 0], rcond=1e-9) @ residual[:, 0]
+        size = np.abs(correction).max(initial=0.0)
+        step = np.zeros((layout.n_y, 1))
+        step[layout.passive, 0] = correction / max(size, 1.0) * loops.unit
+        c = layout.retract(c, step)
+        if size < 1e-12:
+            break
+    return c
+
+
+def _newton(loops: Loops, c: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Close the loops at ``q`` (n, N) from the passive coordinates of ``c``: solutions, and which closed."""
+    layout, equations = loops.layout, loops.equations
+    c = c.copy()
+    c[layout.actuated] = q
+    samples = c.shape[1]
+    last = np.full(samples, np.inf)
+    good, done = np.ones(samples, dtype=bool), np.zeros(samples, dtype=bool)
+    for iteration in range(8):
+        residual, G_p = loops.newton(c)
+        correction, condition = solve(G_p, equations.pattern, -residual[:, None, :], False)
+        size = np.abs(correction[:, 0]).max(axis=0)
+        if iteration == 0:
+            good &= size * condition <= REACH
+        else:
+            good &= (size <= CONTRACTION * last) | (size < 1e-9)
+        step = np.zeros((layout.n_y, samples))
+        step[layout.passive] = np.where(good & ~done, correction[:, 0], 0.0) * loops.unit[:, None]
+        c = layout.retract(c, step)
+        done |= size < 1e-8
+        last = size
+        if (done | ~good).all():
+            break
+    residual, _ = loops.newton(c)
+    return c, good & done & (np.abs(residual).max(axis=0) < RESIDUAL)
+
+
+def advance(loops: Loops, c: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as it gets.
+
+    Returns the closed configurations arrived at (n_c, N), and which are those asked for (N,).
+    """
+    c = c.copy()
+    start = c[loops.layout.actuated]
+    travelled = np.zeros(c.shape[1])  # share of the way from start to q
+    stride = np.ones(c.shape[1])
+    going = np.arange(c.shape[1])
+    while going.size:
+        there = np.minimum(travelled[going] + stride[going], 1.0)
+        target = start[:, going] + there * (q[:, going] - start[:, going])
+        tried, closed = _newton(loops, c[:, going], target)
+        c[:, going[closed]] = tried[:, closed]
+        travelled[going[closed]] = there[closed]
+        stride[going] *= np.where(closed, 2.0, 0.5)
+        going = going[(travelled[going] < 1.0) & (stride[going] >= SHORTEST)]
+    return c, travelled >= 1.0
+
+
+def follow(
+    loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None
+) -> np.ndarray:
+    """Configurations (n_c, N) along the path ``q`` (n, N), all in the assembly mode of home.
+
+    Parameters
+    ----------
+    loops : Loops
+        From :func:`close_loops`.
+    q : ndarray
+        Actuated positions (n, N), rad or m.
+    labels : Labels, optional
+        What a message calls the samples; ``"sample 17"`` if left out.
+    start : ndarray, optional
+        Closed configuration (n_c,) that the path begins from; home if left out.
+
+    Raises
+    ------
+    IdimError
+        Where a sample cannot be reached, or not without leaving the assembly mode.
+    """
+    samples = q.shape[1]
+    labels = labels or _Numbers()
+    begin = loops.home if start is None else start
+    c = np.repeat(begin[:, None], samples, axis=1)
+    if not samples:
+        return c
+    length = -(-samples // SEGMENTS)
+    starts = np.arange(0, samples, length)
+    heads, reached = advance(loops, c[:, starts], q[:, starts])
+    if not reached[0]:
+        raise _unreachable(loops, q[:, 0], labels[0])
+    segments = np.flatnonzero(reached)
+    c[:, starts[segments]] = heads[:, segments]
+    lost = _march(loops, q, c, starts[segments], length)
+    # a segment must begin where the one before it leads
+    led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
+    redone = False
+    for k in range(1, starts.size):
+        if starts[k] - 1 in lost:
+            break
+        if redone:
+            led[:, [k - 1]], joined[[k - 1]] = advance(loops, c[:, [starts[k] - 1]], q[:, [starts[k]]])
+        if not joined[k - 1]:
+            lost.add(starts[k])
+            break
+        redone = not reached[k] or np.abs(led[:, k - 1] - c[:, starts[k]]).max() > 1e-6
+        if redone:
+            c[:, starts[k]] = led[:, k - 1]
+            lost -= set(range(starts[k], min(starts[k] + length, samples)))
+            lost |= _march(loops, q, c, starts[[k]], length)
+    if lost:
+        first = min(lost)
+        raise _unreachable(loops, q[:, first], labels[first])
+    return c
+
+
+def _march(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
+    """Fill ``c`` from each of ``starts`` for ``length`` samples; returns those that were not reached."""
+    lost: set[int] = set()
+    lanes = starts
+    for offset in range(1, length):
+        lanes = lanes[lanes + offset < q.shape[1]]
+        if not lanes.size:
+            break
+        here = lanes + offset
+        c[:, here], reached = advance(loops, c[:, here - 1], q[:, here])
+        for start in lanes[~reached]:
+            lost |= set(range(start + offset, min(start + length, q.shape[1])))
+        lanes = lanes[reached]
+    return lost
+
+
+def _unreachable(loops: Loops, q: np.ndarray, label: str) -> IdimError:
+    pose = _pose(loops, q)
+    return IdimError(
+        f"robot '{loops.layout.robot.name}': at {label} the loops cannot be closed in the assembly mode of home ({pose}); "
+        "check the units, signs and zeros of the positions and the robot's geometry, or leave these samples out."
+    )
+
+
+def _pose(loops: Loops, q: np.ndarray) -> str:
+    return ", ".join(f"q_{name} = {value:.4g}" for name, value in zip(loops.layout.robot.actuated, q, strict=True))
+
+
+def differentiate(
+    loops: Loops,
+    c: np.ndarray,
+    qd: np.ndarray,
+    qdd: np.ndarray,
+    labels: Labels | None = None,
+) -> Motion:
+    """Velocities and accelerations of the whole tree from those of the actuated joints (eqs. 5 to 8).
+
+    Parameters
+    ----------
+    loops : Loops
+        From :func:`close_loops`.
+    c : ndarray
+        Closed configurations (n_c, N).
+    qd, qdd : ndarray
+        Actuated velocities and accelerations (n, N).
+    labels : Labels, optional
+        What a message calls the samples.
+
+    Raises
+    ------
+    IdimError
+        At a pose too close to a singularity, where the passive coordinates cannot be told from the
+        actuated ones.
+    """
+    layout, equations, samples = loops.layout, loops.equations, c.shape[1]
+    n, rows = len(layout.actuated), equations.rows
+    passive, actuated = _jacobians(loops, c)
+    in_units = np.where(layout.angular[layout.actuated], 1.0, equations.length)
+    solved, condition = solve(passive, equations.pattern, -actuated / in_units[None, :, None], True)
+    condition = np.nan_to_num(condition, nan=np.inf)
+    singular = condition >= CONDITION
+    if singular.any():
+        worst = int(np.argmax(condition))
+        label = (labels or _Numbers())[worst]
+        raise IdimError(
+            f"robot '{layout.robot.name}': at {label} the pose is too close to a singularity "
+            f"({_pose(loops, c[layout.actuated, worst])}, condition number {condition[worst]:.3g}, allowed {CONDITION:g}); "
+            f"it is the worst of {int(singular.sum())} such among {samples} samples, leave them out or keep the motion away from it."
+        )
+    J = np.zeros((layout.n_y, n, samples))
+    J[layout.actuated, np.arange(n)] = 1.0
+    J[layout.passive] = solved * loops.unit[:, None, None]
+    yd = np.einsum("ijs,js->is", J, qd)
+    gamma = equations.motion(np.vstack([c, yd]))[-rows:]
+    drift, _ = solve(passive, equations.pattern, -gamma[:, None, :], True)
+    ydd = np.einsum("ijs,js->is", J, qdd)
+    ydd[layout.passive] += drift[:, 0] * loops.unit[:, None]
+    return Motion(c, yd, ydd, J, condition)

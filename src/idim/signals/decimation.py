@@ -1,0 +1,144 @@
+"""Parallel decimation: one low-pass for the command and for every column of the regressor (paper, eqs. 19-20).
+
+Decimators stream. `Decimator.blocks` cuts a log into overlapping blocks; the columns of one block at a time
+are computed and handed to `Decimator.apply`, and the outputs are those of the whole log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil
+from typing import Literal
+
+import numpy as np
+
+MAX_FACTOR = 20
+
+
+@dataclass(frozen=True)
+class Block:
+    """A stretch of a log (``samples``), what it yields (``outputs``, of all), and the sample of the first one."""
+
+    samples: slice
+    outputs: slice
+    first: int
+
+
+@dataclass(frozen=True)
+class Decimator:
+    """A zero-phase low-pass that keeps one sample of ``factor``.
+
+    ``fir`` is a Kaiser-windowed sinc of 3 ``factor`` samples with unit gain at zero frequency: an output
+    rests on the samples of its ``support`` and on no others. ``chebyshev`` is MATLAB's ``decimate``, the
+    paper's way: Chebyshev I of order 8, ripple 0.05 dB, forward and backward; its response never ends, and
+    180 ``factor`` samples of warm-up leave 1e-13 of it. Both cut off at 0.8 of the new Nyquist frequency.
+    With factor 1 nothing is filtered.
+    """
+
+    factor: int
+    kind: Literal["fir", "chebyshev"] = "fir"
+
+    @property
+    def support(self) -> int:
+        """Samples to either side of an output that must be good for it to be good."""
+        if self.factor == 1:
+            return 0
+        return ceil(1.5 * self.factor) if self.kind == "fir" else self.factor
+
+    @property
+    def warm_up(self) -> int:
+        """Samples to either side of an output that its value is computed from, where there are so many."""
+        return 180 * self.factor if self.kind == "chebyshev" and self.factor > 1 else self.support
+
+    def instants(self, n: int) -> np.ndarray:
+        """Samples (outputs,) of a log of `n` at which the outputs stand."""
+        return np.arange(self.support, n - self.support, self.factor)
+
+    def blocks(self, n: int, size: int) -> Iterator[Block]:
+        """Cut a log of `n` samples into blocks of at most `size` outputs, in order."""
+        instants = self.instants(n)
+        for start in range(0, len(instants), size):
+            stop = min(start + size, len(instants))
+            begin = max(0, int(instants[start]) - self.warm_up)
+            end = min(n, int(instants[stop - 1]) + self.warm_up + 1)
+            yield Block(slice(begin, end), slice(start, stop), int(instants[start]) - begin)
+
+    def apply(self, columns: np.ndarray, block: Block | None = None) -> np.ndarray:
+        """Outputs of a block.
+
+        Parameters
+        ----------
+        columns : ndarray (..., M)
+            Columns at the samples of the block.
+        block : Block, optional
+            One of `blocks`; without it the columns are those of a whole log.
+
+        Returns
+        -------
+        ndarray (..., outputs)
+            Columns at the instants of the outputs.
+        """
+        if block is None:
+            instants = self.instants(columns.shape[-1])
+            block = Block(slice(0, columns.shape[-1]), slice(0, len(instants)), self.support)
+        count = block.outputs.stop - block.outputs.start
+        last = block.first + (count - 1) * self.factor + 1
+        if self.factor == 1 or count == 0:
+            return columns[..., block.first : last]
+        if self.kind == "chebyshev":
+            from scipy.signal import sosfiltfilt
+
+            return sosfiltfilt(_chebyshev(self.factor), columns, axis=-1)[..., block.first : last : self.factor]
+        from scipy.signal import upfirdn
+
+        # The padded kernel puts the outputs on multiples of the factor, the only ones upfirdn computes.
+        taps = _kernel(self.factor)
+        skipped = (len(taps) - 1) // self.factor
+        return upfirdn(taps, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
+
+    def keep(self, usable: np.ndarray) -> np.ndarray:
+        """Which outputs rest on usable samples only.
+
+        Parameters
+        ----------
+        usable : ndarray (N,) or (N, n) of bool
+            False where a sample, or a joint's row of it, must not be used.
+
+        Returns
+        -------
+        ndarray (outputs,) or (outputs, n) of bool
+            True where no sample of the support is unusable; by convention the support of ``chebyshev``, whose
+            response has no end, is ``factor`` samples to either side.
+        """
+        instants = self.instants(len(usable))
+        masked = np.zeros((len(usable) + 1, *usable.shape[1:]), dtype=np.int64)
+        np.cumsum(~usable, axis=0, out=masked[1:])
+        return masked[instants + self.support + 1] == masked[instants - self.support]
+
+
+@lru_cache
+def _kernel(factor: int) -> np.ndarray:
+    """Taps of the FIR, preceded by zeros so that its length less one is a multiple of `factor`."""
+    from scipy.signal import firwin
+
+    half = ceil(1.5 * factor)
+    # beta = 5: side lobes 50 dB down, and a main lobe as narrow as so short a filter allows.
+    taps = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", 5.0))
+    return np.concatenate([np.zeros(-2 * half % factor), taps])
+
+
+@lru_cache
+def _chebyshev(factor: int) -> np.ndarray:
+    from scipy.signal import cheby1
+
+    return cheby1(8, 0.05, 0.8 / factor, output="sos")
+
+
+def decimation_factor(rate: float, bandwidth: float) -> int:
+    """Factor that leaves five samples in a period of the fastest motion.
+
+    ``floor(0.4 rate / (2 bandwidth))``, at least 1 and at most 20; both in Hz.
+    """
+    return int(min(max(0.4 * rate // (2 * bandwidth), 1), MAX_FACTOR))

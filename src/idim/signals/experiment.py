@@ -1,0 +1,316 @@
+"""The experiment file: which robot, which columns of which logs, and which payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from idim.errors import IdimError
+from idim.robots.robot import INERTIAL, Robot
+from idim.robots.yaml_document import Document, read_yaml, validate
+
+PositionUnit = Literal["rad", "deg", "m", "mm"]
+Positive = Annotated[FiniteFloat, Field(gt=0)]
+
+
+def _text_or_group(value: Any) -> str:
+    return "text" if isinstance(value, str) else "group"
+
+
+class _Keys(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SampleRate(_Keys):
+    """Sampling rate of a log without time column, Hz."""
+
+    rate: Positive
+
+
+class Signals(_Keys):
+    """Columns of a log: time, and the position and the current (or torque) of every actuated joint."""
+
+    time: Annotated[Annotated[str, Tag("text")] | Annotated[SampleRate, Tag("group")], Discriminator(_text_or_group)]
+    position: dict[str, str] = Field(min_length=1)
+    current: dict[str, str] | None = None
+    torque: dict[str, str] | None = None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of the file."""
+        return tuple(self.position)
+
+    @property
+    def kind(self) -> Literal["current", "torque"]:
+        """What the command columns hold."""
+        return "torque" if self.current is None else "current"
+
+    @property
+    def command(self) -> dict[str, str]:
+        """Columns of the currents or torques by joint."""
+        return (self.torque if self.current is None else self.current) or {}
+
+    @field_validator("position", "current", "torque")
+    @classmethod
+    def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
+        owners: dict[str, str] = {}
+        for joint, column in (columns or {}).items():
+            if column in owners:
+                raise ValueError(
+                    f"the column '{column}' is given for joints '{owners[column]}' and '{joint}'; "
+                    "give every joint its own"
+                )
+            owners[column] = joint
+        return columns
+
+    @model_validator(mode="after")
+    def _one_command_per_joint(self) -> Signals:
+        if (self.current is None) == (self.torque is None):
+            raise ValueError("give the columns of either 'current' or 'torque', one of the two")
+        missing = [joint for joint in self.position if joint not in self.command]
+        if missing:
+            raise ValueError(f"joint '{missing[0]}' has a position but no {self.kind}; add its {self.kind} column")
+        extra = [joint for joint in self.command if joint not in self.position]
+        if extra:
+            raise ValueError(f"joint '{extra[0]}' has a {self.kind} but no position; add its position column")
+        return self
+
+
+class Units(_Keys):
+    """Units of the log's columns; SI where nothing is said."""
+
+    time: Literal["s", "ms", "us", "ns"] | None = None
+    position: (
+        Annotated[
+            Annotated[PositionUnit, Tag("text")] | Annotated[dict[str, PositionUnit], Tag("group")],
+            Discriminator(_text_or_group),
+        ]
+        | None
+    ) = None
+    current: Literal["A", "mA"] | None = None
+    torque: Literal["N m", "Nm", "N"] | None = None
+
+    def of_position(self, joint: str) -> PositionUnit | None:
+        """Position unit of a joint; None where nothing is said."""
+        return self.position.get(joint) if isinstance(self.position, dict) else self.position
+
+
+class Payload(_Keys):
+    """A load on the last link or platform; without ``mass`` it is unknown and to be weighed.
+
+    ``mass`` and its standard deviation in kg; ``parameters`` are further known inertial parameters
+    (``xx xy xz yy yz zz`` in kg m2, ``mx my mz`` in kg m) in the frame of the body that carries it.
+    """
+
+    name: str
+    mass: Positive | None = None
+    mass_std: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+    parameters: dict[str, FiniteFloat] = {}
+
+    @field_validator("parameters")
+    @classmethod
+    def _inertial(cls, parameters: dict[str, float]) -> dict[str, float]:
+        for name in parameters:
+            if name == "m":
+                raise ValueError("write the mass as 'mass', not among the parameters")
+            if name not in INERTIAL:
+                raise ValueError(f"a payload has no parameter '{name}'; choose from {' '.join(INERTIAL[:-1])}")
+        return parameters
+
+    @model_validator(mode="after")
+    def _deviation_of_a_mass(self) -> Payload:
+        if self.mass is None and "mass_std" in self.model_fields_set:
+            raise ValueError("'mass_std' stands without 'mass'; add the mass or remove it")
+        return self
+
+
+class LoggedRun(_Keys):
+    """One run: its log, or two logs with positions and commands, and the payload carried, if any."""
+
+    log: Annotated[
+        tuple[Path, ...],
+        BeforeValidator(lambda value: (value,) if isinstance(value, (str, Path)) else value),
+        Field(min_length=1, max_length=2),
+    ]
+    payload: Payload | None = None
+
+    @field_validator("log")
+    @classmethod
+    def _existing(cls, log: tuple[Path, ...], info: ValidationInfo) -> tuple[Path, ...]:
+        if info.context is None:
+            return log
+        log = tuple(info.context / path for path in log)
+        for path in log:
+            if not path.is_file():
+                raise ValueError(f"there is no file '{path}'{_close_file(path)}")
+        return log
+
+
+def _close_file(path: Path) -> str:
+    names = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+    close = get_close_matches(path.name, names, n=1)
+    if close:
+        return f"; did you mean '{close[0]}'?"
+    return "; paths are relative to the experiment file"
+
+
+class Experiment(_Keys):
+    """An experiment file; its paths are relative to the working directory or absolute once read."""
+
+    robot: str
+    signals: Signals
+    units: Units = Units()
+    prior_gains: dict[str, FiniteFloat] = {}
+    runs: tuple[LoggedRun, ...] = Field(min_length=1)
+    validation: tuple[LoggedRun, ...] = ()
+
+    @field_validator("robot")
+    @classmethod
+    def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
+        file = None if info.context is None else info.context / robot
+        return str(file) if file is not None and file.is_file() else robot
+
+    @field_validator("units")
+    @classmethod
+    def _units_of_signals(cls, units: Units, info: ValidationInfo) -> Units:
+        signals: Signals | None = info.data.get("signals")
+        if signals is None:
+            return units
+        other = "torque" if signals.kind == "current" else "current"
+        if getattr(units, other) is not None:
+            raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
+        if units.time is not None and isinstance(signals.time, SampleRate):
+            raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
+        if isinstance(units.position, dict):
+            _known_joints(units.position, signals)
+        return units
+
+    @field_validator("prior_gains")
+    @classmethod
+    def _gains_of_signals(cls, gains: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+        signals: Signals | None = info.data.get("signals")
+        if signals is None or not gains:
+            return gains
+        if signals.kind == "torque":
+            raise ValueError("the signals hold torques, which need no gains; remove 'prior_gains'")
+        _known_joints(gains, signals)
+        missing = [joint for joint in signals.joints if joint not in gains]
+        if missing:
+            raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
+        zero = [joint for joint, gain in gains.items() if gain == 0]
+        if zero:
+            raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N/A) of its drive")
+        return gains
+
+    @field_validator("runs", "validation")
+    @classmethod
+    def _each_log_once(cls, runs: tuple[LoggedRun, ...]) -> tuple[LoggedRun, ...]:
+        seen: set[tuple[Path, ...]] = set()
+        for run in runs:
+            if run.log in seen:
+                raise ValueError(f"the log '{run.log[0]}' is listed twice; remove one of them")
+            seen.add(run.log)
+        return runs
+
+    @model_validator(mode="after")
+    def _one_payload_per_name(self) -> Experiment:
+        payloads: dict[str, Payload] = {}
+        for run in (*self.runs, *self.validation):
+            if run.payload is not None and payloads.setdefault(run.payload.name, run.payload) != run.payload:
+                raise ValueError(
+                    f"the payload '{run.payload.name}' is described differently in two runs; "
+                    "write the same known values in both, or give the second payload another name"
+                )
+        return self
+
+
+def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
+    for joint in values:
+        if joint not in signals.position:
+            raise ValueError(f"the signals have no joint '{joint}'; choose from {', '.join(signals.joints)}")
+
+
+def read_experiment(path: str | Path) -> Experiment:
+    """Read an experiment file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file; the paths in it are relative to its folder. ``robot`` stays a text: the path of
+        a robot file where there is such a file, otherwise a name of the catalog.
+
+    Returns
+    -------
+    Experiment
+        All log files exist; nothing of them has been read.
+
+    Raises
+    ------
+    IdimError
+        The file cannot be read, or something in it is missing, misspelt or contradictory.
+    """
+    return validate(Experiment, read_yaml(path), context=Path(path).parent)
+
+
+def as_signals(signals: Signals | Mapping[str, Any]) -> Signals:
+    """Column map from a mapping as in the experiment file; raises IdimError."""
+    return signals if isinstance(signals, Signals) else validate(Signals, _document("signals", signals))
+
+
+def as_units(units: Units | Mapping[str, Any] | None) -> Units:
+    """Units from a mapping as in the experiment file; raises IdimError."""
+    return units if isinstance(units, Units) else validate(Units, _document("units", units or {}))
+
+
+def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
+    """Payload from a mapping as in the experiment file; raises IdimError."""
+    if payload is None or isinstance(payload, Payload):
+        return payload
+    return validate(Payload, _document("payload", payload))
+
+
+def _document(name: str, data: Mapping[str, Any]) -> Document:
+    return Document(Path(name), dict(data), {})
+
+
+def check_robot(experiment: Experiment, robot: Robot) -> None:
+    """Check that an experiment's signals and units suit its robot.
+
+    Raises
+    ------
+    IdimError
+        The signals' joints are not the actuated ones, or a position unit does not suit its joint.
+    """
+    signals = experiment.signals
+    for joint in signals.joints:
+        if joint not in robot.actuated:
+            raise IdimError(
+                f"signals.position names the joint '{joint}', but the actuated joints of robot '{robot.name}' are "
+                f"{', '.join(robot.actuated)}; correct the name."
+            )
+    for joint in robot.actuated:
+        if joint not in signals.position:
+            raise IdimError(
+                f"signals.position lacks the actuated joint '{joint}' of robot '{robot.name}'; add its column."
+            )
+        kind, unit = robot.joint(joint).kind, experiment.units.of_position(joint)
+        if unit is not None and (unit in ("rad", "deg")) != (kind == "revolute"):
+            raise IdimError(
+                f"units.position is '{unit}' for joint '{joint}', which is {kind}; write "
+                f"{'rad or deg' if kind == 'revolute' else 'm or mm'} (units may differ by joint: {{{joint}: ...}})."
+            )

@@ -1,0 +1,195 @@
+"""Filters have no phase and the gain they say; streamed decimation is that of the whole; masks are exact."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from idim.errors import IdimError
+from idim.signals.decimation import Decimator, decimation_factor
+from idim.signals.filters import (
+    bandwidth,
+    cutoff_frequency,
+    differentiate,
+    joint_bandwidths,
+    low_pass,
+    position_filter,
+)
+from idim.signals.run import Run
+
+
+def phasor(x: np.ndarray, time: np.ndarray, frequency: float) -> complex:
+    """Amplitude and phase of a sampled sine, sin(2 pi f t) being 1."""
+    basis = np.column_stack([np.sin(2 * np.pi * frequency * time), np.cos(2 * np.pi * frequency * time)])
+    sine, cosine = np.linalg.lstsq(basis, x, rcond=None)[0]
+    return complex(sine, cosine)
+
+
+@pytest.mark.parametrize("frequency", [1.0, 5.0, 20.0])
+def test_low_pass_has_its_gain_and_no_phase(frequency: float) -> None:
+    rate, cutoff = 1000.0, 10.0
+    time = np.arange(8000) / rate
+    y = low_pass(np.sin(2 * np.pi * frequency * time)[:, None], rate, cutoff)[2000:-2000, 0]
+    # The bilinear transform bends the frequency axis.
+    bent = np.tan(np.pi * frequency / rate) / np.tan(np.pi * cutoff / rate)
+    assert phasor(y, time[2000:-2000], frequency) == pytest.approx(1 / (1 + bent**8), abs=1e-8)
+
+
+@pytest.mark.parametrize(("frequency", "rate"), [(1.0, 95.0), (4.0, 95.0), (50.0, 1000.0)])
+def test_derivatives_have_no_phase_and_the_error_they_say(frequency: float, rate: float) -> None:
+    time = np.arange(2000) / rate
+    w = 2 * np.pi * frequency
+    first, second = differentiate(np.sin(w * time)[:, None], rate)
+    inner = slice(2, -2)
+    velocity = phasor(first[inner, 0], time[inner], frequency) / (1j * w)
+    acceleration = phasor(second[inner, 0], time[inner], frequency) / -(w**2)
+    step = w / rate
+    assert velocity == pytest.approx(1 - step**4 / 30, abs=step**6)
+    assert acceleration == pytest.approx(1 - step**4 / 90, abs=step**6)
+
+
+def test_derivatives_of_a_quartic_are_exact() -> None:
+    rate = 10.0
+    time = np.arange(20) / rate
+    x = time**4 - 2 * time**3 + time
+    first, second = differentiate(x, rate)
+    np.testing.assert_allclose(first[2:-2], (4 * time**3 - 6 * time**2 + 1)[2:-2], atol=1e-10)
+    np.testing.assert_allclose(second[2:-2], (12 * time**2 - 12 * time)[2:-2], atol=1e-9)
+
+
+def test_edges_cover_what_the_filter_does_not_know() -> None:
+    rate, cutoff = 1000.0, 20.0
+    time = np.arange(6000) / rate
+    position = np.sin(2 * np.pi * 1.5 * time + 0.4)[:, None]
+    inner, part = position_filter(position, rate, cutoff), slice(1000, 5000)
+    q, qd, qdd, edge = position_filter(position[part], rate, cutoff)
+    used = slice(edge, -edge)
+    for whole, cut, tolerance in zip(inner[:3], (q, qd, qdd), (1e-4, 1e-3, 3e-3), strict=True):
+        scale = np.abs(whole[part]).max()
+        np.testing.assert_allclose(cut[used], whole[part][used], atol=tolerance * scale)
+
+
+def run_of(position: np.ndarray, rate: float) -> Run:
+    n = position.shape[1]
+    joints = tuple(f"j{i}" for i in range(n))
+    return Run("r", joints, np.arange(len(position)) / rate, position, np.ones_like(position))
+
+
+def test_bandwidth_of_sines_in_noise(rng: np.random.Generator) -> None:
+    rate = 1000.0
+    time = np.arange(20000) / rate
+    position = np.column_stack(
+        [
+            np.sin(2 * np.pi * 0.5 * time) + 0.1 * np.sin(2 * np.pi * 3 * time),
+            np.sin(2 * np.pi * 1 * time) + 0.01 * np.sin(2 * np.pi * 2 * time),  # 0.04 % of the power
+            np.zeros_like(time),
+        ]
+    )
+    noisy = np.round((position + 1e-3 * rng.standard_normal(position.shape)) / 1e-4) * 1e-4
+    found = joint_bandwidths(noisy, rate)
+    assert found[:2] == pytest.approx([3, 1], abs=0.7)
+    assert np.isnan(found[2])
+    assert bandwidth(run_of(noisy, rate)) == pytest.approx(found[0])
+    # At 1 kHz this noise is a tenth of the speed's power: counted with it, it would win.
+    assert np.diff(noisy - position, axis=0)[:, 0].var() > 0.1 * np.diff(position[:, 0]).var()
+
+
+def test_rest_has_no_bandwidth(rng: np.random.Generator) -> None:
+    rest = np.round(0.5 + 0.4 * rng.standard_normal((2000, 2))) * 1e-4
+    with pytest.raises(IdimError, match="no joint's motion stands out"):
+        bandwidth(run_of(rest, 95.0))
+
+
+def test_rules_of_thumb() -> None:
+    assert cutoff_frequency(0.3, 95.0) == 5.0
+    assert cutoff_frequency(7.0, 1000.0) == 70.0
+    assert cutoff_frequency(4.0, 95.0) is None
+    assert [decimation_factor(1000, f) for f in (0.1, 12, 100, 400)] == [20, 16, 2, 1]
+
+
+KINDS = [
+    ("fir", 1),
+    ("fir", 2),
+    ("fir", 7),
+    ("fir", 10),
+    ("fir", 20),
+    ("chebyshev", 1),
+    ("chebyshev", 5),
+    ("chebyshev", 10),
+]
+
+
+@pytest.mark.parametrize(("kind", "factor"), KINDS)
+def test_streamed_outputs_are_those_of_the_whole(kind: str, factor: int, rng: np.random.Generator) -> None:
+    decimator = Decimator(factor, kind)  # type: ignore[arg-type]
+    columns = rng.standard_normal((3, 6013))
+    whole = decimator.apply(columns)
+    instants = decimator.instants(6013)
+    assert whole.shape == (3, len(instants))
+    blocks = list(decimator.blocks(6013, 37))
+    parts = [decimator.apply(columns[:, block.samples], block) for block in blocks]
+    np.testing.assert_allclose(np.hstack(parts), whole, atol=1e-15 if kind == "fir" else 1e-12)
+    assert [block.outputs.start for block in blocks] == list(range(0, len(instants), 37))
+    assert all(block.samples.start + block.first == instants[block.outputs.start] for block in blocks)
+
+
+def test_a_log_too_short_has_no_outputs() -> None:
+    decimator = Decimator(10)
+    assert list(decimator.blocks(30, 8)) == []
+    assert decimator.apply(np.ones((2, 30))).shape == (2, 0)
+    assert decimator.keep(np.ones(30, dtype=bool)).shape == (0,)
+    assert decimator.apply(np.ones((2, 31))).shape == (2, 1)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 10, 20])
+def test_fir_is_a_symmetric_convolution_of_unit_gain(factor: int, rng: np.random.Generator) -> None:
+    decimator = Decimator(factor)
+    x = rng.standard_normal(1000)
+    impulse = np.zeros((2 * decimator.support + 1, 2 * decimator.support + 1))
+    np.fill_diagonal(impulse, 1.0)
+    taps = decimator.apply(impulse)[:, 0]
+    np.testing.assert_allclose(taps, taps[::-1], atol=1e-16)
+    assert taps.sum() == pytest.approx(1, abs=1e-14)
+    assert np.all(taps != 0)
+    np.testing.assert_allclose(decimator.apply(x), np.convolve(x, taps, "valid")[::factor], atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["fir", "chebyshev"])
+def test_decimation_has_no_phase_and_removes_what_would_alias(kind: str) -> None:
+    decimator = Decimator(10, kind)  # type: ignore[arg-type]
+    time = np.arange(20000) / 1000.0
+    kept = decimator.instants(20000)
+    inner = slice(50, -50)
+    for frequency, bound in ((2.0, None), (10.0, None), (101.3, 0.005), (333.3, 0.005)):
+        y = decimator.apply(np.sin(2 * np.pi * frequency * time))
+        found = phasor(y[inner], time[kept][inner], frequency)
+        if bound is None:
+            assert abs(found.imag) < 1e-8
+            assert 0.5 < found.real < 1.001
+        else:
+            assert np.abs(y[inner]).max() < bound
+
+
+def test_chebyshev_is_the_decimate_of_scipy(rng: np.random.Generator) -> None:
+    x = rng.standard_normal((2, 5000))
+    decimator = Decimator(10, "chebyshev")
+    expected = signal.decimate(x, 10, axis=-1)  # its outputs stand at 0, 10, ...; ours at 10, 20, ...
+    found = decimator.apply(x)
+    np.testing.assert_allclose(found, expected[:, 1 : 1 + found.shape[1]], atol=1e-13)
+
+
+@pytest.mark.parametrize(("kind", "factor"), KINDS)
+def test_mask_covers_exactly_the_support(kind: str, factor: int) -> None:
+    decimator = Decimator(factor, kind)  # type: ignore[arg-type]
+    n = 400
+    instants = decimator.instants(n)
+    for bad in (0, 57, 200, 399):
+        usable = np.ones((n, 2), dtype=bool)
+        usable[bad, 1] = False
+        kept = decimator.keep(usable)
+        assert kept[:, 0].all()
+        np.testing.assert_array_equal(kept[:, 1], np.abs(instants - bad) > decimator.support)
+        if kind == "fir":  # no kept output changes when the masked sample does, and every dropped one does
+            impulse = (np.arange(n) == bad).astype(float)
+            np.testing.assert_array_equal(decimator.apply(impulse) == 0, kept[:, 1])

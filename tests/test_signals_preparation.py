@@ -1,0 +1,123 @@
+"""Runs prepared for the model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from idim.errors import IdimError
+from idim.signals.preparation import choose_preparation, prepare
+from idim.signals.run import Run, read_run
+
+RATE = 1000.0
+
+
+def run_with_rest(name: str = "r", rate: float = RATE) -> Run:
+    """Two sines of 8 s with a smooth start and stop between 2 s of rest, and a joint that stands still."""
+    time = np.arange(int(12 * rate)) / rate
+    window = np.clip(np.minimum(time - 2, 10 - time), 0, 1)
+    window = window**3 * (10 - 15 * window + 6 * window**2)
+    w = 2 * np.pi * np.array([0.5, 1.2])
+    position = np.column_stack([window * np.sin(w[0] * time), 0.2 * window * np.cos(w[1] * time), 0.7 + 0 * time])
+    position = np.round(position / 1e-5) * 1e-5
+    command = np.column_stack([np.cos(w[0] * time), np.sin(w[1] * time), np.sin(9 * time)])
+    return Run(name, ("a", "b", "c"), time, position, command)
+
+
+def test_preparation_of_a_run() -> None:
+    run = run_with_rest()
+    preparation = choose_preparation([run])
+    assert 1.2 <= preparation.bandwidth < 3
+    assert preparation.cutoff == pytest.approx(10 * preparation.bandwidth)
+    assert preparation.decimator.factor == 20
+    prepared = prepare(run, preparation)
+    assert prepared.notes == ("joint 'c' hardly moves: its rows are left out",)
+    # Rest is cut off, the motion is not.
+    assert 2.0 < prepared.time[0] < 2.4
+    assert 9.6 < prepared.time[-1] < 10.0
+    steady = (prepared.time > 3.2) & (prepared.time < 8.8)
+    t = prepared.time[steady]
+    w = np.pi
+    np.testing.assert_allclose(prepared.q[steady, 0], np.sin(w * t), atol=1e-4)
+    np.testing.assert_allclose(prepared.qd[steady, 0], w * np.cos(w * t), atol=2e-3)
+    np.testing.assert_allclose(prepared.qdd[steady, 0], -(w**2) * np.sin(w * t), atol=0.1)
+    np.testing.assert_allclose(prepared.command_d[steady, 0], -w * np.sin(w * t), atol=1e-6)
+    np.testing.assert_allclose(prepared.command_dd[steady, 0], -(w**2) * np.cos(w * t), atol=1e-4)
+
+
+def test_rows_are_masked_on_their_own_joints_reversals() -> None:
+    run = run_with_rest()
+    prepared = prepare(run, choose_preparation([run]))
+    rms = np.sqrt(np.mean(prepared.qd**2, axis=0))
+    expected = np.abs(prepared.qd[:, :2]) >= 0.05 * rms[:2]
+    np.testing.assert_array_equal(prepared.usable[:, :2], expected)
+    assert (prepared.usable[:, 0] != prepared.usable[:, 1]).any()
+    assert not prepared.usable[:, 2].any()
+    sign = np.sign(prepared.qd[:, 0])
+    changes = np.flatnonzero(np.diff(sign) != 0)
+    assert len(changes) > 5
+    assert not prepared.usable[changes, 0].any()
+
+
+def test_gaps_and_edges_are_masked() -> None:
+    run = run_with_rest()
+    valid = np.ones(len(run.time), dtype=bool)
+    valid[5000:5003] = False
+    cut = slice(4000, 8000)  # begins and ends in motion
+    parts = {name: getattr(run, name)[cut] for name in ("time", "position", "command")}
+    prepared = prepare(replace(run, valid=valid[cut], **parts), choose_preparation([run]))
+    masked = np.flatnonzero(~prepared.usable[:, 0] & (np.abs(prepared.qd[:, 0]) > 1.0))
+    assert np.round(prepared.time[masked] * RATE).astype(int).tolist() == list(range(4998, 5005))
+    edge = 3 / choose_preparation([run]).cutoff  # type: ignore[operator]
+    assert prepared.time[0] >= 4.0 + edge
+    assert prepared.time[-1] <= 8.0 - edge
+
+
+def test_all_runs_share_one_preparation() -> None:
+    slow, fast = run_with_rest("slow"), run_with_rest("fast")
+    fast = replace(fast, time=fast.time / 1.05)
+    shared = choose_preparation([slow, fast])
+    assert shared.bandwidth == choose_preparation([fast]).bandwidth > choose_preparation([slow]).bandwidth
+    assert choose_preparation([slow], decimator="chebyshev").decimator.kind == "chebyshev"
+    with pytest.raises(IdimError, match="run 'half' is sampled at 500 Hz and run 'slow' at 1000 Hz"):
+        choose_preparation([slow, run_with_rest("half", 500.0)])
+
+
+def test_a_run_at_rest_is_refused() -> None:
+    run = run_with_rest()
+    at_rest = replace(run, position=np.full_like(run.position, 0.3))
+    preparation = choose_preparation([run])
+    with pytest.raises(IdimError, match="no joint's motion stands out"):
+        choose_preparation([at_rest])
+    with pytest.raises(IdimError, match="no joint moves"):
+        prepare(at_rest, preparation)
+
+
+UR10E = {
+    "time": "1",
+    "position": {f"j{i}": str(1 + i) for i in range(1, 7)},
+    "current": {f"j{i}": str(13 + i) for i in range(1, 7)},
+}
+
+
+def test_ur10e_speeds_are_those_of_its_controller(shared: Path) -> None:
+    path = shared / "ur10e" / "ur-20_02_19_14harm50sec.csv"
+    run = read_run(path, UR10E)
+    prepared = prepare(run, choose_preparation([run]))
+    logged = np.loadtxt(path, delimiter=",", usecols=(0, *range(7, 13)))
+    reported = np.column_stack([np.interp(prepared.time, logged[:, 0], each) for each in logged[:, 1:].T])
+    inner = slice(50, -50)
+    error = (prepared.qd - reported)[inner].std(axis=0) / reported[inner].std(axis=0)
+    assert error.max() < 0.01
+    assert prepared.usable.mean(axis=0).min() > 0.85
+
+
+def test_ur10e_at_rest_and_one_joint_at_a_time(shared: Path) -> None:
+    with pytest.raises(IdimError, match="no joint's motion stands out"):
+        choose_preparation([read_run(shared / "ur10e" / "ur-20_01_17-p1.csv", UR10E)])
+    run = read_run(shared / "ur10e" / "jointwise" / "ur-20_01_22-joint_2.csv", UR10E)
+    prepared = prepare(run, choose_preparation([run]))
+    assert prepared.usable.any(axis=0).tolist() == [False, True, False, False, False, False]
