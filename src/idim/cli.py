@@ -49,7 +49,9 @@ class Filter(StrEnum):
 
 
 ExperimentFile = Annotated[Path, typer.Argument(metavar="EXPERIMENT.yaml", help="Experiment file.", show_default=False)]
-ModelFile = Annotated[Path, typer.Argument(metavar="MODEL.json", help="What 'idim identify' wrote.", show_default=False)]
+ModelFile = Annotated[
+    Path, typer.Argument(metavar="MODEL.json", help="What 'idim identify' wrote.", show_default=False)
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")]
 
 
@@ -75,7 +77,12 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, Any] = {}
 
@@ -104,9 +111,18 @@ def identify(
     experiment: ExperimentFile,
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for model.json.")] = None,
     method: Annotated[Method, typer.Option(help="Estimator; wls and ols take the file's prior_gains.")] = Method.ml,
-    ratio: Annotated[float, typer.Option(min=1.0, help="Ratio r_sigma that ends the search for essential parameters.")] = 30.0,
+    ratio: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0,
+            help="The paper's r_sigma (10 to 30) for the essential parameters; else those within 2 std of 0 go.",
+        ),
+    ] = None,
     joint_reduction: Annotated[
-        bool, typer.Option("--joint-reduction", help="Re-estimate the gains with the essential parameters, as the paper does.")
+        bool,
+        typer.Option(
+            "--joint-reduction", help="Re-estimate the gains with the essential parameters, as the paper does."
+        ),
     ] = False,
     decimator: Annotated[Filter, typer.Option(help="Compact FIR, or the paper's Chebyshev filter.")] = Filter.fir,
     json_: Json = False,
@@ -159,7 +175,13 @@ def validate(model: ModelFile, experiment: ExperimentFile, json_: Json = False) 
                         {
                             "log": name,
                             "joints": [
-                                {"joint": e.joint, "rms": e.rms, "signal": e.signal, "relative": e.relative, "unit": e.unit}
+                                {
+                                    "joint": e.joint,
+                                    "rms": e.rms,
+                                    "signal": e.signal,
+                                    "relative": e.relative,
+                                    "unit": e.unit,
+                                }
                                 for e in found
                             ],
                         }
@@ -172,7 +194,10 @@ def validate(model: ModelFile, experiment: ExperimentFile, json_: Json = False) 
             typer.echo(f"{name}\n  {'joint':<22}{'error rms':>12}{'signal rms':>12}{'error %':>9}   unit")
             for e in found:
                 typer.echo(f"  {e.joint:<22}{e.rms:>12.4g}{e.signal:>12.4g}{e.relative:>9.2f}   {e.unit}")
-        typer.echo("A small error does not prove the gains: both sides carry them. Weigh a known payload ('idim payload') for that.")
+        typer.echo(
+            "A small error does not prove the gains: both sides carry them. Weigh a known payload ('idim "
+            "payload') for that."
+        )
 
 
 @app.command()
@@ -201,7 +226,9 @@ def payload(
 
 @app.command()
 def robot(
-    source: Annotated[str, typer.Argument(metavar="NAME_OR_FILE", help="Catalog name, robot file (YAML) or URDF.", show_default=False)],
+    source: Annotated[
+        str, typer.Argument(metavar="NAME_OR_FILE", help="Catalog name, robot file (YAML) or URDF.", show_default=False)
+    ],
     json_: Json = False,
 ) -> None:
     """Joints, loops, degrees of freedom and base parameters of a robot."""

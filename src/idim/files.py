@@ -30,4 +30,6 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
             os.unlink(name)
             raise
     except OSError as error:
-        raise IdimError(f"{path} cannot be written ({error.strerror}); choose another folder or free some space.") from None
+        raise IdimError(
+            f"{path} cannot be written ({error.strerror}); choose another folder or free some space."
+        ) from None

@@ -98,8 +98,8 @@ def assemble(
                 )
                 for row, k in enumerate(kept)
             }
-            names = {f"{free[k]}_L{run + 1}": free[k] for k in kept}
-            carried.append(CarriedPayload(run, payload, names, formulas))
+            labels = {f"{free[k]}_L{run + 1}": free[k] for k in kept}
+            carried.append(CarriedPayload(run, payload, labels, formulas))
         maps.append((unknown, known))
     n_theta = n_b + sum(unknown.shape[1] for unknown, _ in maps)
     begin = n_b
@@ -157,7 +157,8 @@ def require_scale(assembly: Assembly, payloads: Sequence[Payload | None], method
         )
     if len({None if payload is None else payload.name for payload in payloads}) < 2:
         raise IdimError(
-            f"method '{method}' needs runs with two different loads to find the drive gains, and all runs carry the same payload; "
+            f"method '{method}' needs runs with two different loads to find the drive gains, and all runs carry "
+            "the same payload; "
             f"add a run without payload, {other}."
         )
     problem = assembly.problem
@@ -166,6 +167,7 @@ def require_scale(assembly: Assembly, payloads: Sequence[Payload | None], method
     )
     if problem.n_theta not in independent_columns(stacked)[0]:
         raise IdimError(
-            f"the payload's known parameters have no effect of their own on any actuated joint, so they cannot give the scale of the "
+            "the payload's known parameters have no effect of their own on any actuated joint, so they cannot "
+            "give the scale of the "
             f"drive gains; give more known 'parameters' of the payload, {other}."
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from idim.estimation.triangle import triangle
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.model.states import random_motion
 from idim.robots.robot import GROUND, INERTIAL, Robot
@@ -68,9 +69,10 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
     order = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
     kinds = list(dict.fromkeys(name.split("_", 1)[0] for name in names))
     for group in groups.values():
-        for joints in zip(*group, strict=True):
-            order += [f"{kind}_{joint}" for kind in kinds for joint in joints]
-    return [name for name in order if name in set(names)]
+        for alike in zip(*group, strict=True):
+            order += [f"{kind}_{joint}" for kind in kinds for joint in alike]
+    wanted = set(names)
+    return [name for name in order if name in wanted]
 
 
 def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
@@ -98,7 +100,7 @@ def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
     position = {name: k for k, name in enumerate(idm.parameter_names)}
     W = np.zeros((len(idm.actuated), motion.c.shape[1], len(position)))
     W[idm.full.rows, :, idm.full.columns] = entries
-    R = np.linalg.qr(W.reshape(-1, len(position))[:, [position[name] for name in order]], mode="r")
+    R = triangle(W.reshape(-1, len(position))[:, [position[name] for name in order]])
     kept, coefficients, idle = independent_columns(R)
     matrix = np.zeros((len(kept), len(position)))
     for row in range(len(kept)):

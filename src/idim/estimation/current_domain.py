@@ -20,7 +20,8 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.estimation.problem import Problem, delayed
-from idim.estimation.solution import Solution, jackknife_covariance
+from idim.estimation.solution import Solution
+from idim.estimation.triangle import triangle
 
 STEPS = 200
 SETTLED = 1e-9  # of a standard deviation: a smaller step ends the iteration
@@ -82,7 +83,10 @@ def two_stage(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
         x = _least_squares(A[:, :-1], -A[:, -1])
         gains = x[n_theta:]
         if not np.all(np.abs(gains) > 0):
-            raise IdimError("the currents of some joint do not follow its motion at all; check the columns of the current references.")
+            raise IdimError(
+                "the currents of some joint do not follow its motion at all; check the columns of the current "
+                "references."
+            )
         scale = 1 / (problem.own_sigma * np.abs(gains))
     return gains, x[:n_theta]
 
@@ -126,17 +130,23 @@ def _moved(state: _State, step: np.ndarray, n_theta: int, free_gains: bool) -> _
     return _State(state.theta + step[:n_theta], b, state.delays + step[-n:])
 
 
+def _stacked(problem: Problem) -> np.ndarray:
+    """The joints' triangles in one array, (n, p, n_theta + 4), filled up with zero rows."""
+    triangles = np.zeros((len(problem.joints), max(map(len, problem.triangles)), problem.n_theta + 4))
+    for j, R in enumerate(problem.triangles):
+        triangles[j, : len(R)] = R
+    return triangles
+
+
 def _solve(
     problem: Problem,
     start: _State,
     weigh: Callable[[_State, np.ndarray], np.ndarray],
     free_gains: bool,
 ) -> Solution:
-    """Gauss-Newton with re-estimated weights, then both covariances."""
+    """Gauss-Newton with re-estimated weights, then the covariances."""
     n, n_theta = len(problem.joints), problem.n_theta
-    triangles = np.zeros((n, max(map(len, problem.triangles)), n_theta + 4))
-    for j, R in enumerate(problem.triangles):
-        triangles[j, : len(R)] = R
+    triangles = _stacked(problem)
     state = start
 
     def errors(at: _State) -> np.ndarray:
@@ -144,48 +154,46 @@ def _solve(
 
     for _ in range(STEPS):
         weights = weigh(state, errors(state))
-        J = (_jacobian(triangles, state, n_theta, free_gains) * weights[:, None, None]).reshape(-1, _size(n, n_theta, free_gains))
+        J = (_jacobian(triangles, state, n_theta, free_gains) * weights[:, None, None]).reshape(
+            -1, _size(n, n_theta, free_gains)
+        )
         e = (_residuals(triangles, state, n_theta) * weights[:, None]).reshape(-1)
         step = _least_squares(J, -e)
         before, share = float(e @ e), 1.0
-        while share > 1e-6 and float(weights**2 @ errors(_moved(state, share * step, n_theta, free_gains))) > before * (1 + 1e-12):
+        while share > 1e-6 and float(weights**2 @ errors(_moved(state, share * step, n_theta, free_gains))) > before * (
+            1 + 1e-12
+        ):
             share /= 2
         state = _moved(state, share * step, n_theta, free_gains)
-        if np.linalg.norm(J @ step) < SETTLED * max(np.sqrt(before / problem.total_rows.sum()), 1e-300) * np.sqrt(J.shape[1]):
+        if np.linalg.norm(J @ step) < SETTLED * max(np.sqrt(before / problem.total_rows.sum()), 1e-300) * np.sqrt(
+            J.shape[1]
+        ):
             break
     else:
         raise IdimError(
             "the maximum-likelihood iteration did not settle, so the data do not fix the drive gains; "
             "add runs that move every joint, a heavier payload, or use --method wls with prior_gains."
         )
-    return _finish(problem, state, weigh(state, errors(state)), errors(state), free_gains)
+    return _finish(problem, triangles, state, weigh(state, errors(state)), errors(state), free_gains)
 
 
 def _size(n: int, n_theta: int, free_gains: bool) -> int:
     return n_theta + (2 if free_gains else 1) * n
 
 
-def _finish(problem: Problem, state: _State, weights: np.ndarray, errors: np.ndarray, free_gains: bool) -> Solution:
+def _finish(
+    problem: Problem, triangles: np.ndarray, state: _State, weights: np.ndarray, errors: np.ndarray, free_gains: bool
+) -> Solution:
     n, n_theta = len(problem.joints), problem.n_theta
     size = _size(n, n_theta, free_gains)
-    free = np.maximum(problem.total_rows - size / n, 1)
-    sigma = np.sqrt(errors / free)
-    J = _jacobian(problem.units, state, n_theta, free_gains) * weights[:, None, None]  # (U, n, p, size)
-    e = _residuals(problem.units, state, n_theta) * weights[:, None]
-    units = len(J)
-    J, e = J.reshape(units, -1, size), e.reshape(units, -1)
-    noise = np.repeat(np.broadcast_to(sigma * weights, (units, n)).reshape(-1), problem.units.shape[2]).reshape(units, -1)
+    sigma = np.sqrt(errors / np.maximum(problem.total_rows - size / n, 1))
+    J = _jacobian(triangles, state, n_theta, free_gains) * weights[:, None, None]  # (n, p, size)
     norms = np.linalg.norm(J.reshape(-1, size), axis=0)
     norms[norms == 0] = 1.0
-    R = np.linalg.qr((J / norms).reshape(-1, size), mode="r")
+    R = triangle((J / norms).reshape(-1, size))
     back = np.linalg.pinv(R) / norms[:, None]  # from whitened to physical parameters
-    white = J @ back
-    formula = back @ np.einsum("upi,up,upj->ij", white, noise**2, white) @ back.T
-    replicates = np.empty((units, size))
-    for u in range(units):
-        left = np.eye(size) - white[u].T @ white[u]
-        replicates[u] = back @ np.linalg.lstsq(left, white[u].T @ e[u], rcond=1e-10)[0]
-    covariance, jackknife = formula, jackknife_covariance(replicates)
+    white = (J @ back * (sigma * weights)[:, None, None]).reshape(-1, size)
+    formula = back @ (white.T @ white) @ back.T
     gains = 1 / state.b
     # from (theta, b, d) or (theta, d) to (theta, g, d)
     T = np.zeros((n_theta + 2 * n, size))
@@ -193,4 +201,14 @@ def _finish(problem: Problem, state: _State, weights: np.ndarray, errors: np.nda
     if free_gains:
         T[n_theta : n_theta + n, n_theta : n_theta + n] = np.diag(-(gains**2))
     T[n_theta + n :, size - n :] = np.eye(n)
-    return Solution(state.theta, gains, state.delays, sigma, T @ covariance @ T.T, T @ jackknife @ T.T)
+
+    def replicates() -> np.ndarray:
+        # one Gauss-Newton step from the solution, with unit u left out
+        steps = np.empty((len(problem.units), size))
+        for u, unit in enumerate(problem.units):
+            J_u = (_jacobian(unit, state, n_theta, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
+            e_u = (_residuals(unit, state, n_theta) * weights[:, None]).reshape(-1)
+            steps[u] = back @ np.linalg.lstsq(np.eye(size) - J_u.T @ J_u, J_u.T @ e_u, rcond=1e-10)[0]
+        return steps @ T.T
+
+    return Solution(state.theta, gains, state.delays, sigma, T @ formula @ T.T, replicates)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idim.estimation.rows import stream_rows
+from idim.estimation.triangle import triangle
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.signals.decimation import Decimator
 from idim.signals.preparation import Prepared
@@ -69,7 +70,7 @@ def reduce_run(
             for s in np.unique(stretch):
                 chosen = A[(stretch == s) & part.keep[j]]
                 if len(chosen):
-                    merged = np.linalg.qr(np.concatenate([R[s, j, : min(rows[s, j], p)], chosen]), mode="r")
+                    merged = triangle(R[s, j, : min(rows[s, j], p)], chosen)
                     R[s, j, : len(merged)] = merged
                     rows[s, j] += len(chosen)
         progress(len(part.time))

@@ -13,7 +13,8 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.estimation.problem import Problem, delayed
-from idim.estimation.solution import Solution, jackknife_covariance
+from idim.estimation.solution import Solution
+from idim.estimation.triangle import triangle
 
 Solver = Callable[[np.ndarray], np.ndarray]  # W_tot (r, c) to chi_tot (c,)
 
@@ -22,7 +23,7 @@ def tls(problem: Problem) -> Solution:
     """The paper's total least squares (eqs. 33 to 39), rows weighted by each joint's sigma_W."""
     weights = 1 / np.array([_own_sigma_W(problem, j) for j in range(len(problem.joints))])
     units = _total(problem, weights)
-    W_tot = np.linalg.qr(np.concatenate(units), mode="r")
+    W_tot = triangle(*units)
     _, s, Vt = np.linalg.svd(W_tot)
     chi = _scaled(Vt[-1])
     sigma_W = s[-1] / np.sqrt(problem.total_rows.sum() - len(s))  # eq. 38
@@ -42,7 +43,7 @@ def mixed(problem: Problem) -> Solution:
 
     def solver(W: np.ndarray) -> np.ndarray:
         exact = [*range(n_theta), n_theta + n]
-        R = np.linalg.qr(W[:, [*exact, *range(n_theta, n_theta + n)]], mode="r")
+        R = triangle(W[:, [*exact, *range(n_theta, n_theta + n)]])
         m = len(exact)
         gains = np.linalg.svd(R[m:, m:] / noise)[2][-1] / noise
         scales = np.linalg.norm(R[:m, :m], axis=0)
@@ -50,7 +51,7 @@ def mixed(problem: Problem) -> Solution:
         return _scaled(np.concatenate([rest[:-1], gains, rest[-1:]]))
 
     units = _total(problem, 1 / problem.own_sigma)
-    W_tot = np.linalg.qr(np.concatenate(units), mode="r")
+    W_tot = triangle(*units)
     chi = solver(W_tot)
     # errors of the currents, seen through g: the residual's own size per joint
     left = np.sum((W_tot @ chi) ** 2) / (problem.total_rows.sum() - len(chi))
@@ -68,7 +69,7 @@ def _total(problem: Problem, weights: np.ndarray) -> list[np.ndarray]:
             blocks[j, :, :n_theta] = -unit[j, :, :n_theta]
             blocks[j, :, n_theta + j] = unit[j, :, n_theta + 1 :] @ delayed(problem.own_delays[j])
             blocks[j, :, -1] = -unit[j, :, n_theta]
-        factors.append(np.linalg.qr((blocks * weights[:, None, None]).reshape(-1, n_theta + n + 1), mode="r"))
+        factors.append(triangle((blocks * weights[:, None, None]).reshape(-1, n_theta + n + 1)))
     return factors
 
 
@@ -114,12 +115,14 @@ def _solution(
         current = R[:, n_theta + 1 :] @ delayed(problem.own_delays[j])
         errors[j] = np.sum((current - (R[:, :n_theta] @ theta + R[:, n_theta]) / gains[j]) ** 2)
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - (n_theta + n) / n, 1))
-    replicates = np.stack([solver(W)[:-1] for W in leave_one_out(units)])
-    size = n_theta + 2 * n
-    full, jackknife = np.zeros((size, size)), np.zeros((size, size))
+    full = np.zeros((n_theta + 2 * n, n_theta + 2 * n))
     full[: n_theta + n, : n_theta + n] = covariance
-    jackknife[: n_theta + n, : n_theta + n] = jackknife_covariance(replicates)
-    return Solution(theta, gains, problem.own_delays, sigma, full, jackknife, statistics)
+
+    def replicates() -> np.ndarray:
+        estimates = [solver(W)[:-1] for W in leave_one_out(units)]
+        return np.array([np.concatenate([estimate, problem.own_delays]) for estimate in estimates])
+
+    return Solution(theta, gains, problem.own_delays, sigma, full, replicates, statistics)
 
 
 def leave_one_out(factors: list[np.ndarray]) -> list[np.ndarray]:
@@ -129,8 +132,8 @@ def leave_one_out(factors: list[np.ndarray]) -> list[np.ndarray]:
     def running(parts: list[np.ndarray]) -> list[np.ndarray]:
         merged = [empty]
         for part in parts[:-1]:
-            merged.append(np.linalg.qr(np.concatenate([merged[-1], part]), mode="r"))
+            merged.append(triangle(merged[-1], part))
         return merged
 
     ahead, behind = running(factors), running(factors[::-1])[::-1]
-    return [np.linalg.qr(np.concatenate([a, b]), mode="r") for a, b in zip(ahead, behind, strict=True)]
+    return [triangle(a, b) for a, b in zip(ahead, behind, strict=True)]

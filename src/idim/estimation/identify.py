@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly, require_scale
@@ -16,7 +16,7 @@ from idim.estimation.data import Data, Progress, read_runs, reduce_runs
 from idim.estimation.homogeneous import mixed, tls
 from idim.estimation.interpretation import make_result
 from idim.estimation.problem import Problem
-from idim.estimation.reduction import RATIO, essential
+from idim.estimation.reduction import essential
 from idim.estimation.result import Result
 from idim.estimation.solution import Solution
 from idim.robots.load import load_robot
@@ -28,12 +28,14 @@ WITH_GAINS: dict[str, Callable[[Problem, np.ndarray], Solution]] = {"ols": ols, 
 FOR_GAINS: dict[str, Callable[[Problem], Solution]] = {"ml": ml, "mixed": mixed, "tls": tls}
 METHODS = (*FOR_GAINS, *WITH_GAINS)
 
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
 def identify(
     source: str | Path | Robot,
     runs: Sequence[Run] | None = None,
     method: str = "ml",
     prior_gains: Mapping[str, float] | None = None,
-    ratio: float = RATIO,
+    ratio: float | None = None,
     joint_reduction: bool = False,
     decimator: Literal["fir", "chebyshev"] = "fir",
     progress: Progress = lambda what, done, total: None,
@@ -51,8 +53,9 @@ def identify(
         weighted and ordinary least squares take ``prior_gains``, or torques.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N/A; the experiment file's if left out.
-    ratio : float
-        The paper's r_sigma for the essential parameters.
+    ratio : float, optional
+        The paper's r_sigma for the essential parameters; if left out, only those within two standard
+        deviations of zero are cancelled.
     joint_reduction : bool
         Re-estimate the gains along with the essential parameters, as the paper does, instead of
         keeping those found with all base parameters.
@@ -74,7 +77,10 @@ def identify(
         robot = source
     else:
         if runs is not None:
-            raise IdimError("runs are given beside an experiment file, which names its own; give a robot with runs, or the file alone.")
+            raise IdimError(
+                "runs are given beside an experiment file, which names its own; give a robot with runs, or the "
+                "file alone."
+            )
         experiment = read_experiment(source)
         robot = load_robot(experiment.robot)
         check_robot(experiment, robot)
@@ -83,7 +89,10 @@ def identify(
     if method in WITH_GAINS:
         gains = given_gains(robot, runs, prior_gains, method)
     elif runs[0].kind == "torque":
-        raise IdimError(f"the logs hold torques, whose gain is 1, so there is nothing for method '{method}' to find; use --method wls.")
+        raise IdimError(
+            f"the logs hold torques, whose gain is 1, so there is nothing for method '{method}' to find; use "
+            "--method wls."
+        )
     data = reduce_runs(robot, runs, decimator=decimator, progress=progress)
 
     def solve(problem: Problem) -> Solution:
@@ -93,12 +102,13 @@ def identify(
     if method in FOR_GAINS:
         require_scale(assembly, [run.payload for run in data.runs], method)
     progress("estimation", 0, 1)
-    solution = with_mass_uncertainty(data, assembly, solve(assembly.problem), solve)
+    solution = solve(assembly.problem)
+    extra = mass_uncertainty(data, assembly, solution, solve)
     final = solve if joint_reduction else (lambda problem: wls(problem, solution.gains))
     candidates = tuple(name for name in data.base.names if name in assembly.problem.parameters)
     kept, reduced = essential(assembly.problem, candidates, final, ratio)
     progress("estimation", 1, 1)
-    return make_result(data, assembly, method, solution, kept, reduced)
+    return make_result(data, assembly, method, solution, solution.jackknife + extra, kept, reduced)
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:
@@ -120,21 +130,16 @@ def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, flo
     return np.array([prior_gains[joint] for joint in robot.actuated])  # type: ignore[index]
 
 
-def with_mass_uncertainty(
+def mass_uncertainty(
     data: Data, assembly: Assembly, solution: Solution, solve: Callable[[Problem], Solution]
-) -> Solution:
-    """Add what the uncertainty of the known masses does to the estimates, one payload at a time."""
-    extra = np.zeros_like(solution.jackknife)
+) -> np.ndarray:
+    """Covariance of (theta, gains, delays) that the uncertainty of the known masses adds, one payload at a time."""
+    extra = np.zeros_like(solution.covariance)
     masses = {run.payload.name: run.payload for run in data.runs if run.payload and run.payload.mass_std}
     for payload in masses.values():
         assert payload.mass is not None
         heavier = payload.model_copy(update={"mass": payload.mass + payload.mass_std})
         payloads = [heavier if run.payload and run.payload.name == payload.name else run.payload for run in data.runs]
-        other = solve(data.assembly(payloads).problem)
-        shift = _stacked(other) - _stacked(solution)
+        shift = solve(data.assembly(payloads).problem).stacked - solution.stacked
         extra += np.outer(shift, shift)
-    return replace(solution, covariance=solution.covariance + extra, jackknife=solution.jackknife + extra)
-
-
-def _stacked(solution: Solution) -> np.ndarray:
-    return np.concatenate([solution.theta, solution.gains, solution.delays])
+    return extra

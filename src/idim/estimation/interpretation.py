@@ -15,15 +15,22 @@ from idim.robots.robot import INERTIAL
 
 
 def make_result(
-    data: Data, assembly: Assembly, method: str, solution: Solution, kept: Problem, reduced: Solution
+    data: Data,
+    assembly: Assembly,
+    method: str,
+    solution: Solution,
+    covariance: np.ndarray,
+    kept: Problem,
+    reduced: Solution,
 ) -> Result:
     """Name what a solution found, with units, standard deviations and warnings.
 
-    ``reduced`` solves ``kept``, the problem with the essential parameters only.
+    ``covariance`` is that of (theta, gains, delays); ``reduced`` solves ``kept``, the problem with the
+    essential parameters only.
     """
     robot, problem, joints = data.robot, assembly.problem, data.model.actuated
     n_theta, n = problem.n_theta, len(joints)
-    std = np.sqrt(np.diag(solution.jackknife))
+    std = np.sqrt(np.diag(covariance))
     finds_gains = bool(std[n_theta : n_theta + n].any())
     found = {name: (solution.theta[k], std[k]) for k, name in enumerate(problem.parameters)}
     reduced_std = np.sqrt(np.diag(reduced.jackknife))
@@ -38,7 +45,10 @@ def make_result(
     base = data.base
     described = list(zip(base.names, base.standard, (base.regroupings[name] for name in base.names), strict=True))
     unit = {joint: torque_unit(robot, joint) for joint in joints}
-    signal = [np.linalg.norm(R[:, n_theta + 1]) / np.sqrt(rows) for R, rows in zip(problem.triangles, problem.total_rows, strict=True)]
+    signal = [
+        np.linalg.norm(R[:, n_theta + 1]) / np.sqrt(rows)
+        for R, rows in zip(problem.triangles, problem.total_rows, strict=True)
+    ]
     gains = {
         joint: Estimate(
             joint,
@@ -53,28 +63,40 @@ def make_result(
         method=method,
         kind=data.runs[0].kind,
         drive_gains=gains,
-        delays={joint: Estimate(joint, float(solution.delays[k]), float(std[n_theta + n + k]), "s") for k, joint in enumerate(joints)},
+        delays={
+            joint: Estimate(joint, float(solution.delays[k]), float(std[n_theta + n + k]), "s")
+            for k, joint in enumerate(joints)
+        },
         parameters={name: estimate(name, column, text, found) for name, column, text in described},
-        essential={name: estimate(name, column, text, essential_found) for name, column, text in described if name in kept.parameters},
-        payloads=payload_estimates(data, assembly, solution),
+        essential={
+            name: estimate(name, column, text, essential_found)
+            for name, column, text in described
+            if name in kept.parameters
+        },
+        payloads=payload_estimates(data, assembly, solution.theta, covariance),
         residuals=tuple(
             TorqueError(joint, float(abs(g) * s), float(abs(g) * v), unit[joint])
             for joint, g, s, v in zip(joints, solution.gains, solution.sigma, signal, strict=True)
         ),
         covariance_names=(*problem.parameters, *(f"gain_{j}" for j in joints), *(f"delay_{j}" for j in joints)),
-        covariance=solution.jackknife,
+        covariance=covariance,
         preparation=data.preparation,
         statistics={**solution.statistics, "largest_condition": max(each.condition for each in data.factors)},
         runs=tuple(run.name for run in data.runs),
-        notes=(*data.notes, *_warnings(assembly, solution, finds_gains)),
+        notes=(*data.notes, *_warnings(assembly, solution, std[n_theta : n_theta + n])),
     )
 
 
-def payload_estimates(data: Data, assembly: Assembly, solution: Solution) -> tuple[PayloadEstimate, ...]:
-    """The payload of every loaded run, known and unknown parameters together."""
+def payload_estimates(
+    data: Data, assembly: Assembly, theta: np.ndarray, covariance: np.ndarray
+) -> tuple[PayloadEstimate, ...]:
+    """The payload of every loaded run, known and unknown parameters together.
+
+    ``theta`` are the problem's parameters, the first that ``covariance`` is of.
+    """
     robot = data.robot
-    std = np.sqrt(np.diag(solution.jackknife))
-    found = {name: (solution.theta[k], std[k]) for k, name in enumerate(assembly.problem.parameters)}
+    std = np.sqrt(np.diag(covariance))
+    found = {name: (theta[k], std[k]) for k, name in enumerate(assembly.problem.parameters)}
     payloads = []
     for each in assembly.payloads:
         known = known_values(each.payload)
@@ -96,27 +118,33 @@ def _number(value: float | None) -> float | None:
     return None if value is None else float(value)
 
 
-def _warnings(assembly: Assembly, solution: Solution, finds_gains: bool) -> list[str]:
+def _warnings(assembly: Assembly, solution: Solution, gain_std: np.ndarray) -> list[str]:
     notes = []
     if assembly.unexcited:
         notes.append(
-            f"these motions cannot tell {', '.join(assembly.unexcited)} from the parameters listed before them: no value is given; "
+            f"these motions cannot tell {', '.join(assembly.unexcited)} from the parameters listed before them: "
+            "no value is given; "
             "add runs that move all joints in other ways"
         )
     ratio = solution.statistics.get("singular_ratio")
     if ratio is not None and ratio < 3:
         notes.append(
-            f"this result is not to be trusted: the two smallest singular values of W_tot differ by a factor {ratio:.2f} only (3 or more is "
+            "this result is not to be trusted: the two smallest singular values of W_tot differ by a factor of "
+            f"only {ratio:.2f} (3 is "
             "needed), so the noise decides which of two directions is the solution; use --method ml"
         )
-    if finds_gains and np.all(solution.gains < 0):
-        notes.append("all drive gains are negative: the sign of all currents or of all positions, or of gravity, is likely to be wrong")
-    for joint, gain, delay in zip(assembly.problem.joints, solution.gains, range(len(solution.gains)), strict=True):
-        n_theta = assembly.problem.n_theta
-        deviation = 100 * np.sqrt(solution.jackknife[n_theta + delay, n_theta + delay]) / abs(gain)
-        if finds_gains and deviation > 3:
+    if not gain_std.any():
+        return notes
+    if np.all(solution.gains < 0):
+        notes.append(
+            "all drive gains are negative: the sign of all currents or of all positions, or of gravity, is "
+            "likely to be wrong"
+        )
+    for joint, gain, std in zip(assembly.problem.joints, solution.gains, gain_std, strict=True):
+        if std > 0.03 * abs(gain):
             notes.append(
-                f"the drive gain of joint '{joint}' is weak (standard deviation {deviation:.1f} %): use a heavier payload, or motions in which "
-                "this joint lifts or accelerates it more"
+                f"the drive gain of joint '{joint}' is weak (standard deviation {100 * std / abs(gain):.1f} %): "
+                "use a heavier payload, or "
+                "motions in which this joint lifts or accelerates it more"
             )
     return notes

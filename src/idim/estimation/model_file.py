@@ -92,17 +92,24 @@ def load(path: str | Path) -> Result:
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
-        raise IdimError(f"{path} cannot be read ({error.strerror}); give the model.json that 'idim identify' wrote.") from None
+        raise IdimError(
+            f"{path} cannot be read ({error.strerror}); give the model.json that 'idim identify' wrote."
+        ) from None
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
         raise IdimError(f"{path} is not a JSON file; give the model.json that 'idim identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
         raise IdimError(f"{path} is not a model; give the model.json that 'idim identify' wrote.")
     if document["schema"] != SCHEMA:
-        raise IdimError(f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again with this version.")
+        raise IdimError(
+            f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again "
+            "with this version."
+        )
     try:
         return _result(document, path)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise IdimError(f"{path} is damaged: {error!r} while reading the model; write it again with 'idim identify'.") from None
+        raise IdimError(
+            f"{path} is damaged: {error!r} while reading the model; write it again with 'idim identify'."
+        ) from None
 
 
 def _result(document: Mapping[str, Any], path: str | Path) -> Result:
@@ -125,7 +132,8 @@ def _result(document: Mapping[str, Any], path: str | Path) -> Result:
             for each in document["payloads"]
         ),
         residuals=tuple(
-            TorqueError(each["joint"], float(each["rms"]), float(each["signal"]), each["unit"]) for each in document["residuals"]
+            TorqueError(each["joint"], float(each["rms"]), float(each["signal"]), each["unit"])
+            for each in document["residuals"]
         ),
         covariance_names=tuple(document["covariance"]["names"]),
         covariance=np.array(document["covariance"]["matrix"], dtype=float),

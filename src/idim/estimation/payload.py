@@ -6,17 +6,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from idim.errors import IdimError
 from idim.estimation.current_domain import wls
 from idim.estimation.data import Progress, read_runs, reduce_runs
 from idim.estimation.identify import given_gains
 from idim.estimation.interpretation import payload_estimates
+from idim.estimation.problem import Problem
 from idim.estimation.result import PayloadEstimate, Result
 from idim.robots.load import load_robot
 from idim.signals.experiment import check_robot, read_experiment
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
 def weigh(
     model: Result,
     experiment: str | Path,
@@ -50,7 +53,8 @@ def weigh(
     check_robot(described, robot)
     if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
         raise IdimError(
-            f"{experiment} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of another geometry; "
+            f"{experiment} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
+            "another geometry; "
             "give the model of this robot."
         )
     if not any(run.payload is not None and run.payload.mass is None for run in described.runs):
@@ -67,21 +71,22 @@ def weigh(
     lost = [name for each in assembly.payloads for name in each.unknown if name in assembly.unexcited]
     if lost:
         raise IdimError(
-            f"{experiment}: the runs cannot tell the payload from the robot itself; add a run without payload, or with a known one."
+            f"{experiment}: the runs cannot tell the payload from the robot itself; add a run without payload, or "
+            "with a known one."
         )
     solution = wls(assembly.problem, g_tau)
+    total = solution.jackknife
     if covariance is not None:
-        step = 1e-4
-        slopes = np.stack(
-            [
-                (wls(assembly.problem, g_tau * (1 + step * (np.arange(len(g_tau)) == j))).theta - solution.theta) / (step * g_tau[j])
-                for j in range(len(g_tau))
-            ],
-            axis=1,
-        )
-        jackknife = solution.jackknife.copy()
-        n_theta = assembly.problem.n_theta
-        jackknife[:n_theta, :n_theta] += slopes @ covariance @ slopes.T
-        solution = replace(solution, jackknife=jackknife)
-    estimates = payload_estimates(data, assembly, solution)
+        slopes = np.stack([_slope(assembly.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
+        total = total + slopes @ covariance @ slopes.T
+    estimates = payload_estimates(data, assembly, solution.theta, total)
     return tuple(each for each in estimates if "m" not in each.known)
+
+
+def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -> np.ndarray:
+    """Derivative of the WLS estimates (k,) by the gain of joint j."""
+    step = 1e-4 * gains[j]
+    moved = gains.copy()
+    moved[j] += step
+    shift = wls(problem, moved).stacked - estimates
+    return shift / step

@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from idim.estimation.base_parameters import independent_columns
+from idim.estimation.triangle import triangle
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Problem:
     @cached_property
     def triangles(self) -> tuple[np.ndarray, ...]:
         """Each joint's triangular factor over all units, n arrays (., n_theta + 4)."""
-        return tuple(np.linalg.qr(np.concatenate(self.units[:, j]), mode="r") for j in range(len(self.joints)))
+        return tuple(triangle(*self.units[:, j]) for j in range(len(self.joints)))
 
     @cached_property
     def own_columns(self) -> tuple[list[int], ...]:
@@ -65,7 +66,7 @@ class Problem:
         """What each joint's own model leaves of v, v', v'': (3, 3) triangles, one a joint."""
         left = []
         for R, columns in zip(self.triangles, self.own_columns, strict=True):
-            full = np.linalg.qr(R[:, [*columns, *range(self.n_theta + 1, self.n_theta + 4)]], mode="r")
+            full = triangle(R[:, [*columns, *range(self.n_theta + 1, self.n_theta + 4)]])
             left.append(full[len(columns) :, len(columns) :])
         return tuple(left)
 
@@ -108,7 +109,11 @@ class Problem:
     @property
     def smallest_sigma(self) -> np.ndarray:
         """What rounding leaves of each joint's current: no error level is taken to be below it, (n,)."""
-        return 1e-10 * np.array([np.linalg.norm(R[:, self.n_theta + 1]) for R in self.triangles]) / np.sqrt(self.total_rows)
+        return (
+            1e-10
+            * np.array([np.linalg.norm(R[:, self.n_theta + 1]) for R in self.triangles])
+            / np.sqrt(self.total_rows)
+        )
 
     def without(self, names: Sequence[str]) -> Problem:
         """The same problem with the parameters ``names`` set to zero."""

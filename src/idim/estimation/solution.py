@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Estimates of one method.
 
@@ -23,8 +24,9 @@ class Solution:
     covariance : ndarray
         Of (theta, gains, delays) by the method's formula, which takes errors for independent; zero
         where a value is given and not estimated.
-    jackknife : ndarray
-        The same by leaving out one unit after another, which allows for errors correlated in time.
+    replicates : callable
+        Estimates of (theta, gains, delays) with one unit after another left out, (U, k); called when the
+        jackknife is asked for.
     statistics : Mapping
         Further figures that the method offers, such as ``singular_ratio``.
     """
@@ -34,12 +36,18 @@ class Solution:
     delays: np.ndarray
     sigma: np.ndarray
     covariance: np.ndarray
-    jackknife: np.ndarray
+    replicates: Callable[[], np.ndarray]
     statistics: Mapping[str, float] = field(default_factory=dict)
 
+    @cached_property
+    def jackknife(self) -> np.ndarray:
+        """Covariance by the delete-one jackknife, which allows for errors correlated in time."""
+        replicates = self.replicates()
+        deviations = replicates - replicates.mean(axis=0)
+        units = len(replicates)
+        return (units - 1) / units * deviations.T @ deviations
 
-def jackknife_covariance(replicates: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) from delete-one estimates (U, k)."""
-    deviations = replicates - replicates.mean(axis=0)
-    units = len(replicates)
-    return (units - 1) / units * deviations.T @ deviations
+    @property
+    def stacked(self) -> np.ndarray:
+        """(theta, gains, delays) in one vector, (k,)."""
+        return np.concatenate([self.theta, self.gains, self.delays])

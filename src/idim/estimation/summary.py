@@ -5,9 +5,11 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 
+import numpy as np
+
 from idim.estimation.result import Estimate, PayloadEstimate, Result
 
-WIDTH = 88
+WIDTH = 96
 METHODS = {
     "ml": "maximum likelihood in the current domain",
     "mixed": "mixed LS-TLS (regressor exact, currents noisy)",
@@ -30,23 +32,25 @@ def summary(result: Result) -> str:
         f"decimation {preparation.decimator.factor} ({preparation.decimator.kind})",
         "=" * WIDTH,
     ]
-    lines += [f"{'Drive gains':<24}{'value':>12}{'std':>11}{'std %':>9}   {'unit':<10}{'delay ms':>9}"]
+    lines += [f"{'Drive gains':<26}{'value':>12}{'std':>10}{'std %':>8}   {'unit':<10}{'delay, ms':>11}{'std':>8}"]
     for joint, gain in result.drive_gains.items():
-        delay = result.delays[joint]
-        lines.append(f"{_row(joint, gain)}   {gain.unit:<10}{1e3 * (delay.value or 0.0):>9.3f}")
+        delay = 1e3 * np.array([result.delays[joint].value or 0.0, result.delays[joint].std or 0.0])
+        lines.append(f"{_row(joint, gain)}   {gain.unit:<10}{delay[0]:>11.3f}{delay[1]:>8.2g}")
     for payload in result.payloads:
-        lines += ["-" * WIDTH, *payload_lines(payload)]
+        lines += ["-" * WIDTH, *payload_lines(payload)] if set(payload.parameters) - payload.known else []
     left_out = len(result.parameters) - len(result.essential)
     lines += [
         "-" * WIDTH,
-        f"{'Essential parameters':<24}{'value':>12}{'std':>11}{'std %':>9}   unit      regrouping",
-        *(line for each in result.essential.values() for line in _parameter_lines(each)),
-        f"  {left_out} of {len(result.parameters)} base parameters are too small to be seen in these runs; model.json has all.",
+        f"{'Essential parameters':<26}{'value':>12}{'std':>10}{'std %':>8}   unit",
+        *(f"{_row(each.name, each)}   {each.unit}" for each in result.essential.values()),
+        f"  {left_out} of {len(result.parameters)} base parameters were cancelled; model.json has all, and what",
+        "  each one that ends in R regroups.",
         "-" * WIDTH,
-        f"{'Torque fit':<24}{'error rms':>12}{'signal rms':>11}{'error %':>9}   unit",
+        f"{'Torque fit':<26}{'error rms':>12}{'signal':>10}{'error %':>8}   unit",
     ]
     lines += [
-        f"  {each.joint:<22}{each.rms:>12.4g}{each.signal:>11.4g}{each.relative:>9.2f}   {each.unit}" for each in result.residuals
+        f"  {each.joint:<24}{each.rms:>12.4g}{each.signal:>10.4g}{each.relative:>8.2f}   {each.unit}"
+        for each in result.residuals
     ]
     if "singular_ratio" in result.statistics:
         lines.append(f"  ratio of the two smallest singular values of W_tot: {result.statistics['singular_ratio']:.2f}")
@@ -56,9 +60,8 @@ def summary(result: Result) -> str:
 
 def payload_lines(payload: PayloadEstimate) -> list[str]:
     """One payload as lines of a table."""
-    head = f"Payload '{payload.name}', {payload.run}"
-    lines = [head if len(head) < 24 else f"{head}\n{'':24}"]
-    lines[0] = f"{lines[0]:<24}{'value':>12}{'std':>11}{'std %':>9}   unit"
+    head = f"Payload '{payload.name}' of {payload.run}"
+    lines = [head, f"{'':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
     for kind, each in payload.parameters.items():
         known = "known" if kind in payload.known else each.regrouping if each.regrouping != kind else ""
         lines.append(f"{_row(kind, each)}   {each.unit:<10}{known}")
@@ -68,15 +71,8 @@ def payload_lines(payload: PayloadEstimate) -> list[str]:
 def _row(name: str, estimate: Estimate) -> str:
     value = "cannot tell" if estimate.value is None else f"{estimate.value:.5g}"
     std = "" if estimate.std is None else f"{estimate.std:.2g}"
-    relative = "" if estimate.rel_std is None else f"{estimate.rel_std:.2f}"
-    return f"  {name:<22}{value:>12}{std:>11}{relative:>9}"
-
-
-def _parameter_lines(estimate: Estimate) -> list[str]:
-    regrouping = estimate.regrouping if estimate.name.endswith("R") else ""
-    wrapped = textwrap.wrap(regrouping, 42) or [""]
-    first = f"{_row(estimate.name, estimate)}   {estimate.unit:<10}{wrapped[0]}"
-    return [first, *(f"{'':69}{more}" for more in wrapped[1:])]
+    relative = "" if estimate.rel_std is None else f"{estimate.rel_std:.2f}" if estimate.rel_std < 1000 else "> 1000"
+    return f"  {name:<24}{value:>12}{std:>10}{relative:>8}"
 
 
 def _notes(notes: Iterable[str]) -> list[str]:

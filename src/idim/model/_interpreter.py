@@ -4,15 +4,16 @@ import numpy as np
 from numba import njit
 
 OPERATIONS = (
-    "CONST", "INPUT", "OUTPUT", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "SIN", "COS", "SQRT", "SIGN", "FABS", "INV", "ASSIGN",
-)  # fmt: skip
+    *("CONST", "INPUT", "OUTPUT", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE"),
+    *("SIN", "COS", "SQRT", "SIGN", "FABS", "INV", "ASSIGN"),
+)
 """CasADi's operations that the interpreter knows; the place in this tuple is the code."""
 
 LANES = 64
 
 
 @njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def interpret(code, constants, registers, inputs, outputs):  # pragma: no cover - compiled
+def interpret(code, constants, registers, inputs, outputs):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Run ``code`` over all columns of ``inputs`` (inputs, N), filling ``outputs`` (outputs, N)."""
     # a row a little longer than the lanes: strides that are powers of two thrash the cache
     w = np.zeros((max(registers, 1), LANES + 8))

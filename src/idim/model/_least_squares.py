@@ -7,7 +7,7 @@ LANES = 64
 
 
 @njit(cache=True, error_model="numpy")
-def solve(a, pattern, b, refine):  # pragma: no cover - compiled
+def solve(a, pattern, b, refine):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Solve ``min |a x - b|`` for every sample by Cholesky of the normal equations.
 
     ``a`` is (m, n, N), zero where ``pattern`` (m, n) is False, and ``b`` (m, k, N). With ``refine``

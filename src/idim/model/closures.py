@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from idim.model.coordinates import Coordinates
-from idim.model.kinematics import Frame, Twist, constant, accelerations, frames, twists
+from idim.model.kinematics import Frame, Twist, accelerations, constant, frames, twists
 from idim.model.program import Program, compile_program
 from idim.robots.robot import Attachment, Robot
 

@@ -69,7 +69,7 @@ def torques(
             power += ca.dot(partial[body].angular, wrench[body].angular)
             power += ca.dot(partial[body].linear, wrench[body].linear)
         for row, joint in enumerate(robot.joints):
-            effort = dict(zip(DRIVE, (ydd[row], yd[row], ca.sign(yd[row]), 1), strict=True))
+            effort = dict(zip(DRIVE, (ydd[row], yd[row], ca.sign(yd[row]), ca.SX(1)), strict=True))
             for kind in DRIVE:
                 if f"{kind}_{joint.name}" in chi:
                     power += J[row, k] * chi[f"{kind}_{joint.name}"] * effort[kind]

@@ -31,7 +31,7 @@ class Regressor:
 
     def __call__(self, layout: Coordinates, motion: Motion) -> np.ndarray:
         """Entries (entries, N) for the samples of ``motion``."""
-        projection = motion.J[layout.passive].reshape(-1, motion.c.shape[1])
+        projection = motion.J[layout.passive].reshape(len(layout.passive) * len(layout.actuated), motion.c.shape[1])
         return self.program(np.vstack([motion.c, motion.yd, motion.ydd, projection]))
 
 
@@ -96,7 +96,7 @@ class InverseDynamics:
         tau = torques(layout, c, yd, ydd, J, chi)
         W = ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names)))
         rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
-        entries = ca.vertcat(*W.nonzeros()) if rows.size else ca.SX(0, 1)
+        entries = W.nz[:]
         return Regressor(tuple(names), compile_program([c, yd, ydd, projection.T], [entries]), rows, columns)
 
     def _projection(self) -> tuple[ca.SX, ca.SX]:
@@ -160,7 +160,9 @@ class InverseDynamics:
         samples = [np.asarray(array, dtype=float) for array in arrays]
         if samples[0].ndim != 2 or samples[0].shape[1] != n or len({array.shape for array in samples}) > 1:
             shapes = ", ".join(str(array.shape) for array in samples)
-            raise ValueError(f"q, qd and qdd must each be (N, {n}), one column for each of {self.actuated}; got {shapes}")
+            raise ValueError(
+                f"q, qd and qdd must each be (N, {n}), one column for each of {self.actuated}; got {shapes}"
+            )
         return [np.ascontiguousarray(array.T) for array in samples]
 
     def _vector(self, chi: Mapping[str, float] | np.ndarray) -> np.ndarray:

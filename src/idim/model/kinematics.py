@@ -73,10 +73,7 @@ def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
         found[joint.name] = Frame(R, p, before.R_0 @ R, before.p_0 + before.R_0 @ p)
     for slots in layout.platforms:
         p = c[slots.position]
-        if slots.quaternion is None:
-            R = constant(slots.platform.home.rotation)
-        else:
-            R = _rotation_of(c[slots.quaternion])
+        R = constant(slots.platform.home.rotation) if slots.quaternion is None else _rotation_of(c[slots.quaternion])
         found[slots.platform.name] = Frame(R, p, R, p)
     return found
 

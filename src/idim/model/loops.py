@@ -94,8 +94,9 @@ def close_loops(layout: Coordinates) -> Loops:
         closure, (distance, angle) = robot.closures[worst], gap[worst]
         raise IdimError(
             f"robot '{robot.name}': the loops do not close near the home configuration, closure {worst + 1} "
-            f"('{closure.a.body}' to '{closure.b.body}') stays open by {1e3 * distance:.3g} mm and {np.degrees(angle):.3g} degrees; "
-            "correct the placements or give the passive joints a 'home' closer to the assembled robot."
+            f"('{closure.a.body}' to '{closure.b.body}') stays open by {1e3 * distance:.3g} mm and "
+            f"{np.degrees(angle):.3g} degrees; correct the placements or give the passive joints a 'home' closer to the "
+            "assembled robot."
         )
     G_p, G_a = _jacobians(loops, c)
     rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
@@ -105,13 +106,14 @@ def close_loops(layout: Coordinates) -> Loops:
         free = np.abs(np.linalg.svd(G_p[:, :, 0])[2][rank:]).max(axis=0) > 1e-6
         names = ", ".join(layout.names[k] for k in layout.passive[free])
         raise IdimError(
-            f"robot '{robot.name}': its {n} actuated joints leave {n_passive - rank} dof free at the home configuration, "
-            f"where {names} can still move; actuate more joints, or move home away from a singular pose."
+            f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home configuration "
+            f"{names} can still move ({n_passive - rank} dof); actuate more joints, or move home away from a singular pose."
         )
     if total > rank:
         raise IdimError(
-            f"robot '{robot.name}': actuation is redundant, {n} actuated joints for {layout.n_y - total} dof; mark "
-            f"{total - rank} of them passive (redundant actuation is not supported), or check the closures and the dof of platforms."
+            f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints "
+            f"({', '.join(robot.actuated)}) for {layout.n_y - total} dof; mark {total - rank} of them passive, or check the "
+            "closures and the dof of platforms."
         )
     return Loops(layout, equations, c[:, 0], rank)
 
@@ -163,11 +165,14 @@ def _newton(loops: Loops, c: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.
         if (done | ~good).all():
             break
     residual, _ = loops.newton(c)
-    return c, good & done & (np.abs(residual).max(axis=0) < RESIDUAL)
+    allowed = RESIDUAL + 1e-15 * np.abs(c).max(axis=0)  # angles of many turns are rounded
+    return c, good & done & (np.abs(residual).max(axis=0) < allowed)
 
 
-def advance(loops: Loops, c: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
     """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as it gets.
+
+    A step below the share ``shortest`` of the way is not tried.
 
     Returns the closed configurations arrived at (n_c, N), and which are those asked for (N,).
     """
@@ -183,13 +188,11 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.
         c[:, going[closed]] = tried[:, closed]
         travelled[going[closed]] = there[closed]
         stride[going] *= np.where(closed, 2.0, 0.5)
-        going = going[(travelled[going] < 1.0) & (stride[going] >= SHORTEST)]
+        going = going[(travelled[going] < 1.0) & (stride[going] >= shortest)]
     return c, travelled >= 1.0
 
 
-def follow(
-    loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None
-) -> np.ndarray:
+def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
     """Configurations (n_c, N) along the path ``q`` (n, N), all in the assembly mode of home.
 
     Parameters
@@ -261,10 +264,10 @@ def _march(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, lengt
 
 
 def _unreachable(loops: Loops, q: np.ndarray, label: str) -> IdimError:
-    pose = _pose(loops, q)
     return IdimError(
-        f"robot '{loops.layout.robot.name}': at {label} the loops cannot be closed in the assembly mode of home ({pose}); "
-        "check the units, signs and zeros of the positions and the robot's geometry, or leave these samples out."
+        f"robot '{loops.layout.robot.name}': at {label} ({_pose(loops, q)}) the loops cannot be closed, or only beyond a "
+        "singular pose, outside the assembly mode of home; check the units, signs and zeros of the positions and the "
+        "robot's geometry, or leave these samples out."
     )
 
 
@@ -309,9 +312,9 @@ def differentiate(
         worst = int(np.argmax(condition))
         label = (labels or _Numbers())[worst]
         raise IdimError(
-            f"robot '{layout.robot.name}': at {label} the pose is too close to a singularity "
-            f"({_pose(loops, c[layout.actuated, worst])}, condition number {condition[worst]:.3g}, allowed {CONDITION:g}); "
-            f"it is the worst of {int(singular.sum())} such among {samples} samples, leave them out or keep the motion away from it."
+            f"robot '{layout.robot.name}': at {label} ({_pose(loops, c[layout.actuated, worst])}) the pose is too close to "
+            f"a singularity (condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the worst of "
+            f"{int(singular.sum())} such among {samples} samples; leave them out or keep the motion away from it."
         )
     J = np.zeros((layout.n_y, n, samples))
     J[layout.actuated, np.arange(n)] = 1.0

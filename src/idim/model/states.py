@@ -44,11 +44,13 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) 
     qdd = rng.normal(size=q.shape) * push[:, None]
     if idm.loops is None:
         return idm.motion(q, qd, qdd)
-    c, _ = advance(idm.loops, np.repeat(idm.loops.home[:, None], samples, axis=1), q)
+    # no shorter steps: poses well before a singularity serve better than those as near to it as can be
+    c, _ = advance(idm.loops, np.repeat(idm.loops.home[:, None], samples, axis=1), q, shortest=2.0**-7)
     regular = idm.loops.condition(c) < CONDITION / 10
     if regular.sum() < samples // 10:
         raise IdimError(
-            f"robot '{idm.robot.name}': only {regular.sum()} of {samples} random poses within the limits can be reached away from "
+            f"robot '{idm.robot.name}': only {regular.sum()} of {samples} random poses within the limits can be "
+            "reached away from "
             "singularities; narrow the joints' position limits to the workspace."
         )
     return differentiate(idm.loops, c[:, regular], qd[:, regular], qdd[:, regular])

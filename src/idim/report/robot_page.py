@@ -63,15 +63,16 @@ def robot_page(description: dict[str, Any]) -> str:
     """The description as text."""
     loops, base = description["loops"], description["base_parameters"]
     lines = [
-        f"{description['robot']}: {description['degrees_of_freedom']} degrees of freedom, {len(description['joints'])} joints"
-        + (f" ({description['source']})" if description["source"] else ""),
+        f"{description['robot']}: {description['degrees_of_freedom']} degrees of freedom, "
+        f"{len(description['joints'])} joints" + (f" ({description['source']})" if description["source"] else ""),
         "",
         f"  {'joint':<22}{'antecedent':<22}{'kind':<11}{'':<10}{'home':>9}",
     ]
     for joint in description["joints"]:
         role = "actuated" if joint["actuated"] else "passive"
         lines.append(
-            f"  {joint['name']:<22}{joint['antecedent']:<22}{joint['kind']:<11}{role:<10}{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']}"
+            "  "
+            f"{joint['name']:<22}{joint['antecedent']:<22}{joint['kind']:<11}{role:<10}{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']}"
         )
     for platform in description["platforms"]:
         lines.append(f"  {platform['name']:<22}platform, free in {' '.join(platform['dof'])}")
@@ -80,9 +81,12 @@ def robot_page(description: dict[str, Any]) -> str:
         lines += [f"    {closure['kind']} {' - '.join(closure['between'])}" for closure in loops["closures"]]
     lines += [
         "",
-        f"  {base['count']} base parameters of {base['standard']} standard ones ({base['without_effect']} have no effect); "
+        f"  {base['count']} base parameters of {base['standard']} standard ones ({base['without_effect']} have no "
+        "effect); "
         f"{base['count_inertial_only']} without rotor inertia, friction and offset:",
     ]
     for name, formula in base["regroupings"].items():
-        lines += textwrap.wrap(f"{name} = {formula}" if formula != name else name, 96, initial_indent="    ", subsequent_indent="        ")
+        lines += textwrap.wrap(
+            f"{name} = {formula}" if formula != name else name, 96, initial_indent="    ", subsequent_indent="        "
+        )
     return "\n".join(lines)
