@@ -25,6 +25,7 @@ from idim.estimation.triangle import triangle
 
 STEPS = 200
 SETTLED = 1e-9  # of a standard deviation: a smaller step ends the iteration
+ROUNDING = 1e-14  # of the currents: no step can be told from rounding below this
 
 
 @dataclass(frozen=True)
@@ -165,9 +166,9 @@ def _solve(
         ):
             share /= 2
         state = _moved(state, share * step, n_theta, free_gains)
-        if np.linalg.norm(J @ step) < SETTLED * max(np.sqrt(before / problem.total_rows.sum()), 1e-300) * np.sqrt(
-            J.shape[1]
-        ):
+        level = np.linalg.norm(triangles[:, :, n_theta + 1] * weights[:, None])
+        smallest = max(SETTLED * np.sqrt(before / problem.total_rows.sum()), ROUNDING * level)
+        if np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]):
             break
     else:
         raise IdimError(

@@ -119,8 +119,8 @@ def _solution(
     full[: n_theta + n, : n_theta + n] = covariance
 
     def replicates() -> np.ndarray:
-        estimates = [solver(W)[:-1] for W in leave_one_out(units)]
-        return np.array([np.concatenate([estimate, problem.own_delays]) for estimate in estimates])
+        shifts = np.array([solver(W)[:-1] - chi[:-1] for W in leave_one_out(units)])
+        return np.hstack([shifts, np.zeros((len(units), n))])  # the delays are those of all units
 
     return Solution(theta, gains, problem.own_delays, sigma, full, replicates, statistics)
 

@@ -25,8 +25,8 @@ class Solution:
         Of (theta, gains, delays) by the method's formula, which takes errors for independent; zero
         where a value is given and not estimated.
     replicates : callable
-        Estimates of (theta, gains, delays) with one unit after another left out, (U, k); called when the
-        jackknife is asked for.
+        What leaving out one unit after another adds to the estimates of (theta, gains, delays), (U, k);
+        called when the jackknife is asked for.
     statistics : Mapping
         Further figures that the method offers, such as ``singular_ratio``.
     """

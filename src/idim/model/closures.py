@@ -1,7 +1,7 @@
 """Loop-closure equations derived from the geometry (paper, eqs. 3 to 10).
 
 A closure ties two frames; its residual is how far their origins (and, for a weld, their axes) are
-apart in base axes. Differentiated once it gives ``G yd = 0``, in which the columns of the passive
+apart in base axes. A coupling ties joint coordinates by a linear equation. Differentiated once it gives ``G yd = 0``, in which the columns of the passive
 coordinates are J_k and J_tk of the paper and those of the actuated ones B_p; differentiated twice,
 ``G ydd + gamma = 0``.
 """
@@ -100,7 +100,17 @@ def closure_equations(layout: Coordinates) -> ClosureEquations:
             residual.append(sum((ca.cross(R_b[:, k], R_a[:, k]) for k in range(3)), ca.SX(3, 1)) / 2)
             velocity.append(v_a.angular - v_b.angular)
             gamma.append(a_a.angular - a_b.angular)
+    index = {joint.name: k for k, joint in enumerate(robot.joints)}
     unit = constant(np.diag(np.where(layout.angular, 1.0, length)))
+    for coupling in robot.couplings:
+        row = np.zeros(layout.n_y)
+        row[index[coupling.joint]] = 1.0
+        for name, ratio in coupling.ratios:
+            row[index[name]] = -ratio
+        size = np.linalg.norm(row * np.where(layout.angular, 1.0, length))
+        residual.append((ca.dot(constant(row[: len(index)]), c[: len(index)]) - coupling.offset) / size)
+        velocity.append(ca.dot(constant(row), yd) / size)
+        gamma.append(ca.SX(1, 1))
     G = ca.jacobian(ca.vertcat(*velocity), yd) @ unit
     G_passive, G_actuated = G[:, layout.passive.tolist()], G[:, layout.actuated.tolist()]
     newton = compile_program([c], [ca.vertcat(*residual), G_passive.T])

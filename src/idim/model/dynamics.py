@@ -17,9 +17,11 @@ from idim.robots.robot import DRIVE, INERTIAL, Robot
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
-    """Names of the standard parameters: 14 a joint (10 with ``"inertial"``), then 10 a platform."""
-    kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL}[parameters]
-    joints = [f"{kind}_{joint.name}" for joint in robot.joints for kind in kinds]
+    """Names of the standard parameters: 14 a joint (10 with ``"inertial"``) or what it has, then 10 a platform."""
+    kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
+    joints = [
+        f"{kind}_{joint.name}" for joint in robot.joints for kind in kinds[joint.parameters] if kind in kinds[parameters]
+    ]
     platforms = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
     return (*joints, *platforms)
 
@@ -60,12 +62,13 @@ def torques(
     frame = frames(layout, c)
     twist = twists(layout, frame, yd)
     acceleration = accelerations(layout, frame, twist, yd, ydd, np.array(robot.gravity))
-    wrench = {body: _wrench(chi, body, twist[body], acceleration[body]) for body in robot.bodies}
+    massive = [body for body in robot.bodies if f"m_{body}" in chi]
+    wrench = {body: _wrench(chi, body, twist[body], acceleration[body]) for body in massive}
     tau = []
     for k in range(J.shape[1]):
         partial = twists(layout, frame, J[:, k])
         power = ca.SX(0)
-        for body in robot.bodies:
+        for body in massive:
             power += ca.dot(partial[body].angular, wrench[body].angular)
             power += ca.dot(partial[body].linear, wrench[body].linear)
         for row, joint in enumerate(robot.joints):

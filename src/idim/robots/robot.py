@@ -102,7 +102,9 @@ class Joint:
     """A one-dof joint and the link it moves; both bear the joint's name.
 
     The link's frame sits at ``placement`` in the antecedent's frame when the coordinate is zero,
-    and turns about (or slides along) ``axis``, a unit vector of its own frame.
+    and turns about (or slides along) ``axis``, a unit vector of its own frame. ``parameters`` says which
+    standard parameters it has: all 14, those of the link (``inertial``) or of the drive (``drive``, for a
+    motor's shaft) alone, or ``none`` (a massless link of a spherical joint).
     """
 
     name: str
@@ -113,6 +115,20 @@ class Joint:
     actuated: bool = True
     home: float = 0.0
     limits: Limits = Limits()
+    parameters: Literal["all", "inertial", "drive", "none"] = "all"
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint that moves with others, ``q = sum of ratio * q_other + offset``.
+
+    Gears, mimic joints, and motors that move several joints: the motor is a joint of its own, actuated,
+    and the joints that it moves are passive.
+    """
+
+    joint: str
+    ratios: tuple[tuple[str, float], ...]
+    offset: float = 0.0
 
 
 TRANSLATIONS = ("x", "y", "z")
@@ -161,6 +177,7 @@ class Robot:
     joints: tuple[Joint, ...]
     platforms: tuple[Platform, ...] = ()
     closures: tuple[Closure, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
     source: str = ""
 
@@ -228,6 +245,16 @@ def _problems(robot: Robot) -> Iterator[str]:
                 yield f"closure {number} is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
         if closure.a.body == closure.b.body:
             yield f"closure {number} ties '{closure.a.body}' to itself; attach its ends to two bodies"
+    joints = {joint.name for joint in robot.joints}
+    for number, coupling in enumerate(robot.couplings, start=1):
+        others = [name for name, _ in coupling.ratios]
+        for name in (coupling.joint, *others):
+            if name not in joints:
+                yield f"coupling {number} names '{name}', which is no joint"
+        if not others or coupling.joint in others or len(set(others)) < len(others):
+            yield f"coupling {number} must give '{coupling.joint}' from one or more other joints, each named once"
+        if not all(ratio for _, ratio in coupling.ratios):
+            yield f"coupling {number} of '{coupling.joint}' has a ratio of zero; leave that joint out"
     if not robot.actuated:
         yield "no joint is actuated; mark the motors' joints with 'actuated: true'"
 

@@ -1,0 +1,1 @@
+"""Simulation: logs of robots whose true parameters are known."""
