@@ -41,13 +41,6 @@ class Gains(StrEnum):
     prior = "prior"
 
 
-class Filter(StrEnum):
-    """Decimation filters."""
-
-    fir = "fir"
-    chebyshev = "chebyshev"
-
-
 ExperimentFile = Annotated[Path, typer.Argument(metavar="EXPERIMENT.yaml", help="Experiment file.", show_default=False)]
 ModelFile = Annotated[
     Path, typer.Argument(metavar="MODEL.json", help="What 'idim identify' wrote.", show_default=False)
@@ -118,13 +111,12 @@ def identify(
             help="The paper's r_sigma (10 to 30) for the essential parameters; else those within 2 std of 0 go.",
         ),
     ] = None,
-    joint_reduction: Annotated[
+    as_paper: Annotated[
         bool,
         typer.Option(
-            "--joint-reduction", help="Re-estimate the gains with the essential parameters, as the paper does."
+            "--as-paper", help="Follow the paper step by step: its filter, friction and reduction, no delays."
         ),
     ] = False,
-    decimator: Annotated[Filter, typer.Option(help="Compact FIR, or the paper's Chebyshev filter.")] = Filter.fir,
     json_: Json = False,
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json."""
@@ -137,8 +129,7 @@ def identify(
                 experiment,
                 method=method.value,
                 ratio=ratio,
-                joint_reduction=joint_reduction,
-                decimator=decimator.value,
+                as_paper=as_paper,
                 progress=progress,
             )
         if out is not None:

@@ -9,28 +9,32 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.estimation.base_parameters import BaseParameters, independent_columns
-from idim.estimation.factors import CURRENTS, Factors
+from idim.estimation.factors import CURRENTS, EXTRA, Factors
+from idim.estimation.friction import DRIFTING, TERMS, Friction, transmitted
 from idim.estimation.problem import Problem
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.robot import INERTIAL
 from idim.signals.experiment import Payload
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CarriedPayload:
     """The payload of one run.
 
     ``unknown`` maps the name in the problem of each unknown parameter that acts on some actuated joint
-    to its kind, and ``regroupings`` the kind to the formula of what it stands for.
+    to its kind, and ``regroupings`` the kind to the formula of what it stands for. In base columns, a unit
+    of each is ``unknown_columns`` (n_b, unknown), and all that is known together ``known_column`` (n_b,).
     """
 
     run: int
     payload: Payload
     unknown: Mapping[str, str]
     regroupings: Mapping[str, str]
+    unknown_columns: np.ndarray
+    known_column: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Assembly:
     """The problem, and what its parameters are.
 
@@ -42,6 +46,18 @@ class Assembly:
     base: BaseParameters
     payloads: tuple[CarriedPayload, ...]
     unexcited: tuple[str, ...]
+    friction: Friction
+
+    def load(self, run: int, theta: np.ndarray) -> np.ndarray:
+        """What the joints of ``run`` transmit: values of the base columns, without friction, with payload, (n_b,)."""
+        values = dict(zip(self.problem.parameters, theta, strict=True))
+        chi = np.array([values.get(name, 0.0) for name in self.base.names]) * transmitted(self.base.names)
+        for carried in self.payloads:
+            if carried.run == run:
+                chi += (
+                    carried.unknown_columns @ [values.get(name, 0.0) for name in carried.unknown] + carried.known_column
+                )
+        return chi
 
 
 def known_values(payload: Payload) -> dict[str, float]:
@@ -55,7 +71,8 @@ def assemble(
     base: BaseParameters,
     factors: Sequence[Factors],
     payloads: Sequence[Payload | None],
-    bandwidth: float,
+    slowest: float,
+    friction: Friction,
 ) -> Assembly:
     """Join the runs' factors into one problem.
 
@@ -69,67 +86,85 @@ def assemble(
         Model and base parameters, whose columns the factors have.
     factors, payloads : sequences
         One entry a run; None for a run without payload.
-    bandwidth : float
-        Of the motion, Hz: bounds the delays that can be described.
+    slowest : float
+        Longest delay that can be described, s; 0 for none.
+    friction : Friction
+        Terms to take, and whether friction may drift between runs.
 
     Raises
     ------
     IdimError
         Where some joint has no usable row in any run.
     """
-    tool, n_b = idm.robot.tool, base.count
-    position = {name: k for k, name in enumerate(idm.parameter_names)}
-    carried: list[CarriedPayload] = []
-    maps: list[tuple[np.ndarray, np.ndarray]] = []  # of each run: unknown payload columns and the known column
-    for run, payload in enumerate(payloads):
-        unknown, known = np.zeros((n_b, 0)), np.zeros(n_b)
-        if payload is not None:
-            values = known_values(payload)
-            free = [kind for kind in INERTIAL if kind not in values]
-            columns = base.matrix[:, [position[f"{kind}_{tool}"] for kind in free]]
-            kept, coefficients, _ = independent_columns(columns)
-            unknown = columns[:, kept]
-            known = base.matrix[:, [position[f"{kind}_{tool}"] for kind in values]] @ np.array(list(values.values()))
-            formulas = {
-                free[k]: " + ".join(
-                    f"{coefficients[row, other]:.5g} {kind}" if other != k else kind
-                    for other, kind in enumerate(free)
-                    if coefficients[row, other]
-                )
-                for row, k in enumerate(kept)
-            }
-            labels = {f"{free[k]}_L{run + 1}": free[k] for k in kept}
-            carried.append(CarriedPayload(run, payload, labels, formulas))
-        maps.append((unknown, known))
-    n_theta = n_b + sum(unknown.shape[1] for unknown, _ in maps)
-    begin = n_b
+    carried = tuple(_carried(idm, base, run, payload) for run, payload in enumerate(payloads) if payload is not None)
+    drifting = [
+        k
+        for k, name in enumerate(base.names)
+        if name in {f"{kind}_{joint}" for kind in DRIFTING for joint in idm.actuated}
+    ]
+    last = len(factors) - 1
+    drifts = [drift_name(base.names[k], run) for run in range(last) for k in drifting] if friction.per_run else []
+    names = [*base.names, *(name for each in carried for name in each.unknown), *drifts, *friction.terms]
+    position = {name: k for k, name in enumerate(names)}
+    n_b, n_theta = base.count, len(names)
     units = []
-    for factor, (unknown, known) in zip(factors, maps, strict=True):
-        M = np.zeros((n_b + CURRENTS, n_theta + 1 + CURRENTS))
+    for run, factor in enumerate(factors):
+        # from the columns of the factor to those of the problem
+        M = np.zeros((n_b + EXTRA, n_theta + 1 + CURRENTS))
         M[:n_b, :n_b] = np.eye(n_b)
-        M[:n_b, begin : begin + unknown.shape[1]] = unknown
-        begin += unknown.shape[1]
-        M[:n_b, n_theta] = known
-        M[n_b:, n_theta + 1 :] = np.eye(CURRENTS)
-        units.append(factor.R @ M)
-    names = [*base.names, *(name for each in carried for name in each.unknown)]
-    problem = Problem(
-        tuple(names),
-        idm.actuated,
-        np.concatenate(units),
-        np.concatenate([factor.rows for factor in factors]),
-        slowest=0.5 / (2 * np.pi * bandwidth),
-    )
+        M[-CURRENTS:, n_theta + 1 :] = np.eye(CURRENTS)
+        for each in carried:
+            if each.run == run:
+                M[:n_b, [position[name] for name in each.unknown]] = each.unknown_columns
+                M[:n_b, n_theta] = each.known_column
+        for k in drifting if drifts else ():
+            # a run's deviation from the mean friction; those of all runs add up to zero
+            for other in range(last):
+                M[k, position[drift_name(base.names[k], other)]] = (other == run) - (run == last)
+        blocks = []
+        for j, joint in enumerate(idm.actuated):
+            M_j = M.copy()
+            for t, term in enumerate(TERMS):
+                if f"{term}_{joint}" in position:
+                    M_j[n_b + t, position[f"{term}_{joint}"]] = 1.0
+            blocks.append(factor.R[:, j] @ M_j)
+        units.append(np.stack(blocks, axis=1))
+    rows = np.concatenate([factor.rows for factor in factors])
+    filled = rows.sum(axis=1) > 0
+    problem = Problem(tuple(names), idm.actuated, np.concatenate(units)[filled], rows[filled], slowest)
     for joint, rows in zip(idm.actuated, problem.total_rows, strict=True):
         if rows < 50:
             raise IdimError(
                 f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps; "
                 "add runs in which it moves, or longer ones."
             )
-    filled = problem.rows.sum(axis=1) > 0
-    problem = Problem(problem.parameters, problem.joints, problem.units[filled], problem.rows[filled], problem.slowest)
     unexcited = _unexcited(problem)
-    return Assembly(problem.without(unexcited), base, tuple(carried), unexcited)
+    return Assembly(problem.without(unexcited), base, carried, unexcited, friction)
+
+
+def drift_name(name: str, run: int) -> str:
+    """Name of the deviation of a friction parameter from its mean, in a run."""
+    return f"{name}@{run + 1}"
+
+
+def _carried(idm: InverseDynamics, base: BaseParameters, run: int, payload: Payload) -> CarriedPayload:
+    column = {name: k for k, name in enumerate(idm.parameter_names)}
+    values = known_values(payload)
+    free = [kind for kind in INERTIAL if kind not in values]
+    columns = base.matrix[:, [column[f"{kind}_{idm.robot.tool}"] for kind in free]]
+    kept, coefficients, _ = independent_columns(columns)
+    known = base.matrix[:, [column[f"{kind}_{idm.robot.tool}"] for kind in values]] @ np.array(list(values.values()))
+    formulas = {
+        free[k]: " + ".join(
+            f"{coefficients[row, other]:.5g} {kind}" if other != k else kind
+            for other, kind in enumerate(free)
+            if coefficients[row, other]
+        )
+        for row, k in enumerate(kept)
+    }
+    return CarriedPayload(
+        run, payload, {f"{free[k]}_L{run + 1}": free[k] for k in kept}, formulas, columns[:, kept], known
+    )  # fmt: skip
 
 
 def _unexcited(problem: Problem) -> tuple[str, ...]:

@@ -111,8 +111,9 @@ def _residuals(blocks: np.ndarray, state: _State, n_theta: int) -> np.ndarray:
     return np.einsum("...jpk,jk->...jp", currents, shifts) - state.b[:, None] * modelled
 
 
-def _jacobian(blocks: np.ndarray, state: _State, n_theta: int, free_gains: bool) -> np.ndarray:
+def _jacobian(blocks: np.ndarray, state: _State, problem: Problem, free_gains: bool) -> np.ndarray:
     """Derivatives of the residuals by (theta, b, d) or (theta, d), (..., n, p, parameters)."""
+    n_theta = problem.n_theta
     W, known, currents = blocks[..., :n_theta], blocks[..., n_theta], blocks[..., n_theta + 1 :]
     n = len(state.b)
     modelled = np.einsum("...jpk,k->...jp", W, state.theta) + known
@@ -120,7 +121,7 @@ def _jacobian(blocks: np.ndarray, state: _State, n_theta: int, free_gains: bool)
     parts = [-state.b[:, None, None] * W]
     if free_gains:
         parts.append(-modelled[..., None] * eye)
-    shift = -currents[..., 1] + state.delays[:, None] * currents[..., 2]
+    shift = (state.delays[:, None] * currents[..., 2] - currents[..., 1]) * (problem.slowest > 0)
     parts.append(shift[..., None] * eye)
     return np.concatenate(parts, axis=-1)
 
@@ -155,7 +156,7 @@ def _solve(
 
     for _ in range(STEPS):
         weights = weigh(state, errors(state))
-        J = (_jacobian(triangles, state, n_theta, free_gains) * weights[:, None, None]).reshape(
+        J = (_jacobian(triangles, state, problem, free_gains) * weights[:, None, None]).reshape(
             -1, _size(n, n_theta, free_gains)
         )
         e = (_residuals(triangles, state, n_theta) * weights[:, None]).reshape(-1)
@@ -188,7 +189,7 @@ def _finish(
     n, n_theta = len(problem.joints), problem.n_theta
     size = _size(n, n_theta, free_gains)
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - size / n, 1))
-    J = _jacobian(triangles, state, n_theta, free_gains) * weights[:, None, None]  # (n, p, size)
+    J = _jacobian(triangles, state, problem, free_gains) * weights[:, None, None]  # (n, p, size)
     norms = np.linalg.norm(J.reshape(-1, size), axis=0)
     norms[norms == 0] = 1.0
     R = triangle((J / norms).reshape(-1, size))
@@ -207,7 +208,7 @@ def _finish(
         # one Gauss-Newton step from the solution, with unit u left out
         steps = np.empty((len(problem.units), size))
         for u, unit in enumerate(problem.units):
-            J_u = (_jacobian(unit, state, n_theta, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
+            J_u = (_jacobian(unit, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
             e_u = (_residuals(unit, state, n_theta) * weights[:, None]).reshape(-1)
             steps[u] = back @ np.linalg.lstsq(np.eye(size) - J_u.T @ J_u, J_u.T @ e_u, rcond=1e-10)[0]
         return steps @ T.T

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+import numpy as np
 
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly, assemble
 from idim.estimation.base_parameters import BaseParameters, base_parameters
 from idim.estimation.factors import Factors, reduce_run
+from idim.estimation.friction import Friction
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.robot import Robot
 from idim.signals.experiment import Experiment, LoggedRun, Payload
-from idim.signals.preparation import Preparation, choose_preparation, prepare
+from idim.signals.preparation import Preparation, Prepared, choose_preparation, prepare
 from idim.signals.run import Run, arrange, read_run
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """Progress that nobody watches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,14 +35,43 @@ class Data:
     model: InverseDynamics
     base: BaseParameters
     preparation: Preparation
-    runs: tuple[Run, ...]
+    prepared: tuple[Prepared, ...]
     factors: tuple[Factors, ...]
-    notes: tuple[str, ...]
 
-    def assembly(self, payloads: Sequence[Payload | None] | None = None) -> Assembly:
-        """The estimation problem, if need be with other known payload values."""
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The runs, their joints in the model's order."""
+        return tuple(each.run for each in self.prepared)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was repaired or left out of each run."""
+        return tuple(f"{each.run.name}: {note}" for each in self.prepared for note in (*each.run.notes, *each.notes))
+
+    def assembly(
+        self, friction: Friction = Friction(), delays: bool = True, payloads: Sequence[Payload | None] | None = None
+    ) -> Assembly:
+        """The estimation problem with this friction; if need be without delays, or with other known payload values."""
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
-        return assemble(self.model, self.base, self.factors, payloads, self.preparation.bandwidth)
+        slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
+        return assemble(self.model, self.base, self.factors, payloads, slowest, friction)
+
+    def reduced(self, loads: Sequence[np.ndarray] | None = None, progress: Progress = silent) -> Data:
+        """The same runs reduced to factors, with the torques of ``loads`` (one a run) in load-dependent friction."""
+        decimator = self.preparation.decimator
+        total = sum(len(decimator.instants(len(each.time))) for each in self.prepared)
+        done = 0
+
+        def advance(outputs: int) -> None:
+            nonlocal done
+            done += outputs
+            progress("model along the runs", done, total)
+
+        factors = [
+            reduce_run(self.model, self.base.standard, each, decimator, None if loads is None else loads[k], advance)
+            for k, each in enumerate(self.prepared)
+        ]
+        return replace(self, factors=tuple(factors))
 
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun]) -> tuple[Run, ...]:
@@ -48,7 +84,7 @@ def reduce_runs(
     runs: Sequence[Run],
     preparation: Preparation | None = None,
     decimator: Literal["fir", "chebyshev"] = "fir",
-    progress: Progress = lambda what, done, total: None,
+    progress: Progress = silent,
 ) -> Data:
     """Prepare all runs and reduce them to triangular factors.
 
@@ -64,15 +100,5 @@ def reduce_runs(
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
     base = base_parameters(model)
-    prepared = [prepare(run, preparation) for run in runs]
-    total = sum(len(preparation.decimator.instants(len(each.time))) for each in prepared)
-    done = 0
-
-    def advance(outputs: int) -> None:
-        nonlocal done
-        done += outputs
-        progress("model along the runs", done, total)
-
-    factors = tuple(reduce_run(model, base.standard, each, preparation.decimator, advance) for each in prepared)
-    notes = tuple(f"{each.run.name}: {note}" for each in prepared for note in (*each.run.notes, *each.notes))
-    return Data(robot, model, base, preparation, runs, factors, notes)
+    prepared = tuple(prepare(run, preparation) for run in runs)
+    return Data(robot, model, base, preparation, prepared, ()).reduced(progress=progress)

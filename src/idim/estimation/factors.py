@@ -1,6 +1,6 @@
 """Triangular factors: all that the estimators need to know of a run, however long.
 
-Each joint's decimated rows ``[W_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one for
+Each joint's decimated rows ``[W_j  terms_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one for
 each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
 """
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from idim.estimation.friction import TERMS
 from idim.estimation.rows import stream_rows
 from idim.estimation.triangle import triangle
 from idim.model.inverse_dynamics import InverseDynamics
@@ -19,6 +20,7 @@ from idim.signals.preparation import Prepared
 
 STRETCHES = 20
 CURRENTS = 3  # columns of a joint's current: v, v', v''
+EXTRA = len(TERMS) + CURRENTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +30,7 @@ class Factors:
     Attributes
     ----------
     R : ndarray
-        (stretches, n, p, p) triangles of ``[W_j v_j v_j' v_j'']``, p = columns + 3.
+        (stretches, n, p, p) triangles of ``[W_j terms_j v_j v_j' v_j'']``, p = columns + 5.
     rows : ndarray
         (stretches, n) number of rows behind each.
     condition : float
@@ -45,9 +47,10 @@ def reduce_run(
     columns: tuple[str, ...],
     prepared: Prepared,
     decimator: Decimator,
+    load: np.ndarray | None = None,
     progress: Callable[[int], None] = lambda outputs: None,
 ) -> Factors:
-    """Reduce a prepared run to its triangular factors over the standard ``columns``.
+    """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
 
     Raises
     ------
@@ -56,16 +59,17 @@ def reduce_run(
     """
     regressor = idm.columns(columns)
     outputs = len(decimator.instants(len(prepared.time)))
-    n, p = len(idm.actuated), len(columns) + CURRENTS
+    n, p = len(idm.actuated), len(columns) + EXTRA
     R, rows = np.zeros((STRETCHES, n, p, p)), np.zeros((STRETCHES, n), dtype=int)
     condition = 0.0
-    for part in stream_rows(idm, regressor, prepared, decimator):
+    for part in stream_rows(idm, regressor, prepared, decimator, load):
         condition = max(condition, part.condition)
         stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
         for j in range(n):
             mine = np.flatnonzero(regressor.rows == j)
             A = np.zeros((len(part.time), p))
             A[:, regressor.columns[mine]] = part.entries[mine].T
+            A[:, -EXTRA:-CURRENTS] = part.terms[:, j].T
             A[:, -CURRENTS:] = part.currents[:, j].T
             for s in np.unique(stretch):
                 chosen = A[(stretch == s) & part.keep[j]]

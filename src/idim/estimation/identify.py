@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,7 +11,8 @@ from threadpoolctl import threadpool_limits
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly, require_scale
 from idim.estimation.current_domain import ml, ols, wls
-from idim.estimation.data import Data, Progress, read_runs, reduce_runs
+from idim.estimation.data import Data, Progress, read_runs, reduce_runs, silent
+from idim.estimation.friction import Friction, all_terms, needed_terms
 from idim.estimation.homogeneous import mixed, tls
 from idim.estimation.interpretation import make_result
 from idim.estimation.problem import Problem
@@ -27,6 +27,8 @@ from idim.signals.run import Run
 WITH_GAINS: dict[str, Callable[[Problem, np.ndarray], Solution]] = {"ols": ols, "wls": wls}
 FOR_GAINS: dict[str, Callable[[Problem], Solution]] = {"ml": ml, "mixed": mixed, "tls": tls}
 METHODS = (*FOR_GAINS, *WITH_GAINS)
+LOAD_PASSES = 6  # of the logs, at most, for friction that depends on the torques transmitted
+LOAD_SETTLED = 1e-4  # relative change of the gains that ends them
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
@@ -36,9 +38,8 @@ def identify(
     method: str = "ml",
     prior_gains: Mapping[str, float] | None = None,
     ratio: float | None = None,
-    joint_reduction: bool = False,
-    decimator: Literal["fir", "chebyshev"] = "fir",
-    progress: Progress = lambda what, done, total: None,
+    as_paper: bool = False,
+    progress: Progress = silent,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
 
@@ -56,11 +57,10 @@ def identify(
     ratio : float, optional
         The paper's r_sigma for the essential parameters; if left out, only those within two standard
         deviations of zero are cancelled.
-    joint_reduction : bool
-        Re-estimate the gains along with the essential parameters, as the paper does, instead of
-        keeping those found with all base parameters.
-    decimator : {"fir", "chebyshev"}
-        Compact FIR, or the paper's filter.
+    as_paper : bool
+        Follow the paper step by step: its decimation filter, its friction, no delays, formula
+        deviations, and the essential parameters re-estimated together with the gains at ratio 10.
+        (Samples near reversals are left out all the same: with them TLS fails.)
     progress : callable, optional
         Called as the work goes on.
 
@@ -93,22 +93,48 @@ def identify(
             f"the logs hold torques, whose gain is 1, so there is nothing for method '{method}' to find; use "
             "--method wls."
         )
-    data = reduce_runs(robot, runs, decimator=decimator, progress=progress)
 
     def solve(problem: Problem) -> Solution:
         return WITH_GAINS[method](problem, gains) if method in WITH_GAINS else FOR_GAINS[method](problem)
 
-    assembly = data.assembly()
+    data = reduce_runs(robot, runs, decimator="chebyshev" if as_paper else "fir", progress=progress)
     if method in FOR_GAINS:
-        require_scale(assembly, [run.payload for run in data.runs], method)
+        require_scale(data.assembly(Friction()), [run.payload for run in data.runs], method)
+    if as_paper:
+        assembly = data.assembly(Friction(), delays=False)
+    else:
+        data, assembly = with_friction(data, solve, progress)
     progress("estimation", 0, 1)
     solution = solve(assembly.problem)
-    extra = mass_uncertainty(data, assembly, solution, solve)
-    final = solve if joint_reduction else (lambda problem: wls(problem, solution.gains))
+    covariance = solution.covariance if as_paper else solution.jackknife
+    covariance = covariance + mass_uncertainty(data, assembly, solution, solve)
+    final = solve if as_paper else (lambda problem: wls(problem, solution.gains))
     candidates = tuple(name for name in data.base.names if name in assembly.problem.parameters)
-    kept, reduced = essential(assembly.problem, candidates, final, ratio)
+    kept, reduced = essential(assembly.problem, candidates, final, 10.0 if as_paper and ratio is None else ratio)
     progress("estimation", 1, 1)
-    return make_result(data, assembly, method, solution, solution.jackknife + extra, kept, reduced)
+    return make_result(data, assembly, method, solution, covariance, kept, reduced)
+
+
+def with_friction(data: Data, solve: Callable[[Problem], Solution], progress: Progress) -> tuple[Data, Assembly]:
+    """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
+
+    Returns the data, streamed again where a joint has load-dependent friction, and its problem.
+    """
+    joints, per_run = data.model.actuated, len(data.runs) > 1
+    friction = Friction(needed_terms(data.assembly(Friction(all_terms(joints), per_run)).problem), per_run)
+    if not any(term.startswith("fl_") for term in friction.terms):
+        return data, data.assembly(friction)
+    assembly = data.assembly(Friction(tuple(t for t in friction.terms if not t.startswith("fl_")), per_run))
+    gains = None
+    for _ in range(LOAD_PASSES):
+        solution = solve(assembly.problem)
+        settled = gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_SETTLED, atol=0)
+        gains = solution.gains
+        if settled:
+            break
+        data = data.reduced([assembly.load(k, solution.theta) for k in range(len(data.runs))], progress)
+        assembly = data.assembly(friction)
+    return data, assembly
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:
@@ -140,6 +166,9 @@ def mass_uncertainty(
         assert payload.mass is not None
         heavier = payload.model_copy(update={"mass": payload.mass + payload.mass_std})
         payloads = [heavier if run.payload and run.payload.name == payload.name else run.payload for run in data.runs]
-        shift = solve(data.assembly(payloads).problem).stacked - solution.stacked
+        shift = (
+            solve(data.assembly(assembly.friction, assembly.problem.slowest > 0, payloads).problem).stacked
+            - solution.stacked
+        )
         extra += np.outer(shift, shift)
     return extra

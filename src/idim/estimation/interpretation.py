@@ -8,10 +8,11 @@ import numpy as np
 
 from idim.estimation.assembly import Assembly, known_values
 from idim.estimation.data import Data
+from idim.estimation.friction import UNITS
 from idim.estimation.problem import Problem
 from idim.estimation.result import Estimate, PayloadEstimate, Result, TorqueError, torque_unit, unit_of
 from idim.estimation.solution import Solution
-from idim.robots.robot import INERTIAL
+from idim.robots.robot import INERTIAL, Robot
 
 
 def make_result(
@@ -40,7 +41,11 @@ def make_result(
     def estimate(name: str, column: str, regrouping: str, values: Mapping[str, tuple[float, float]]) -> Estimate:
         kind, body = column.split("_", 1)
         value, deviation = values.get(name, (None, None))
-        return Estimate(name, _number(value), _number(deviation), unit_of(kind, robot, body), regrouping)
+        return Estimate(
+            name, _number(value), _number(deviation), unit_of(kind, robot, body), regrouping, spread.get(name)
+        )
+
+    spread = _spread(assembly, solution.theta)
 
     base = data.base
     described = list(zip(base.names, base.standard, (base.regroupings[name] for name in base.names), strict=True))
@@ -73,6 +78,11 @@ def make_result(
             for name, column, text in described
             if name in kept.parameters
         },
+        friction={
+            name: Estimate(name, *map(float, found[name]), term_unit(robot, name))
+            for name in assembly.friction.terms
+            if name in found
+        },
         payloads=payload_estimates(data, assembly, solution.theta, covariance),
         residuals=tuple(
             TorqueError(joint, float(abs(g) * s), float(abs(g) * v), unit[joint])
@@ -85,6 +95,23 @@ def make_result(
         runs=tuple(run.name for run in data.runs),
         notes=(*data.notes, *_warnings(assembly, solution, std[n_theta : n_theta + n])),
     )
+
+
+def term_unit(robot: Robot, name: str) -> str:
+    """Unit of a friction term such as ``f3_11``."""
+    term, joint = name.split("_", 1)
+    return UNITS[robot.joint(joint).kind][term]
+
+
+def _spread(assembly: Assembly, theta: np.ndarray) -> dict[str, float]:
+    """Standard deviation between runs of each friction parameter that may drift."""
+    values = dict(zip(assembly.problem.parameters, theta, strict=True))
+    deviations: dict[str, list[float]] = {}
+    for name, value in values.items():
+        if "@" in name:
+            deviations.setdefault(name.split("@")[0], []).append(float(value))
+    # the deviations of all runs add up to zero, and the last is not listed
+    return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in deviations.items()}
 
 
 def payload_estimates(

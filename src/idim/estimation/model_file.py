@@ -30,8 +30,9 @@ def to_document(result: Result) -> dict[str, Any]:
         "runs": list(result.runs),
         "drive_gains": [_estimate(each, "joint") for each in result.drive_gains.values()],
         "delays": [_estimate(each, "joint") for each in result.delays.values()],
-        "parameters": [_estimate(each) | {"regrouping": each.regrouping} for each in result.parameters.values()],
-        "essential": [_estimate(each) | {"regrouping": each.regrouping} for each in result.essential.values()],
+        "parameters": [_parameter(each) for each in result.parameters.values()],
+        "essential": [_parameter(each) for each in result.essential.values()],
+        "friction": [_estimate(each) for each in result.friction.values()],
         "payloads": payload_documents(result.payloads),
         "residuals": [
             {"joint": each.joint, "rms": each.rms, "signal": each.signal, "relative": each.relative, "unit": each.unit}
@@ -74,6 +75,10 @@ def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
         "rel_std": estimate.rel_std,
         "unit": estimate.unit,
     }
+
+
+def _parameter(estimate: Estimate) -> dict[str, Any]:
+    return _estimate(estimate) | {"regrouping": estimate.regrouping, "spread": estimate.spread}
 
 
 def save(result: Result, path: str | Path) -> None:
@@ -122,6 +127,7 @@ def _result(document: Mapping[str, Any], path: str | Path) -> Result:
         delays=_estimates(document["delays"], "joint"),
         parameters=_estimates(document["parameters"]),
         essential=_estimates(document["essential"]),
+        friction=_estimates(document["friction"]),
         payloads=tuple(
             PayloadEstimate(
                 each["name"],
@@ -155,4 +161,4 @@ def _estimates(entries: list[Mapping[str, Any]], key: str = "name") -> dict[str,
 
 def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
     value, std = (None if entry[k] is None else float(entry[k]) for k in ("value", "std"))
-    return Estimate(entry[key], value, std, entry["unit"], entry.get("regrouping", ""))
+    return Estimate(entry[key], value, std, entry["unit"], entry.get("regrouping", ""), entry.get("spread"))

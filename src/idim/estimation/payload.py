@@ -10,8 +10,8 @@ from threadpoolctl import threadpool_limits
 
 from idim.errors import IdimError
 from idim.estimation.current_domain import wls
-from idim.estimation.data import Progress, read_runs, reduce_runs
-from idim.estimation.identify import given_gains
+from idim.estimation.data import Progress, read_runs, reduce_runs, silent
+from idim.estimation.identify import given_gains, with_friction
 from idim.estimation.interpretation import payload_estimates
 from idim.estimation.problem import Problem
 from idim.estimation.result import PayloadEstimate, Result
@@ -24,7 +24,7 @@ def weigh(
     model: Result,
     experiment: str | Path,
     gains: str = "identified",
-    progress: Progress = lambda what, done, total: None,
+    progress: Progress = silent,
 ) -> tuple[PayloadEstimate, ...]:
     """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its other runs.
 
@@ -67,7 +67,7 @@ def weigh(
         rows = [k for k, name in enumerate(model.covariance_names) if name.startswith("gain_")]
         covariance = model.covariance[np.ix_(rows, rows)]
     data = reduce_runs(robot, runs, model.preparation, progress=progress)
-    assembly = data.assembly()
+    data, assembly = with_friction(data, lambda problem: wls(problem, g_tau), progress)
     lost = [name for each in assembly.payloads for name in each.unknown if name in assembly.unexcited]
     if lost:
         raise IdimError(

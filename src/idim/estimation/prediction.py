@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from idim.estimation.result import Prediction, Result, TorqueError, known_parameters, torque_unit
+from idim.estimation.friction import TERMS, transmitted
+from idim.estimation.result import Estimate, Prediction, Result, TorqueError, known_parameters, torque_unit
 from idim.estimation.rows import stream_rows
 from idim.signals.preparation import prepare
 from idim.signals.run import Run, arrange
@@ -24,9 +27,10 @@ def predict(result: Result, run: Run) -> Prediction:
     gains = np.array([result.drive_gains[joint].value for joint in model.actuated])
     delays = np.array([result.delays[joint].value for joint in model.actuated])
     time, predicted, measured, keep = [], [], [], []
-    for part in stream_rows(model, regressor, prepared, result.preparation.decimator):
-        tau = np.zeros((len(model.actuated), len(part.time)))
-        np.add.at(tau, regressor.rows, part.entries * chi[regressor.columns][:, None])
+    load = chi * transmitted(base.names)
+    terms = np.array([[_value(result.friction, f"{term}_{joint}") for joint in model.actuated] for term in TERMS])
+    for part in stream_rows(model, regressor, prepared, result.preparation.decimator, load):
+        tau = regressor.torques(part.entries, chi, len(model.actuated)) + np.einsum("tj,tjk->jk", terms, part.terms)
         v, v_d, v_dd = part.currents
         time.append(part.time)
         predicted.append(tau.T)
@@ -35,6 +39,10 @@ def predict(result: Result, run: Run) -> Prediction:
     return Prediction(
         model.actuated, np.concatenate(time), np.concatenate(predicted), np.concatenate(measured), np.concatenate(keep)
     )  # fmt: skip
+
+
+def _value(estimates: Mapping[str, Estimate], name: str) -> float:
+    return (estimates[name].value or 0.0) if name in estimates else 0.0
 
 
 def torque_errors(result: Result, prediction: Prediction) -> tuple[TorqueError, ...]:

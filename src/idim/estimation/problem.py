@@ -37,7 +37,7 @@ class Problem:
     rows : ndarray
         (U, n) number of equations behind each block.
     slowest : float
-        Longest delay (s) that the expansion in derivatives can describe.
+        Longest delay (s) that the expansion in derivatives can describe; 0 for a problem without delays.
     """
 
     parameters: tuple[str, ...]
@@ -91,7 +91,7 @@ class Problem:
             quartic = np.array([r2 @ r2 / 4, -(r1 @ r2), r1 @ r1 + r @ r2, -2 * (r @ r1), r @ r])
             stationary = np.roots(np.polyder(quartic))
             real = stationary[np.abs(stationary.imag) < 1e-12].real
-            real = real[np.abs(real) < self.slowest]
+            real = real[np.abs(real) < self.slowest]  # none of them without delays
             if real.size:
                 found[j] = real[np.argmin(np.polyval(quartic, real))]
         return found

@@ -21,8 +21,8 @@ from idim.signals.run import Run
 class Estimate:
     """A number with its unit and standard deviation.
 
-    ``value`` is None where the data cannot tell, ``std`` None where the value is known. ``formula``
-    is the standard deviation that takes errors for independent.
+    ``value`` is None where the data cannot tell, ``std`` None where the value is known. ``spread`` is the
+    standard deviation between runs of a parameter that may drift; its value is then the mean.
     """
 
     name: str
@@ -30,6 +30,7 @@ class Estimate:
     std: float | None
     unit: str
     regrouping: str = ""
+    spread: float | None = None
 
     @property
     def rel_std(self) -> float | None:
@@ -88,6 +89,8 @@ class Result:
         ``"ml"``, ``"mixed"``, ``"tls"``, ``"wls"`` or ``"ols"``.
     drive_gains, delays : dict
         Joint name to :class:`Estimate`.
+    friction : dict
+        Friction terms beyond the paper's that the data ask for; name to Estimate.
     parameters, essential : dict
         All base parameters, and those left by the ratio rule and re-estimated; name to Estimate.
     payloads : tuple of PayloadEstimate
@@ -111,6 +114,7 @@ class Result:
     delays: Mapping[str, Estimate]
     parameters: Mapping[str, Estimate]
     essential: Mapping[str, Estimate]
+    friction: Mapping[str, Estimate]
     payloads: tuple[PayloadEstimate, ...]
     residuals: tuple[TorqueError, ...]
     covariance_names: tuple[str, ...]

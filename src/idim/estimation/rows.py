@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from idim.estimation.friction import term_columns
 from idim.model.inverse_dynamics import InverseDynamics, Regressor
 from idim.signals.decimation import Decimator
 from idim.signals.preparation import Prepared
@@ -19,7 +20,8 @@ class Rows:
     """Rows of all joints at K output instants.
 
     ``time`` (K,) in s; ``keep`` (n, K); ``entries`` of the regressor (entries, K); ``currents``
-    (3, n, K): the command and its first two time derivatives; ``outputs`` their numbers in the run.
+    (3, n, K): the command and its first two time derivatives; ``terms`` (2, n, K), the columns of further
+    friction; ``outputs`` their numbers in the run.
     ``condition`` is the largest condition number of the closures among the block's samples.
     """
 
@@ -27,12 +29,29 @@ class Rows:
     keep: np.ndarray
     entries: np.ndarray
     currents: np.ndarray
+    terms: np.ndarray
     outputs: slice
     condition: float
 
 
-def stream_rows(idm: InverseDynamics, regressor: Regressor, prepared: Prepared, decimator: Decimator) -> Iterator[Rows]:
+def stream_rows(
+    idm: InverseDynamics,
+    regressor: Regressor,
+    prepared: Prepared,
+    decimator: Decimator,
+    load: np.ndarray | None = None,
+) -> Iterator[Rows]:
     """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (section 3.1).
+
+    Parameters
+    ----------
+    idm, regressor : InverseDynamics, Regressor
+        The model, and the columns wanted of it.
+    prepared, decimator : Prepared, Decimator
+        The run, and its filter.
+    load : ndarray, optional
+        Values of the columns (columns,) that give the torques transmitted by the joints, for friction
+        that depends on them; without it the command stands in for the torque, up to the drive gain.
 
     Raises
     ------
@@ -53,11 +72,14 @@ def stream_rows(idm: InverseDynamics, regressor: Regressor, prepared: Prepared, 
         motion = idm.motion(q, qd, qdd, labels, start)
         path, begun = motion.c, at.start
         currents = np.stack([prepared.command[at].T, prepared.command_d[at].T, prepared.command_dd[at].T])
+        entries = regressor(idm.layout, motion)
+        effort = currents[0] if load is None else regressor.torques(entries, load, len(idm.actuated))
         yield Rows(
             time[block.outputs],
             keep[:, block.outputs],
-            decimator.apply(regressor(idm.layout, motion), block),
+            decimator.apply(entries, block),
             decimator.apply(currents, block),
+            decimator.apply(term_columns(qd, effort), block),
             block.outputs,
             float(motion.condition.max(initial=0.0)),
         )

@@ -38,6 +38,9 @@ def summary(result: Result) -> str:
         lines.append(f"{_row(joint, gain)}   {gain.unit:<10}{delay[0]:>11.3f}{delay[1]:>8.2g}")
     for payload in result.payloads:
         lines += ["-" * WIDTH, *payload_lines(payload)] if set(payload.parameters) - payload.known else []
+    if result.friction:
+        lines += ["-" * WIDTH, f"{'Further friction (BIC)':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
+        lines += [f"{_row(each.name, each)}   {each.unit}" for each in result.friction.values()]
     left_out = len(result.parameters) - len(result.essential)
     lines += [
         "-" * WIDTH,

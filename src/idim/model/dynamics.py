@@ -20,7 +20,10 @@ def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
     """Names of the standard parameters: 14 a joint (10 with ``"inertial"``) or what it has, then 10 a platform."""
     kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
     joints = [
-        f"{kind}_{joint.name}" for joint in robot.joints for kind in kinds[joint.parameters] if kind in kinds[parameters]
+        f"{kind}_{joint.name}"
+        for joint in robot.joints
+        for kind in kinds[joint.parameters]
+        if kind in kinds[parameters]
     ]
     platforms = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
     return (*joints, *platforms)

@@ -34,6 +34,14 @@ class Regressor:
         projection = motion.J[layout.passive].reshape(len(layout.passive) * len(layout.actuated), motion.c.shape[1])
         return self.program(np.vstack([motion.c, motion.yd, motion.ydd, projection]))
 
+    def torques(self, entries: np.ndarray, chi: np.ndarray, n: int) -> np.ndarray:
+        """Torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
+        tau = np.zeros((n, entries.shape[1]))
+        for entry, row, column in zip(entries, self.rows, self.columns, strict=True):
+            if chi[column]:
+                tau[row] += chi[column] * entry
+        return tau
+
 
 class InverseDynamics:
     """``tau_idm = IDM_st(q, qd, qdd) chi_st`` of a serial, tree or parallel robot.
@@ -149,11 +157,7 @@ class InverseDynamics:
         motion = self.motion(*self._samples(q, qd, qdd))
         vector = self._vector(chi)
         entries = self.full(self.layout, motion)
-        tau = np.zeros((entries.shape[1], len(self.actuated)))
-        for k, (row, column) in enumerate(zip(self.full.rows, self.full.columns, strict=True)):
-            if vector[column]:
-                tau[:, row] += entries[k] * vector[column]
-        return tau
+        return self.full.torques(entries, vector, len(self.actuated)).T
 
     def _samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
         n = len(self.actuated)
