@@ -12,7 +12,7 @@ from idim.errors import IdimError
 from idim.estimation.assembly import Assembly, assemble
 from idim.estimation.base_parameters import BaseParameters, base_parameters
 from idim.estimation.factors import Factors, reduce_run
-from idim.estimation.friction import Friction
+from idim.estimation.friction import PAPER, Friction
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.robot import Robot
 from idim.signals.experiment import Experiment, LoggedRun, Payload
@@ -49,7 +49,7 @@ class Data:
         return tuple(f"{each.run.name}: {note}" for each in self.prepared for note in (*each.run.notes, *each.notes))
 
     def assembly(
-        self, friction: Friction = Friction(), delays: bool = True, payloads: Sequence[Payload | None] | None = None
+        self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None
     ) -> Assembly:
         """The estimation problem with this friction; if need be without delays, or with other known payload values."""
         payloads = [run.payload for run in self.runs] if payloads is None else payloads

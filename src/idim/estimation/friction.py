@@ -33,6 +33,10 @@ class Friction:
     per_run: bool = False
 
 
+PAPER = Friction()
+"""Viscous and Coulomb friction and an offset, shared by all runs."""
+
+
 def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
     """Columns of the terms, (2, n, N), from speeds and transmitted torques (n, N)."""
     return np.stack([qd**3, np.abs(effort) * np.sign(qd)])
@@ -70,5 +74,6 @@ def needed_terms(problem: Problem) -> tuple[str, ...]:
         subsets: list[tuple[str, ...]] = [()]
         for name in offered:
             subsets += [(*subset, name) for subset in subsets]
-        chosen += min(subsets, key=criterion)
+        criteria = [criterion(subset) for subset in subsets]
+        chosen += subsets[int(np.argmin(criteria))]
     return tuple(chosen)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from idim.estimation.problem import Problem
 from idim.estimation.reduction import essential
 from idim.estimation.result import Result
 from idim.estimation.solution import Solution
+from idim.estimation.verdicts import Verdict, mass_verdict
 from idim.robots.load import load_robot
 from idim.robots.robot import Robot
 from idim.signals.experiment import check_robot, read_experiment
@@ -111,8 +113,35 @@ def identify(
     final = solve if as_paper else (lambda problem: wls(problem, solution.gains))
     candidates = tuple(name for name in data.base.names if name in assembly.problem.parameters)
     kept, reduced = essential(assembly.problem, candidates, final, 10.0 if as_paper and ratio is None else ratio)
+    masses = weigh_known(data, assembly, method) if method in FOR_GAINS else {}
     progress("estimation", 1, 1)
-    return make_result(data, assembly, method, solution, covariance, kept, reduced)
+    if as_paper:  # the gains that go with the essential parameters
+        assembly, solution, covariance = replace(assembly, problem=kept), reduced, reduced.covariance
+    return make_result(data, assembly, method, solution, covariance, kept, reduced, masses)
+
+
+def weigh_known(data: Data, assembly: Assembly, method: str) -> dict[str, Verdict]:
+    """Weigh each known payload with the gains found from the others: verdicts by name, none with a single payload."""
+    known = {run.payload.name: run.payload for run in data.runs if run.payload and run.payload.mass is not None}
+    verdicts = {}
+    for name, payload in known.items() if len(known) > 1 else ():
+        unknown = payload.model_copy(update={"mass": None})
+        payloads = [unknown if run.payload and run.payload.name == name else run.payload for run in data.runs]
+        other = data.assembly(assembly.friction, assembly.problem.slowest > 0, payloads)
+        solution = FOR_GAINS[method](other.problem)
+        std = np.sqrt(np.diag(solution.jackknife))
+        columns = [
+            other.problem.parameters.index(label)
+            for each in other.payloads
+            if each.payload.name == name
+            for label, kind in each.unknown.items()
+            if kind == "m" and label in other.problem.parameters
+        ]
+        if columns and payload.mass is not None:
+            best = min(columns, key=lambda k: float(std[k]))
+            deviation = float(np.hypot(std[best], payload.mass_std))
+            verdicts[name] = mass_verdict(payload.mass, float(solution.theta[best]), deviation)
+    return verdicts
 
 
 def with_friction(data: Data, solve: Callable[[Problem], Solution], progress: Progress) -> tuple[Data, Assembly]:

@@ -1,4 +1,4 @@
-"""What a solution means: estimates with names, units and deviations, and what is not to be trusted."""
+"""What a solution means: estimates with names, units, deviations and verdicts."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from idim.estimation.friction import UNITS
 from idim.estimation.problem import Problem
 from idim.estimation.result import Estimate, PayloadEstimate, Result, TorqueError, torque_unit, unit_of
 from idim.estimation.solution import Solution
+from idim.estimation.verdicts import GOOD, Verdict, gain_verdicts, parameter_verdict
 from idim.robots.robot import INERTIAL, Robot
 
 
@@ -23,110 +24,99 @@ def make_result(
     covariance: np.ndarray,
     kept: Problem,
     reduced: Solution,
+    masses: Mapping[str, Verdict],
 ) -> Result:
-    """Name what a solution found, with units, standard deviations and warnings.
+    """Name what a solution found.
 
-    ``covariance`` is that of (theta, gains, delays); ``reduced`` solves ``kept``, the problem with the
-    essential parameters only.
+    Parameters
+    ----------
+    data, assembly, method : Data, Assembly, str
+        What was identified, and by which estimator.
+    solution, covariance : Solution, ndarray
+        Estimates with all base parameters, and the covariance of (theta, gains, delays).
+    kept, reduced : Problem, Solution
+        The problem with the essential parameters only, and its solution.
+    masses : mapping
+        Verdicts on known payloads, by name.
     """
-    robot, problem, joints = data.robot, assembly.problem, data.model.actuated
+    robot, problem, joints, base = data.robot, assembly.problem, data.model.actuated, data.base
     n_theta, n = problem.n_theta, len(joints)
     std = np.sqrt(np.diag(covariance))
-    finds_gains = bool(std[n_theta : n_theta + n].any())
-    found = {name: (solution.theta[k], std[k]) for k, name in enumerate(problem.parameters)}
-    reduced_std = np.sqrt(np.diag(reduced.jackknife))
-    essential_found = {name: (reduced.theta[k], reduced_std[k]) for k, name in enumerate(kept.parameters)}
-    current = data.runs[0].kind == "current"
-
-    def estimate(name: str, column: str, regrouping: str, values: Mapping[str, tuple[float, float]]) -> Estimate:
-        kind, body = column.split("_", 1)
-        value, deviation = values.get(name, (None, None))
-        return Estimate(
-            name, _number(value), _number(deviation), unit_of(kind, robot, body), regrouping, spread.get(name)
-        )
-
+    gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
+    units = [torque_unit(robot, joint) for joint in joints]
+    of_current = data.runs[0].kind == "current"
+    verdicts = gain_verdicts(problem, solution, gain_std) if gain_std.any() else (GOOD,) * n
+    found = _named(problem, solution.theta, std)
+    essential = _named(kept, reduced.theta, np.sqrt(np.diag(reduced.jackknife)))
     spread = _spread(assembly, solution.theta)
 
-    base = data.base
-    described = list(zip(base.names, base.standard, (base.regroupings[name] for name in base.names), strict=True))
-    unit = {joint: torque_unit(robot, joint) for joint in joints}
+    def parameter(k: int, values: Mapping[str, tuple[float, float]]) -> Estimate:
+        name, (kind, body) = base.names[k], base.standard[k].split("_", 1)
+        value, deviation = values.get(name, (None, None))
+        unit, verdict = unit_of(kind, robot, body), parameter_verdict(value, deviation)
+        return Estimate(name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict)
+
     signal = [
-        np.linalg.norm(R[:, n_theta + 1]) / np.sqrt(rows)
+        float(np.linalg.norm(R[:, n_theta + 1]) / np.sqrt(rows))
         for R, rows in zip(problem.triangles, problem.total_rows, strict=True)
     ]
-    gains = {
-        joint: Estimate(
-            joint,
-            float(solution.gains[k]),
-            float(std[n_theta + k]) if finds_gains else None,
-            f"{unit[joint]}/A" if current else "1",
-        )
-        for k, joint in enumerate(joints)
-    }
     return Result(
         robot=robot,
         method=method,
         kind=data.runs[0].kind,
-        drive_gains=gains,
-        delays={
-            joint: Estimate(joint, float(solution.delays[k]), float(std[n_theta + n + k]), "s")
+        drive_gains={
+            joint: Estimate(
+                joint,
+                float(solution.gains[k]),
+                float(gain_std[k]) if gain_std.any() else None,
+                f"{units[k]}/A" if of_current else "1",
+                verdict=verdicts[k],
+            )
             for k, joint in enumerate(joints)
         },
-        parameters={name: estimate(name, column, text, found) for name, column, text in described},
-        essential={
-            name: estimate(name, column, text, essential_found)
-            for name, column, text in described
-            if name in kept.parameters
+        delays={
+            joint: Estimate(joint, float(solution.delays[k]), float(delay_std[k]) or None, "s")
+            for k, joint in enumerate(joints)
         },
+        parameters={name: parameter(k, found) for k, name in enumerate(base.names)},
+        essential={name: parameter(k, essential) for k, name in enumerate(base.names) if name in essential},
         friction={
-            name: Estimate(name, *map(float, found[name]), term_unit(robot, name))
-            for name in assembly.friction.terms
+            name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]))
+            for name, unit in _terms(assembly, robot)
             if name in found
         },
-        payloads=payload_estimates(data, assembly, solution.theta, covariance),
+        payloads=payload_estimates(data, assembly, solution.theta, covariance, masses),
         residuals=tuple(
-            TorqueError(joint, float(abs(g) * s), float(abs(g) * v), unit[joint])
-            for joint, g, s, v in zip(joints, solution.gains, solution.sigma, signal, strict=True)
+            TorqueError(joint, float(abs(solution.gains[k]) * solution.sigma[k]), abs(solution.gains[k]) * v, units[k])
+            for k, (joint, v) in enumerate(zip(joints, signal, strict=True))
         ),
         covariance_names=(*problem.parameters, *(f"gain_{j}" for j in joints), *(f"delay_{j}" for j in joints)),
         covariance=covariance,
         preparation=data.preparation,
         statistics={**solution.statistics, "largest_condition": max(each.condition for each in data.factors)},
         runs=tuple(run.name for run in data.runs),
-        notes=(*data.notes, *_warnings(assembly, solution, std[n_theta : n_theta + n])),
+        notes=data.notes,
     )
 
 
-def term_unit(robot: Robot, name: str) -> str:
-    """Unit of a friction term such as ``f3_11``."""
-    term, joint = name.split("_", 1)
-    return UNITS[robot.joint(joint).kind][term]
-
-
-def _spread(assembly: Assembly, theta: np.ndarray) -> dict[str, float]:
-    """Standard deviation between runs of each friction parameter that may drift."""
-    values = dict(zip(assembly.problem.parameters, theta, strict=True))
-    deviations: dict[str, list[float]] = {}
-    for name, value in values.items():
-        if "@" in name:
-            deviations.setdefault(name.split("@")[0], []).append(float(value))
-    # the deviations of all runs add up to zero, and the last is not listed
-    return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in deviations.items()}
-
-
 def payload_estimates(
-    data: Data, assembly: Assembly, theta: np.ndarray, covariance: np.ndarray
+    data: Data,
+    assembly: Assembly,
+    theta: np.ndarray,
+    covariance: np.ndarray,
+    masses: Mapping[str, Verdict],
 ) -> tuple[PayloadEstimate, ...]:
     """The payload of every loaded run, known and unknown parameters together.
 
-    ``theta`` are the problem's parameters, the first that ``covariance`` is of.
+    ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
+    known payloads, by name.
     """
     robot = data.robot
-    std = np.sqrt(np.diag(covariance))
-    found = {name: (theta[k], std[k]) for k, name in enumerate(assembly.problem.parameters)}
+    found = _named(assembly.problem, theta, np.sqrt(np.diag(covariance)))
     payloads = []
     for each in assembly.payloads:
         known = known_values(each.payload)
+        label = {kind: name for name, kind in each.unknown.items()}
         estimates = {}
         for kind in INERTIAL:
             unit = unit_of(kind, robot, robot.tool)
@@ -134,44 +124,29 @@ def payload_estimates(
                 deviation = each.payload.mass_std or None if kind == "m" else None
                 estimates[kind] = Estimate(kind, known[kind], deviation, unit, kind)
             elif kind in each.regroupings:
-                name = next(name for name, of in each.unknown.items() if of == kind)
-                value, deviation = found.get(name, (None, None))
-                estimates[kind] = Estimate(kind, _number(value), _number(deviation), unit, each.regroupings[kind])
-        payloads.append(PayloadEstimate(each.payload.name, data.runs[each.run].name, estimates, frozenset(known)))
+                value, deviation = found.get(label[kind], (None, None))
+                verdict = parameter_verdict(value, deviation)
+                estimates[kind] = Estimate(kind, value, deviation, unit, each.regroupings[kind], verdict=verdict)
+        name, run = each.payload.name, data.runs[each.run].name
+        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
     return tuple(payloads)
 
 
-def _number(value: float | None) -> float | None:
-    return None if value is None else float(value)
+def _named(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tuple[float, float]]:
+    return {name: (float(theta[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
 
 
-def _warnings(assembly: Assembly, solution: Solution, gain_std: np.ndarray) -> list[str]:
-    notes = []
-    if assembly.unexcited:
-        notes.append(
-            f"these motions cannot tell {', '.join(assembly.unexcited)} from the parameters listed before them: "
-            "no value is given; "
-            "add runs that move all joints in other ways"
-        )
-    ratio = solution.statistics.get("singular_ratio")
-    if ratio is not None and ratio < 3:
-        notes.append(
-            "this result is not to be trusted: the two smallest singular values of W_tot differ by a factor of "
-            f"only {ratio:.2f} (3 is "
-            "needed), so the noise decides which of two directions is the solution; use --method ml"
-        )
-    if not gain_std.any():
-        return notes
-    if np.all(solution.gains < 0):
-        notes.append(
-            "all drive gains are negative: the sign of all currents or of all positions, or of gravity, is "
-            "likely to be wrong"
-        )
-    for joint, gain, std in zip(assembly.problem.joints, solution.gains, gain_std, strict=True):
-        if std > 0.03 * abs(gain):
-            notes.append(
-                f"the drive gain of joint '{joint}' is weak (standard deviation {100 * std / abs(gain):.1f} %): "
-                "use a heavier payload, or "
-                "motions in which this joint lifts or accelerates it more"
-            )
-    return notes
+def _terms(assembly: Assembly, robot: Robot) -> list[tuple[str, str]]:
+    """Further friction terms and their units."""
+    split = [(name, *name.split("_", 1)) for name in assembly.friction.terms]
+    return [(name, UNITS[robot.joint(joint).kind][term]) for name, term, joint in split]
+
+
+def _spread(assembly: Assembly, theta: np.ndarray) -> dict[str, float]:
+    """Standard deviation between runs of each friction parameter that may drift."""
+    deviations: dict[str, list[float]] = {}
+    for name, value in zip(assembly.problem.parameters, theta, strict=True):
+        if "@" in name:
+            deviations.setdefault(name.split("@")[0], []).append(float(value))
+    # the deviations of all runs add up to zero, and the last is not listed
+    return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in deviations.items()}

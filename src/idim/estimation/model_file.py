@@ -11,6 +11,7 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.estimation.result import Estimate, PayloadEstimate, Result, TorqueError
+from idim.estimation.verdicts import Outcome, Verdict
 from idim.files import write_atomically
 from idim.robots.native import native_text, parse_native
 from idim.signals.decimation import Decimator
@@ -58,6 +59,7 @@ def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, A
         {
             "name": each.name,
             "run": each.run,
+            **_verdict(each.verdict),
             "parameters": {
                 kind: _estimate(estimate) | {"known": kind in each.known, "regrouping": estimate.regrouping}
                 for kind, estimate in each.parameters.items()
@@ -74,7 +76,12 @@ def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
         "std": estimate.std,
         "rel_std": estimate.rel_std,
         "unit": estimate.unit,
+        **_verdict(estimate.verdict),
     }
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    return {"outcome": verdict.outcome.value, "why": verdict.why, "advice": verdict.advice}
 
 
 def _parameter(estimate: Estimate) -> dict[str, Any]:
@@ -134,6 +141,7 @@ def _result(document: Mapping[str, Any], path: str | Path) -> Result:
                 each["run"],
                 {kind: _read(entry) for kind, entry in each["parameters"].items()},
                 frozenset(kind for kind, entry in each["parameters"].items() if entry["known"]),
+                _read_verdict(each),
             )
             for each in document["payloads"]
         ),
@@ -161,4 +169,10 @@ def _estimates(entries: list[Mapping[str, Any]], key: str = "name") -> dict[str,
 
 def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
     value, std = (None if entry[k] is None else float(entry[k]) for k in ("value", "std"))
-    return Estimate(entry[key], value, std, entry["unit"], entry.get("regrouping", ""), entry.get("spread"))
+    return Estimate(
+        entry[key], value, std, entry["unit"], entry.get("regrouping", ""), entry.get("spread"), _read_verdict(entry)
+    )
+
+
+def _read_verdict(entry: Mapping[str, Any]) -> Verdict:
+    return Verdict(Outcome(entry["outcome"]), entry["why"], entry["advice"])

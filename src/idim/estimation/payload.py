@@ -79,7 +79,7 @@ def weigh(
     if covariance is not None:
         slopes = np.stack([_slope(assembly.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
-    estimates = payload_estimates(data, assembly, solution.theta, total)
+    estimates = payload_estimates(data, assembly, solution.theta, total, {})
     return tuple(each for each in estimates if "m" not in each.known)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from idim.estimation.base_parameters import BaseParameters, base_parameters
+from idim.estimation.verdicts import GOOD, Verdict
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.robot import Robot
 from idim.signals.experiment import Payload
@@ -22,7 +23,8 @@ class Estimate:
     """A number with its unit and standard deviation.
 
     ``value`` is None where the data cannot tell, ``std`` None where the value is known. ``spread`` is the
-    standard deviation between runs of a parameter that may drift; its value is then the mean.
+    standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
+    says whether to believe it.
     """
 
     name: str
@@ -31,6 +33,7 @@ class Estimate:
     unit: str
     regrouping: str = ""
     spread: float | None = None
+    verdict: Verdict = GOOD
 
     @property
     def rel_std(self) -> float | None:
@@ -46,6 +49,7 @@ class PayloadEstimate:
     run: str
     parameters: Mapping[str, Estimate]
     known: frozenset[str]
+    verdict: Verdict = GOOD
 
 
 @dataclass(frozen=True)

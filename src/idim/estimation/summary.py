@@ -5,9 +5,8 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 
-import numpy as np
-
 from idim.estimation.result import Estimate, PayloadEstimate, Result
+from idim.estimation.verdicts import Outcome
 
 WIDTH = 96
 METHODS = {
@@ -32,10 +31,13 @@ def summary(result: Result) -> str:
         f"decimation {preparation.decimator.factor} ({preparation.decimator.kind})",
         "=" * WIDTH,
     ]
-    lines += [f"{'Drive gains':<26}{'value':>12}{'std':>10}{'std %':>8}   {'unit':<10}{'delay, ms':>11}{'std':>8}"]
+    lines += [
+        f"{'Drive gains':<26}{'value':>12}{'std':>10}{'std %':>8}   {'unit':<9}{'delay, ms':>11}{'std':>8}   verdict"
+    ]
     for joint, gain in result.drive_gains.items():
-        delay = 1e3 * np.array([result.delays[joint].value or 0.0, result.delays[joint].std or 0.0])
-        lines.append(f"{_row(joint, gain)}   {gain.unit:<10}{delay[0]:>11.3f}{delay[1]:>8.2g}")
+        value, std = result.delays[joint].value, result.delays[joint].std
+        delay = f"{1e3 * (value or 0.0):>11.3f}{'' if std is None else f'{1e3 * std:.2g}':>8}"
+        lines.append(f"{_row(joint, gain)}   {gain.unit:<9}{delay}   {gain.verdict.outcome}")
     for payload in result.payloads:
         lines += ["-" * WIDTH, *payload_lines(payload)] if set(payload.parameters) - payload.known else []
     if result.friction:
@@ -57,7 +59,7 @@ def summary(result: Result) -> str:
     ]
     if "singular_ratio" in result.statistics:
         lines.append(f"  ratio of the two smallest singular values of W_tot: {result.statistics['singular_ratio']:.2f}")
-    lines += ["=" * WIDTH, *_notes(result.notes)]
+    lines += ["=" * WIDTH, *_notes([*_beliefs(result), *result.notes])]
     return "\n".join(line.rstrip() for line in lines)
 
 
@@ -76,6 +78,33 @@ def _row(name: str, estimate: Estimate) -> str:
     std = "" if estimate.std is None else f"{estimate.std:.2g}"
     relative = "" if estimate.rel_std is None else f"{estimate.rel_std:.2f}" if estimate.rel_std < 1000 else "> 1000"
     return f"  {name:<24}{value:>12}{std:>10}{relative:>8}"
+
+
+def _beliefs(result: Result) -> list[str]:
+    """What is not good, and what to do about it; one sentence for all joints that share it."""
+    shared: dict[str, list[str]] = {}
+    for joint, gain in result.drive_gains.items():
+        if gain.verdict.outcome != Outcome.GOOD:
+            shared.setdefault(gain.verdict.sentence, []).append(f"'{joint}'")
+    sentences = [f"drive gain of {', '.join(joints)} {sentence}" for sentence, joints in shared.items()]
+    for payload in {each.name: each for each in result.payloads}.values():
+        if payload.verdict.outcome != Outcome.GOOD:
+            sentences.append(f"payload '{payload.name}' {payload.verdict.sentence}")
+    masses = {each.name for each in result.payloads if "m" in each.known}
+    if len(masses) == 1 and result.drive_gains and next(iter(result.drive_gains.values())).std is not None:
+        sentences.append(
+            f"all gains scale with the mass given for payload '{masses.pop()}': a wrong one cannot be noticed "
+            "with a single known "
+            "payload, only with a second one of another mass"
+        )
+    lost = [name for name, each in result.parameters.items() if each.value is None]
+    if lost:
+        sentences.append(
+            f"these motions cannot tell {', '.join(lost)} from the parameters listed before them: no value is "
+            "given; add runs that "
+            "move all joints in other ways"
+        )
+    return sentences
 
 
 def _notes(notes: Iterable[str]) -> list[str]:

@@ -1,0 +1,167 @@
+"""Verdicts: whether a number is to be believed, why not, and what to do about it.
+
+A cross-validated torque says nothing about a wrong gain, as both sides of the equation carry it. What
+does show one is a large deviation under the block jackknife, an estimate that moves when another
+estimator uses the same data, and joints whose equations hold alone but not together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from idim.estimation.current_domain import two_stage
+from idim.estimation.problem import Problem
+from idim.estimation.solution import Solution
+
+
+class Outcome(StrEnum):
+    """What can be said of an estimate."""
+
+    GOOD = "good"
+    WEAK = "weak"
+    NOT_IDENTIFIABLE = "not identifiable"
+    CONTRADICTORY = "contradictory"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """An outcome, why, and what to do."""
+
+    outcome: Outcome
+    why: str = ""
+    advice: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """The verdict as one sentence, without its subject."""
+        return self.outcome.value + (f": {self.why}; {self.advice}" if self.why else "")
+
+
+GOOD = Verdict(Outcome.GOOD)
+WEAK_GAIN = 0.03  # relative standard deviation
+LOST_GAIN = 0.5
+WEAK_PARAMETER = 0.2
+MISFIT = 0.25  # share of a joint's current that the model may leave unexplained
+APART = 3.0  # standard deviations between two estimates of one number
+ALONE = 0.6  # a joint's error by its own equations over that with all joints together
+SINGULAR_GAP = 3.0
+
+
+def gain_verdicts(problem: Problem, solution: Solution, std: np.ndarray) -> tuple[Verdict, ...]:
+    """Verdict on every drive gain.
+
+    Parameters
+    ----------
+    problem, solution : Problem, Solution
+        What was solved, and how.
+    std : ndarray
+        Standard deviations of the gains (n,).
+    """
+    signal = np.array(
+        [
+            np.linalg.norm(R[:, problem.n_theta + 1]) / np.sqrt(rows)
+            for R, rows in zip(problem.triangles, problem.total_rows, strict=True)
+        ]
+    )
+    misfit, alone = solution.sigma / signal, problem.own_sigma / solution.sigma
+    apart = np.abs(solution.gains - two_stage(problem)[0]) / std
+    relative = std / np.abs(solution.gains)
+    singular = solution.statistics.get("singular_ratio", np.inf)
+    return tuple(
+        _gain_verdict(misfit[j], alone[j], apart[j], relative[j], singular, bool(np.all(solution.gains < 0)))
+        for j in range(len(problem.joints))
+    )
+
+
+def _gain_verdict(
+    misfit: float, alone: float, apart: float, relative: float, singular: float, all_negative: bool
+) -> Verdict:
+    if all_negative:
+        return Verdict(
+            Outcome.CONTRADICTORY,
+            "all drive gains are negative",
+            "check the sign of the currents and positions, gravity, and which runs carry the payload",
+        )
+    if misfit > MISFIT:
+        return Verdict(
+            Outcome.CONTRADICTORY,
+            f"the model leaves {100 * misfit:.0f} % of this joint's current unexplained",
+            "check that its position and current columns belong together, in all runs, and their signs and units",
+        )
+    if alone < ALONE:
+        return Verdict(
+            Outcome.CONTRADICTORY,
+            f"this joint's equations alone are met {1 / alone:.1f} times better than together with the other joints'",
+            "check the order and signs of the joints, the direction of gravity and the robot's geometry",
+        )
+    if singular < SINGULAR_GAP:
+        return Verdict(
+            Outcome.CONTRADICTORY,
+            f"not to be trusted, as the two smallest singular values of W_tot differ by a factor of only {singular:.2f} "
+            "(3 is needed) and noise decides between two directions",
+            "use --method ml",
+        )
+    if relative > LOST_GAIN:
+        return Verdict(
+            Outcome.NOT_IDENTIFIABLE,
+            f"its standard deviation is {100 * relative:.0f} % of it",
+            "use a heavier payload, and motions in which this joint lifts or accelerates it",
+        )
+    if apart > APART:
+        return Verdict(
+            Outcome.CONTRADICTORY,
+            f"two estimators differ by {apart:.1f} standard deviations on the same data",
+            "check the signs and the payload of every run, and gravity; otherwise add runs of other motions",
+        )
+    if relative > WEAK_GAIN:
+        return Verdict(
+            Outcome.WEAK,
+            f"its standard deviation is {100 * relative:.1f} %",
+            "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; "
+            "if other joints are weak too, check which runs carry the payload",
+        )
+    return GOOD
+
+
+def parameter_verdict(value: float | None, std: float | None) -> Verdict:
+    """Verdict on a parameter from its value and standard deviation."""
+    if value is None:
+        return Verdict(
+            Outcome.NOT_IDENTIFIABLE,
+            "these motions do not tell it from the parameters listed before it",
+            "add runs that move the joints in other ways",
+        )
+    if std is None:
+        return GOOD
+    if abs(value) < 2 * std:
+        return Verdict(
+            Outcome.NOT_IDENTIFIABLE,
+            "it is within two standard deviations of zero",
+            "take it for small, or move its joint faster and further",
+        )
+    if std > WEAK_PARAMETER * abs(value):
+        return Verdict(Outcome.WEAK, f"its standard deviation is {100 * std / abs(value):.0f} %", "add longer runs")
+    return GOOD
+
+
+def mass_verdict(declared: float, weighed: float, std: float) -> Verdict:
+    """Verdict on a known payload that has been weighed with the gains found from the others."""
+    if abs(weighed - declared) > APART * std:
+        return Verdict(
+            Outcome.CONTRADICTORY,
+            f"with the drive gains found from the other payloads it weighs {weighed:.4g} +- {std:.2g} kg, not "
+            f"{declared:.4g} kg",
+            "weigh the payloads again; one of the masses is wrong, or a run carries another payload than it says",
+        )
+    return GOOD
+
+
+def worst(verdicts: Mapping[str, Verdict] | Sequence[Verdict]) -> Outcome:
+    """The worst outcome of several."""
+    found = list(verdicts.values()) if isinstance(verdicts, Mapping) else list(verdicts)
+    order = list(Outcome)
+    return max((verdict.outcome for verdict in found), key=order.index, default=Outcome.GOOD)
