@@ -50,27 +50,35 @@ def mixed(problem: Problem) -> Solution:
         rest = np.linalg.solve(R[:m, :m] / scales, -R[:m, m:] @ gains) / scales
         return _scaled(np.concatenate([rest[:-1], gains, rest[-1:]]))
 
-    units = _total(problem, 1 / problem.own_sigma)
+    weights = 1 / problem.own_sigma
+    units = _total(problem, weights)
     W_tot = triangle(*units)
     chi = solver(W_tot)
-    # errors of the currents, seen through g: the residual's own size per joint
-    left = np.sum((W_tot @ chi) ** 2) / (problem.total_rows.sum() - len(chi))
-    covariance = left * np.linalg.inv(W_tot[:, :-1].T @ W_tot[:, :-1])
-    return _solution(problem, chi, covariance, units, solver, {})
+    # scaled rows hold currents with errors of one size, which enter the equations through the gains
+    squares = chi[n_theta:-1] ** 2
+    size = np.sum((W_tot @ chi) ** 2) / (squares @ problem.total_rows * (1 - len(chi) / problem.total_rows.sum()))
+    back = np.linalg.pinv(triangle(W_tot[:, :-1]))
+    middle = np.zeros((len(chi) - 1, len(chi) - 1))
+    for j, R in enumerate(problem.triangles):
+        white = _rows(problem, R, j, weights[j])[:, :-1] @ back
+        middle += squares[j] * white.T @ white
+    return _solution(problem, chi, size * back @ middle @ back.T, units, solver, {})
 
 
 def _total(problem: Problem, weights: np.ndarray) -> list[np.ndarray]:
     """Triangular factors of the weighted ``W_tot`` of every unit, (U,) of (., n_theta + n + 1)."""
-    n, n_theta = len(problem.joints), problem.n_theta
-    factors = []
-    for unit in problem.units:
-        blocks = np.zeros((n, unit.shape[1], n_theta + n + 1))
-        for j in range(n):
-            blocks[j, :, :n_theta] = -unit[j, :, :n_theta]
-            blocks[j, :, n_theta + j] = unit[j, :, n_theta + 1 :] @ delayed(problem.own_delays[j])
-            blocks[j, :, -1] = -unit[j, :, n_theta]
-        factors.append(triangle((blocks * weights[:, None, None]).reshape(-1, n_theta + n + 1)))
-    return factors
+    joints = range(len(problem.joints))
+    return [triangle(*(_rows(problem, unit[j], j, weights[j]) for j in joints)) for unit in problem.units]
+
+
+def _rows(problem: Problem, block: np.ndarray, j: int, weight: float) -> np.ndarray:
+    """Rows of ``W_tot`` from a block (., n_theta + 4) of joint j."""
+    n_theta = problem.n_theta
+    rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
+    rows[:, :n_theta] = -block[:, :n_theta]
+    rows[:, n_theta + j] = block[:, n_theta + 1 :] @ delayed(problem.own_delays[j])
+    rows[:, -1] = -block[:, n_theta]
+    return weight * rows
 
 
 def _own_sigma_W(problem: Problem, j: int) -> float:

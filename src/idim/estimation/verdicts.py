@@ -101,7 +101,8 @@ def _gain_verdict(
     if singular < SINGULAR_GAP:
         return Verdict(
             Outcome.CONTRADICTORY,
-            f"not to be trusted, as the two smallest singular values of W_tot differ by a factor of only {singular:.2f} "
+            "not to be trusted, as the two smallest singular values of W_tot differ by a factor of only "
+            f"{singular:.2f} "
             "(3 is needed) and noise decides between two directions",
             "use --method ml",
         )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
+from math import floor, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from idim.files import write_atomically
 
@@ -28,7 +29,11 @@ LINES: tuple[dict[str, Any], ...] = (
 )
 """How the lines of joints are drawn, in their order; a seventh begins again."""
 
-STYLE: dict[str, Any] = {
+PRIOR: dict[str, Any] = {"color": VERMILION, "marker": "D", "markerfacecolor": "white"}
+IDENTIFIED: dict[str, Any] = {"color": BLUE, "marker": "o"}
+"""How values found with the prior gains, and with the identified ones, are drawn."""
+
+STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so that figures look the same everywhere
     "font.size": 9,
@@ -49,6 +54,9 @@ STYLE: dict[str, Any] = {
     "xtick.labelcolor": BLACK,
     "ytick.labelcolor": BLACK,
     "lines.linewidth": 1.3,
+    "lines.markersize": 6,
+    "lines.markeredgewidth": 1.6,
+    "errorbar.capsize": 4,
     "legend.frameon": False,
     "legend.fontsize": 9,
     "legend.handlelength": 2.6,
@@ -74,10 +82,30 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def light_grid(axes: Axes, axis: str = "both") -> None:
+def light_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
     """A faint grid without tick marks."""
     axes.grid(True, axis=axis)
     axes.tick_params(length=0)
+
+
+def with_interval(value: float, half: float) -> str:
+    """A value and half its interval, to two digits of the latter."""
+    digits = max(0, 1 - floor(log10(half))) if half > 0 else 4
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
+
+
+def value_label(axes: Axes, text: str, x: float, y: float, color: str) -> None:
+    """A value written above its marker."""
+    axes.annotate(
+        text,
+        (x, y),
+        xytext=(0, 9),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        color=color,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+    )
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:

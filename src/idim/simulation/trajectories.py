@@ -16,13 +16,14 @@ from idim.robots.robot import Robot
 
 Trajectory = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
-FREQUENCIES = np.array([0.1, 0.2, 0.3, 0.5, 0.8, 1.3, 2.1, 3.4])  # Hz
+FREQUENCIES = np.array([0.1, 0.2, 0.35, 0.55, 0.85, 1.35, 2.15, 3.45])  # Hz
 RAMP = 1.5  # s, from rest to full motion and back
+REST = 0.05  # s, between two moves
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """What a trajectory may use: ``center`` of the positions and ``reach`` to either side, speed, acceleration, (n,)."""
+    """What a trajectory may use, (n,) each: positions ``reach`` to either side of ``center``, speed, acceleration."""
 
     center: np.ndarray
     reach: np.ndarray
@@ -52,7 +53,7 @@ def envelope(robot: Robot, share: float = 0.9) -> Envelope:
 
 
 def _blend(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fifth-order polynomial from 0 to 1 at rest at both ends, and its first two derivatives, for u clipped to [0, 1]."""
+    """Fifth-order polynomial from 0 to 1, at rest at both ends of [0, 1], and its first two derivatives."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
 
@@ -122,17 +123,19 @@ class PointToPoint:
         )
 
 
-def point_to_point(within: Envelope, duration: float, rng: np.random.Generator, rest: float = 0.05) -> PointToPoint:
-    """Moves between random points, each as fast as the envelope lets it be, with ``rest`` seconds between them."""
-    points, starts, spans, now = [within.center], [], [], 0.0
+def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:
+    """Moves between random points, each as fast as the envelope lets it be, with a short rest between them."""
+    points, now = [within.center], 0.0
+    starts: list[float] = []
+    spans: list[float] = []
     while True:
         target = within.center + within.reach * rng.uniform(-1.0, 1.0, len(within.center))
         way = np.abs(target - points[-1])
         # the greatest speed and acceleration of the blend are 15/8 and 10/sqrt(3)
-        span = max((1.875 * way / within.velocity).max(), np.sqrt(5.7736 * way / within.acceleration).max())
+        span = float(max((1.875 * way / within.velocity).max(), np.sqrt(5.7736 * way / within.acceleration).max()))
         if starts and now + span > duration:
             return PointToPoint(np.array(points), np.array(starts), np.array(spans))
         points.append(target)
         starts.append(now)
         spans.append(span)
-        now += span + rest
+        now += span + REST

@@ -1,0 +1,210 @@
+"""Logs made by inverse dynamics, and the demo that is built on them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import idim
+from idim.cli import app
+from idim.errors import IdimError
+from idim.report import demo as demo_module
+from idim.report.demo import COMMANDS, LOGS, demo
+from idim.robots.load import load_robot
+from idim.robots.robot import Joint, Robot
+from idim.signals.experiment import Payload
+from idim.signals.run import read_run
+from idim.simulation.orthoglide_truth import drives, standard_parameters
+from idim.simulation.synthetic import Drive, synthetic_run, write_log
+from idim.simulation.trajectories import envelope, point_to_point, sines
+
+SIGNALS = {
+    "time": "t",
+    "position": {j: f"q{j}" for j in ("11", "12", "13")},
+    "current": {j: f"v{j}" for j in ("11", "12", "13")},
+}
+PERFECT = Drive(100.0, 0.0, 0.0, 1.0, 0.0, 1e-9, 1e-9)
+
+
+def silent(what: str, done: int, total: int) -> None:
+    assert 0 <= done <= total
+
+
+@pytest.fixture(scope="module")
+def model() -> idim.InverseDynamics:
+    return idim.InverseDynamics(load_robot("orthoglide"))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], str]:
+    out = tmp_path_factory.mktemp("demo")
+    return out, *demo(out, silent, duration=8.0)
+
+
+@pytest.mark.parametrize("plan", [sines, point_to_point])
+@pytest.mark.parametrize("name", ["orthoglide", "ur10e"])
+def test_trajectories_stay_in_their_envelope_and_are_consistent(plan: Any, name: str, rng: np.random.Generator) -> None:
+    within = envelope(load_robot(name))
+    time, step = np.arange(-200, 8201) / 1000, 1e-5
+    trajectory = plan(within, 8.0, rng)
+    q, qd, qdd = trajectory(time)
+    used = np.array(
+        [
+            np.abs(each).max(axis=0) / limit
+            for each, limit in ((q - within.center, within.reach), (qd, within.velocity), (qdd, within.acceleration))
+        ]
+    )
+    assert 0.95 < used.max() < 1.01
+    for outside in (time <= 0, time >= 8):
+        assert np.ptp(q[outside], axis=0).max() < 1e-12
+        assert np.abs(qd[outside]).max() < 1e-9
+        assert np.abs(qdd[outside]).max() < 1e-6
+    after, before = trajectory(time + step), trajectory(time - step)
+    np.testing.assert_allclose((after[0] - before[0]) / (2 * step), qd, atol=1e-6 * np.abs(qd).max())
+    np.testing.assert_allclose((after[1] - before[1]) / (2 * step), qdd, atol=2e-3 * np.abs(qdd).max())
+
+
+def test_a_joint_without_limits_is_refused() -> None:
+    robot = Robot("arm", (Joint("a", "ground", "revolute"),))
+    with pytest.raises(IdimError, match="joint 'a' has no position limit"):
+        envelope(robot)
+
+
+def test_the_current_is_the_torque_ahead_in_time(model: idim.InverseDynamics, rng: np.random.Generator) -> None:
+    chi, truth = (
+        standard_parameters(),
+        {
+            joint: Drive(**{**vars(PERFECT), "delay": d})
+            for joint, d in zip(model.actuated, (0.0, 0.004, 0.004), strict=True)
+        },
+    )
+    trajectory = sines(envelope(model.robot), 6.0, rng)
+    time = np.arange(2000, 4000) / 1000
+    run = synthetic_run("r", model, trajectory, time, chi, truth, rng)
+    for j, drive in enumerate(truth.values()):
+        expected = model.torques(*trajectory(time + drive.delay), chi)[:, j]
+        np.testing.assert_allclose(run.command[:, j] * drive.gain, expected, atol=1e-6)
+    np.testing.assert_allclose(run.position, trajectory(time)[0], atol=1e-8)
+
+
+def test_a_payload_is_a_further_body_on_the_platform(model: idim.InverseDynamics, rng: np.random.Generator) -> None:
+    chi, trajectory, time = standard_parameters(), sines(envelope(model.robot), 6.0, rng), np.arange(2000) / 1000
+    truth = dict.fromkeys(model.actuated, PERFECT)
+    empty, loaded = (
+        synthetic_run("r", model, trajectory, time, chi, truth, rng, load)
+        for load in (None, Payload(name="p", mass=2.0))
+    )
+    alone = model.torques(*trajectory(time), {"m_P": 2.0})
+    np.testing.assert_allclose((loaded.command - empty.command) * 100, alone, atol=1e-6)
+    assert chi == standard_parameters()
+
+
+def test_a_written_log_reads_back(model: idim.InverseDynamics, rng: np.random.Generator, tmp_path: Path) -> None:
+    time = np.arange(2001) / 1000
+    run = synthetic_run("r", model, sines(envelope(model.robot), 2.0, rng), time, standard_parameters(), drives(), rng)
+    write_log(run, tmp_path / "log.csv")
+    back = read_run(tmp_path / "log.csv", SIGNALS)
+    assert back.notes == ()
+    np.testing.assert_array_equal(back.position, run.position)
+    np.testing.assert_array_equal(back.command, run.command)
+    encoder = run.position / drives()["11"].position_quantum
+    np.testing.assert_allclose(encoder, np.round(encoder), atol=1e-3)
+
+
+def test_the_true_orthoglide_has_the_sums_of_the_papers_table_3(model: idim.InverseDynamics) -> None:
+    base = idim.base_parameters(model)
+    chi = standard_parameters()
+    value = dict(zip(base.names, base.matrix @ [chi.get(name, 0.0) for name in model.parameter_names], strict=True))
+    table = {"m_11R": 9.40, "m_12R": 8.95, "m_13R": 0.87, "ia_13R": 8.05, "m_PR": 0.92, "fv_12": 86.7, "fs_13": 24.1}
+    assert {name: value[name] for name in table} == pytest.approx(table, abs=1e-4)
+    masses = [number for name, number in chi.items() if name.startswith(("m_", "ia_"))]
+    assert min(masses) > 0
+
+
+def test_the_demo_finds_the_gains_and_weighs_the_payload(made: tuple[Path, dict[str, Any], str]) -> None:
+    _, document, text = made
+    for gain in document["drive_gains"]:
+        assert abs(gain["error"]) < 0.3
+        assert abs(gain["value"] - gain["true"]) < 4 * gain["std"]
+        assert gain["prior_error"] < -3
+        assert f"{gain['value']:.1f}" in text
+    second = document["second_payload"]
+    assert second["identified"]["value"] == pytest.approx(1.136, abs=0.005)
+    assert second["prior"]["value"] == pytest.approx(1.09, abs=0.01)
+    assert all(each["relative"] < 1.0 for each in document["validation"])
+
+
+def test_the_demo_writes_what_it_lists_and_nothing_else(made: tuple[Path, dict[str, Any], str]) -> None:
+    out, document, text = made
+    json.dumps(document, allow_nan=False)
+    assert sorted(document["files"]) == sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
+    assert text in (out / "README.txt").read_text(encoding="utf-8")
+    if any(name.startswith("figures/") for name in document["files"]):
+        assert all(path.read_bytes().startswith(b"\x89PNG") for path in (out / "figures").iterdir())
+
+
+def test_the_printed_commands_give_the_same_numbers(
+    made: tuple[Path, dict[str, Any], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, document, _ = made
+    monkeypatch.chdir(out)
+    before = (out / "model.json").read_bytes()
+    found = []
+    for command in COMMANDS:
+        done = CliRunner().invoke(app, [*command.split()[1:], "--json"])
+        assert done.exit_code == 0, done.output
+        found.append(json.loads(done.stdout))
+    assert (out / "model.json").read_bytes() == before
+    identified, validated, *weighed = found
+    assert [each["value"] for each in identified["drive_gains"]] == [each["value"] for each in document["drive_gains"]]
+    assert validated["runs"][0]["joints"] == document["validation"]
+    for gains, each in zip(("prior", "identified"), weighed, strict=True):
+        assert each["payloads"][0]["parameters"]["m"]["value"] == document["second_payload"][gains]["value"]
+
+
+def test_without_matplotlib_the_demo_says_so(
+    made: tuple[Path, dict[str, Any], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, document, _ = made
+    monkeypatch.setattr(demo_module, "find_spec", lambda name: None)
+    outcome: Any = None
+    figures = demo_module.write_figures(out, outcome, lambda time: (time, time, time), 1.0, silent)
+    text = demo_module.report({**document, "files": ["README.txt", *figures]})
+    assert "pip install 'idim[plot]'" in text
+
+
+def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None:
+    class Stop(Exception):
+        pass
+
+    def stop(what: str, done: int, total: int) -> None:
+        if done == 2:
+            raise Stop
+
+    with pytest.raises(Stop):
+        demo(tmp_path, stop, duration=3.0)
+    assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == [f"{name}.csv" for name, _, _ in LOGS[:2]]
+
+
+def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_path: Path) -> None:
+    matplotlib = pytest.importorskip("matplotlib")
+    from idim.estimation.result import Estimate
+    from idim.report.figures import payload_figure
+    from idim.report.style import save_figure
+
+    before = dict(matplotlib.rcParams)
+    matplotlib.rcParams["font.size"] = 20
+    try:
+        for k in range(2):
+            matplotlib.rcParams["lines.linewidth"] = 1.0 + k
+            figure = payload_figure(Estimate("m", 1.09, 0.001, "kg"), Estimate("m", 1.136, 0.002, "kg"), 1.136)
+            save_figure(figure, tmp_path / f"{k}.png")
+        assert matplotlib.rcParams["font.size"] == 20
+    finally:
+        matplotlib.rcParams.update(before)
+    assert (tmp_path / "0.png").read_bytes() == (tmp_path / "1.png").read_bytes()
