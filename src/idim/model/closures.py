@@ -1,9 +1,9 @@
 """Loop-closure equations derived from the geometry (paper, eqs. 3 to 10).
 
 A closure ties two frames; its residual is how far their origins (and, for a weld, their axes) are
-apart in base axes. A coupling ties joint coordinates by a linear equation. Differentiated once it gives ``G yd = 0``, in which the columns of the passive
-coordinates are J_k and J_tk of the paper and those of the actuated ones B_p; differentiated twice,
-``G ydd + gamma = 0``.
+apart in base axes. A coupling ties joint coordinates by a linear equation. Differentiated once both
+give ``G yd = 0``, in which the columns of the passive coordinates are J_k and J_tk of the paper and
+those of the actuated ones B_p; differentiated twice, ``G ydd + gamma = 0``.
 """
 
 from __future__ import annotations

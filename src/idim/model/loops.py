@@ -22,7 +22,9 @@ CONTRACTION = 0.3  # a step is too long if Newton's second correction is not thi
 REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
 SHORTEST = 2.0**-14  # of the way between two samples: shorter steps mean that there is no way
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
+FAR = 1.0  # rad, or characteristic lengths: what the home of a robot's file may be wrong by
 SEGMENTS = 512
+CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
 
 
 class Labels(Protocol):
@@ -95,8 +97,15 @@ def close_loops(layout: Coordinates) -> Loops:
         raise IdimError(
             f"robot '{robot.name}': the loops do not close near the home configuration, closure {worst + 1} "
             f"('{closure.a.body}' to '{closure.b.body}') stays open by {1e3 * distance:.3g} mm and "
-            f"{np.degrees(angle):.3g} degrees; correct the placements or give the passive joints a 'home' closer to the "
-            "assembled robot."
+            f"{np.degrees(angle):.3g} degrees; {CLOSER}."
+        )
+    joints = slice(len(robot.joints))
+    moved = (c[joints, 0] - layout.home[joints]) / np.where(layout.angular[joints], 1.0, equations.length)
+    if np.abs(moved).max() > FAR:
+        k = int(np.abs(moved).argmax())
+        raise IdimError(
+            f"robot '{robot.name}': the loops close only far from the home configuration, with joint "
+            f"'{layout.names[k]}' at {c[k, 0]:.4g} instead of {layout.home[k]:.4g}; {CLOSER}."
         )
     G_p, G_a = _jacobians(loops, c)
     rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
@@ -106,14 +115,15 @@ def close_loops(layout: Coordinates) -> Loops:
         free = np.abs(np.linalg.svd(G_p[:, :, 0])[2][rank:]).max(axis=0) > 1e-6
         names = ", ".join(layout.names[k] for k in layout.passive[free])
         raise IdimError(
-            f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home configuration "
-            f"{names} can still move ({n_passive - rank} dof); actuate more joints, or move home away from a singular pose."
+            f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home "
+            f"configuration {names} can still move ({n_passive - rank} dof); actuate more joints, or move home away "
+            "from a singular pose."
         )
     if total > rank:
         raise IdimError(
             f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints "
-            f"({', '.join(robot.actuated)}) for {layout.n_y - total} dof; mark {total - rank} of them passive, or check the "
-            "closures and the dof of platforms."
+            f"({', '.join(robot.actuated)}) for {layout.n_y - total} dof; mark {total - rank} of them passive, or "
+            "check the closures and the dof of platforms."
         )
     return Loops(layout, equations, c[:, 0], rank)
 
@@ -183,7 +193,7 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTE
     going = np.arange(c.shape[1])
     while going.size:
         there = np.minimum(travelled[going] + stride[going], 1.0)
-        target = start[:, going] + there * (q[:, going] - start[:, going])
+        target = (1.0 - there) * start[:, going] + there * q[:, going]  # exact at its ends
         tried, closed = _newton(loops, c[:, going], target)
         c[:, going[closed]] = tried[:, closed]
         travelled[going[closed]] = there[closed]
@@ -219,11 +229,15 @@ def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.
         return c
     length = -(-samples // SEGMENTS)
     starts = np.arange(0, samples, length)
-    heads, reached = advance(loops, c[:, starts], q[:, starts])
-    if not reached[0]:
+    c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
+    if not first_reached[0]:
         raise _unreachable(loops, q[:, 0], labels[0])
+    reached = np.ones(starts.size, dtype=bool)
+    half = 1 << (starts.size - 1).bit_length()
+    while half := half // 2:  # the head in the middle of the way, those of its halves, and so on
+        heads = np.arange(half, starts.size, 2 * half)
+        c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
     segments = np.flatnonzero(reached)
-    c[:, starts[segments]] = heads[:, segments]
     lost = _march(loops, q, c, starts[segments], length)
     # a segment must begin where the one before it leads
     led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
@@ -265,8 +279,8 @@ def _march(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, lengt
 
 def _unreachable(loops: Loops, q: np.ndarray, label: str) -> IdimError:
     return IdimError(
-        f"robot '{loops.layout.robot.name}': at {label} ({_pose(loops, q)}) the loops cannot be closed, or only beyond a "
-        "singular pose, outside the assembly mode of home; check the units, signs and zeros of the positions and the "
+        f"robot '{loops.layout.robot.name}': at {label} ({_pose(loops, q)}) the loops cannot be closed, or only beyond "
+        "a singular pose, outside the assembly mode of home; check the units, signs and zeros of the positions and the "
         "robot's geometry, or leave these samples out."
     )
 
@@ -312,9 +326,10 @@ def differentiate(
         worst = int(np.argmax(condition))
         label = (labels or _Numbers())[worst]
         raise IdimError(
-            f"robot '{layout.robot.name}': at {label} ({_pose(loops, c[layout.actuated, worst])}) the pose is too close to "
-            f"a singularity (condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the worst of "
-            f"{int(singular.sum())} such among {samples} samples; leave them out or keep the motion away from it."
+            f"robot '{layout.robot.name}': at {label} ({_pose(loops, c[layout.actuated, worst])}) the pose is too "
+            f"close to a singularity (condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the "
+            f"worst of {int(singular.sum())} such among {samples} samples; leave them out or keep the motion away "
+            "from it."
         )
     J = np.zeros((layout.n_y, n, samples))
     J[layout.actuated, np.arange(n)] = 1.0

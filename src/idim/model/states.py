@@ -46,7 +46,9 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) 
         return idm.motion(q, qd, qdd)
     # no shorter steps: poses well before a singularity serve better than those as near to it as can be
     c, _ = advance(idm.loops, np.repeat(idm.loops.home[:, None], samples, axis=1), q, shortest=2.0**-7)
-    regular = idm.loops.condition(c) < CONDITION / 10
+    arrived = c[idm.layout.actuated]
+    inside = ((bounds[:, :1] <= arrived) & (arrived <= bounds[:, 1:])).all(axis=0)  # home may lie outside
+    regular = inside & (idm.loops.condition(c) < CONDITION / 10)
     if regular.sum() < samples // 10:
         raise IdimError(
             f"robot '{idm.robot.name}': only {regular.sum()} of {samples} random poses within the limits can be "
