@@ -4,13 +4,13 @@ Each engine builds the spanning tree: the joints, and every platform as a chain 
 freedom that starts from its home pose. Both chains sum up to the same robot, but the engines differ in
 the order and the meaning of their velocity coordinates; torques at the actuated joints do not.
 Closures are solved here by Newton on the engine's own frames, and their inverse dynamics follow by
-projection. ``chi`` maps names of parameters (``xx_J`` .. ``m_J ia_J fv_J fs_J off_J``) to values; drive
-parameters may be absent, masses must be positive.
+projection; couplings are rows of the closures' equations. ``chi`` maps names of parameters (``xx_J`` .. ``m_J ia_J
+fv_J fs_J off_J``) to values; what is absent is zero, masses that are present must be positive.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -20,12 +20,16 @@ import pinocchio as pin
 from idim.robots.robot import DRIVE, GROUND, INERTIAL, ROTATIONS, TRANSLATIONS, Joint, Robot
 
 Parameters = Mapping[str, float]
+MASSLESS = 1e-14
 
 
 def random_parameters(robot: Robot, rng: np.random.Generator) -> dict[str, float]:
     """Parameters of bodies that could be built: clouds of point masses, whose pseudo-inertia is positive."""
     chi = {}
+    kinds = {joint.name: joint.parameters for joint in robot.joints}
     for body in robot.bodies:
+        if kinds.get(body, "all") not in ("all", "inertial"):
+            continue
         masses = rng.uniform(0.05, 0.5, 10)
         points = rng.uniform(-0.2, 0.2, 3) + rng.normal(0.0, 0.15, (10, 3))
         second = np.einsum("i,ij,ik->jk", masses, points, points)
@@ -33,9 +37,9 @@ def random_parameters(robot: Robot, rng: np.random.Generator) -> dict[str, float
         values = (*inertia[np.triu_indices(3)], *masses @ points, masses.sum())
         chi |= {f"{kind}_{body}": float(value) for kind, value in zip(INERTIAL, values, strict=True)}
     for joint in robot.joints:
-        chi |= {
-            f"{kind}_{joint.name}": float(value) for kind, value in zip(DRIVE, rng.uniform(0.1, 1.0, 4), strict=True)
-        }
+        values = rng.uniform(0.1, 1.0, 4)
+        if joint.parameters in ("all", "drive"):
+            chi |= {f"{kind}_{joint.name}": float(value) for kind, value in zip(DRIVE, values, strict=True)}
     return chi
 
 
@@ -70,7 +74,7 @@ class Pinocchio:
                 parent = model.addJoint(parent, chain_joint, placement, f"{platform.name} {model.njoints}")
                 placement = pin.SE3.Identity()
             body[platform.name] = (parent, pin.SE3(platform.home.rotation, np.zeros(3)))
-        for name in robot.bodies:
+        for name in (name for name in robot.bodies if f"m_{name}" in chi):
             xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[f"{kind}_{name}"] for kind in INERTIAL)
             inertia = pin.Inertia.FromDynamicParameters(np.array([m, mx, my, mz, xx, xy, yy, xz, yz, zz]))
             model.appendBodyToJoint(body[name][0], inertia, body[name][1])
@@ -194,6 +198,15 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _add_body(spec, parent, placement, name: str, chi: Parameters):
+    if f"m_{name}" not in chi:  # MuJoCo knows no massless bodies
+        return parent.add_body(
+            name=name,
+            pos=placement.position,
+            quat=_quaternion(placement.rotation),
+            explicitinertial=True,
+            mass=MASSLESS,
+            inertia=[MASSLESS] * 3,
+        )
     xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[f"{kind}_{name}"] for kind in INERTIAL)
     com = np.array([mx, my, mz]) / m
     at_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (com @ com * np.eye(3) - np.outer(com, com))
@@ -245,11 +258,20 @@ def closed_torques(
     return closed_motion(robot, chi, q, qd, qdd, engine).tau
 
 
-def closed_motion(
-    robot: Robot, chi: Parameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, engine: Engine = Pinocchio
-) -> ClosedMotion:
-    """Motion and forces of all joints, from those of the actuated ones, (N, actuated)."""
-    tree = engine(robot, chi)
+@dataclass(frozen=True)
+class ClosedState:
+    """One state of a closed robot in an engine's own coordinates."""
+
+    y: np.ndarray  # (nq,)
+    v: np.ndarray  # (nv,)
+    vd: np.ndarray  # (nv,)
+    J: np.ndarray  # (nv, actuated)
+
+
+def closed_states(
+    robot: Robot, tree: Pinocchio | Mujoco, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> list[ClosedState]:
+    """States of the whole tree from those of the actuated joints, (N, actuated)."""
     moved = np.array([joint.actuated for joint in robot.joints])
     actuated = tree.joint_v[moved]
     free = np.setdiff1d(np.arange(tree.nv), actuated)
@@ -272,10 +294,36 @@ def closed_motion(
         _, _, drift = _constraint(tree, robot, y, v)
         vd = J @ acceleration
         vd[free] -= _solve(C[:, free], drift)
-        tau = tree.torques(y, v, vd)
-        tau[tree.joint_v] += _drive(robot, chi, v[tree.joint_v], vd[tree.joint_v])
-        samples.append((y[tree.joint_q], v[tree.joint_v], vd[tree.joint_v], J[tree.joint_v], J.T @ tau))
+        samples.append(ClosedState(y, v, vd, J))
+    return samples
+
+
+def closed_motion(
+    robot: Robot, chi: Parameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, engine: Engine = Pinocchio
+) -> ClosedMotion:
+    """Motion and forces of all joints, from those of the actuated ones, (N, actuated)."""
+    tree = engine(robot, chi)
+    samples = []
+    for state in closed_states(robot, tree, q, qd, qdd):
+        motion = state.y[tree.joint_q], state.v[tree.joint_v], state.vd[tree.joint_v], state.J[tree.joint_v]
+        samples.append((*motion, _torques(robot, tree, chi, state)))
     return ClosedMotion(*(np.array(rows) for rows in zip(*samples, strict=True)))
+
+
+def torques_of(robot: Robot, sets: Sequence[Parameters], q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Forces of the actuated joints for many sets of parameters, (N * actuated, sets), by Pinocchio."""
+    states = closed_states(robot, Pinocchio(robot, sets[0]), q, qd, qdd)
+    columns = []
+    for chi in sets:
+        tree = Pinocchio(robot, chi)
+        columns.append(np.concatenate([_torques(robot, tree, chi, state) for state in states]))
+    return np.column_stack(columns)
+
+
+def _torques(robot: Robot, tree: Pinocchio | Mujoco, chi: Parameters, state: ClosedState) -> np.ndarray:
+    tau = tree.torques(state.y, state.v, state.vd)
+    tau[tree.joint_v] += _drive(robot, chi, state.v[tree.joint_v], state.vd[tree.joint_v])
+    return state.J.T @ tau
 
 
 def _drive(robot: Robot, chi: Parameters, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -298,6 +346,15 @@ def _constraint(
         error.append(np.concatenate([a.position - b.position, turn])[rows])
         C.append((a.jacobian - b.jacobian)[rows])
         drift.append((a.drift - b.drift)[rows])
+    index = [joint.name for joint in robot.joints]
+    for coupling in robot.couplings:
+        row = np.zeros(tree.nv)
+        row[tree.joint_v[index.index(coupling.joint)]] = 1.0
+        for name, ratio in coupling.ratios:
+            row[tree.joint_v[index.index(name)]] = -ratio
+        error.append(np.array([row[tree.joint_v] @ y[tree.joint_q] - coupling.offset]))
+        C.append(row[None, :])
+        drift.append(np.zeros(1))
     return np.concatenate(error), np.concatenate(C), np.concatenate(drift)
 
 

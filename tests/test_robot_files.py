@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from idim.errors import IdimError
 from idim.robots.load import catalog_names, load_robot
 from idim.robots.native import native_text, read_native, write_native
-from idim.robots.robot import GROUND, Attachment, Closure, Joint, Limits, Mdh, Platform, Pose, Robot
+from idim.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Limits, Mdh, Platform, Pose, Robot
 from idim.robots.urdf import read_urdf
 from idim.robots.yaml_document import read_yaml
 
@@ -142,11 +142,12 @@ def test_load_robot_accepts_what_people_have(tmp_path: Path) -> None:
     ("name", "sentence"),
     [
         ("orthoglid", "no robot is called 'orthoglid' (did you mean 'orthoglide'?)"),
-        ("xyz", "no robot is called 'xyz'; choose from the catalog (five-bar, orthoglide, ur10e) or give the path"),
+        ("xyz", "no robot is called 'xyz'; choose from the catalog (3-rrr, delta, emps, five-bar,"),
         ("missing.yaml", "missing.yaml cannot be read: no such file or directory"),
         ("missing.urdf", "missing.urdf: the file cannot be read (no such file or directory)"),
         ("arm.xacro", "expand it with 'xacro arm.xacro > arm.urdf'"),
-        (__file__, "is neither a .yaml nor a .urdf file"),
+        ("robot.sdf", "robot.sdf is an SDF file, which is not read, since it does not say which joints have motors"),
+        (__file__, "ends in none of .yaml, .urdf, .xml (MJCF), .par or .csv; give it the ending of what it holds."),
     ],
 )
 def test_load_robot_refuses(name: str, sentence: str) -> None:
@@ -213,33 +214,58 @@ positive = st.none() | st.floats(1e-3, 1e3)
     home=numbers,
     limits=st.builds(Limits, st.none() | st.just((-0.1, 0.2)), positive, positive, positive),
     gravity=triples,
+    parameters=st.sampled_from(("all", "inertial", "drive", "none")),
+    coupled=st.none() | st.tuples(positive.filter(bool), numbers),
+    notes=st.lists(st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8), max_size=2),
 )
 def test_any_robot_survives_writing_and_reading(
     tmp_path_factory: pytest.TempPathFactory, robot, name, source, first, second, ends, kinds, closed, actuated, home,
-    limits, gravity,
+    limits, gravity, parameters, coupled, notes,
 ) -> None:  # fmt: skip
     joints = (
         Joint(name, GROUND, kinds[0], first, home=home, limits=limits),
-        Joint("b", name, kinds[1], second, actuated=actuated),
+        Joint("b", name, kinds[1], second, actuated=actuated, parameters=parameters),
     )
     platform = Platform("P", ("x", "rz"), Pose((home, 0.0, 0.0)))
     closures = (
         Closure("weld", Attachment("b", ends[0]), Attachment("P", ends[1])),
         Closure("connect", Attachment(GROUND, Mdh()), Attachment("b")),
     )
-    made = Robot(robot, joints, (platform,) * closed, closures * closed, gravity, source)
+    couplings = (Coupling("b", ((name, coupled[0]),), coupled[1]),) if coupled else ()
+    made = Robot(robot, joints, (platform,) * closed, closures * closed, couplings, gravity, source, tuple(notes))
     path = tmp_path_factory.getbasetemp() / "any.yaml"
     path.write_text(native_text(made), encoding="utf-8")
-    assert read_native(path) == made
+    read_back = read_native(path)
+    assert read_back == made
+    assert read_back.notes == made.notes
 
 
 def test_a_write_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(IdimError, match="cannot be written: no such file or directory"):
+    with pytest.raises(IdimError, match=r"cannot be written \(No such file or directory\)"):
         write_native(load_robot("ur10e"), tmp_path / "nowhere" / "robot.yaml")
     (tmp_path / "taken").mkdir()
     with pytest.raises(IdimError, match="cannot be written"):
         write_native(load_robot("ur10e"), tmp_path / "taken")
     assert [file.name for file in tmp_path.iterdir()] == ["taken"]
+
+
+def test_the_command_saves_and_draws(tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    from idim.cli import app
+
+    saved, drawn = tmp_path / "five-bar.yaml", tmp_path / "five-bar.png"
+    done = CliRunner().invoke(app, ["robot", "five-bar", "--save", str(saved), "--figure", str(drawn)])
+    assert done.exit_code == 0
+    assert "1 closure, 3 equations of rank 2" in done.output
+    assert read_native(saved) == load_robot("five-bar")
+    assert drawn.read_bytes()[:4] == b"\x89PNG"
+    # what cannot be moved yet, such as a table to which closures will be added, can be saved all the same
+    table = tmp_path / "table.csv"
+    table.write_text("j,a,mu,sigma,gamma,b,alpha,d,theta,r\n1,0,1,0,0,0,0,0,q,0\n2,1,0,0,0,0,0,1,q,0\n")
+    refused = CliRunner().invoke(app, ["robot", str(table), "--save", str(saved)])
+    assert refused.exit_code == 2
+    assert read_native(saved) == load_robot(table)
 
 
 def test_mdh_axis_other_than_z_has_no_words() -> None:
@@ -396,6 +422,15 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     ("one end", good("{body: k}, ", ""), ", line 9, closures.1.connect: 1 value is written; write 2."),
     ("three ends", good("{body: k}", "{body: k}, {body: j}"), ", line 9, closures.1.connect: 3 values are written;"),
     ("no kind", good(CLOSURE, "{}"), ", line 9, closures.1: a closure is either 'connect: [.., ..]' (points) or"),
+    ("ratio", GOOD + "couplings: [{joint: k, ratios: {j: x}}]\n", "couplings.1.ratios.j: unknown name 'x'; choose"),
+    ("no ratios", GOOD + "couplings: [{joint: k, ratios: {}}]\n", ": robot 'r': coupling 1 must give 'k' from one or"),
+    ("coupled to nothing", GOOD + "couplings: [{joint: k, ratios: {z: 2}}]\n", ": coupling 1 names 'z', which is no"),
+    ("ratio of zero", GOOD + "couplings: [{joint: k, ratios: {j: 0}}]\n", "coupling 1 of 'k' has a ratio of zero;"),
+    (
+        "joint's parameters",
+        good("theta: q", "theta: q, parameters: few"),
+        "joints.j.parameters: write 'all', 'inertial'",
+    ),
     ("both placings", good("{body: k}", "{body: k, d: 1, rpy: [0, 0, 0]}"), "closures.1.connect.1: place it either by"),
     ("q in a closure", good("{body: k}", "{body: k, r: q}"), "closures.1.connect.1.r: the joint coordinate q cannot"),
 ]
@@ -523,7 +558,24 @@ BAD_URDFS: list[tuple[str, str, str]] = [
     ("empty", "<robot name='r'/>", ": robot 'r': it has no joints;"),
     ("floating", arm('<joint name="j" type="floating"/>'), ": joint 'j' is floating; only revolute, continuous,"),
     ("planar", arm('<joint name="j" type="planar"/>'), ": joint 'j' is planar; only revolute, continuous,"),
-    ("mimic", arm(HINGE.format('<mimic joint="k"/>')), ": joint 'j' mimics another; make it fixed, or describe"),
+    (
+        "mimic of nothing",
+        arm(HINGE.format('<mimic joint="k"/>')),
+        ": robot 'r': coupling 1 names 'k', which is no joint.",
+    ),
+    ("mimic of itself", arm(HINGE.format('<mimic joint="j"/>')), ": robot 'r': coupling 1 must give 'j' from one or"),
+    ("mimic unnamed", arm(HINGE.format("<mimic/>")), ": <mimic> of joint 'j' has no joint; write joint="),
+    (
+        "mimic ratio",
+        arm(HINGE.format('<mimic joint="k" multiplier="x"/>')),
+        ": the multiplier of <mimic> of joint 'j' is",
+    ),
+    ("deep", "<robot>" + "<a>" * 300 + "</a>" * 300 + "</robot>", ": elements are nested more than 200 levels deep;"),
+    (
+        "mass",
+        '<robot name="r"><link name="a"><inertial><mass value="heavy"/></inertial></link></robot>',
+        ": the mass of link 'a' is 'heavy'; write a number.",
+    ),
     ("no type", arm('<joint name="j"/>'), ": joint 'j' has no type; write type=\"...\"."),
     ("no name", arm('<joint type="fixed"/>'), ': a joint has no name; write name="...".'),
     ("no parent", arm('<joint name="j" type="fixed"/>'), ": joint 'j' has no <parent link=...>; add it."),

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from idim.estimation.symmetry import identical_legs
 from idim.estimation.triangle import triangle
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.model.states import random_motion
-from idim.robots.robot import GROUND, INERTIAL, Robot
+from idim.robots.robot import INERTIAL, Robot
 
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
 SAMPLES = 1500
@@ -46,29 +47,11 @@ class BaseParameters:
         return len(self.names)
 
 
-def legs(robot: Robot) -> list[tuple[str, ...]]:
-    """The joints of every chain or tree that starts at the ground, in order."""
-    root: dict[str, str] = {}
-    found: dict[str, list[str]] = {}
-    for joint in robot.joints:
-        root[joint.name] = joint.name if joint.antecedent == GROUND else root[joint.antecedent]
-        found.setdefault(root[joint.name], []).append(joint.name)
-    return [tuple(names) for names in found.values()]
-
-
 def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
     """``names`` in the order of eq. (23): platforms first, then parameter by parameter over like legs."""
-    groups: dict[tuple, list[tuple[str, ...]]] = {}
-    for leg in legs(robot):
-        joints = [robot.joint(name) for name in leg]
-        form = tuple(
-            (joint.kind, joint.actuated, leg.index(joint.antecedent) if joint.antecedent in leg else -1)
-            for joint in joints
-        )
-        groups.setdefault(form, []).append(leg)
     order = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
     kinds = list(dict.fromkeys(name.split("_", 1)[0] for name in names))
-    for group in groups.values():
+    for group in identical_legs(robot):
         for alike in zip(*group, strict=True):
             order += [f"{kind}_{joint}" for kind in kinds for joint in alike]
     wanted = set(names)

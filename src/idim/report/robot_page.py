@@ -27,6 +27,7 @@ def describe(robot: Robot) -> dict[str, Any]:
     return {
         "robot": robot.name,
         "source": robot.source,
+        "notes": list(robot.notes),
         "degrees_of_freedom": len(model.actuated),
         "joints": [
             {
@@ -34,6 +35,7 @@ def describe(robot: Robot) -> dict[str, Any]:
                 "antecedent": joint.antecedent,
                 "kind": joint.kind,
                 "actuated": joint.actuated,
+                "parameters": joint.parameters,
                 "home": float(home[k]),
                 "unit": "rad" if joint.kind == "revolute" else "m",
             }
@@ -43,6 +45,10 @@ def describe(robot: Robot) -> dict[str, Any]:
         "loops": {
             "closures": [
                 {"kind": closure.kind, "between": [closure.a.body, closure.b.body]} for closure in robot.closures
+            ],
+            "couplings": [
+                {"joint": coupling.joint, "ratios": dict(coupling.ratios), "offset": coupling.offset}
+                for coupling in robot.couplings
             ],
             "rows": 0 if loops is None else loops.equations.rows,
             "rank": 0 if loops is None else loops.rank,
@@ -72,13 +78,22 @@ def robot_page(description: dict[str, Any]) -> str:
         role = "actuated" if joint["actuated"] else "passive"
         lines.append(
             "  "
-            f"{joint['name']:<22}{joint['antecedent']:<22}{joint['kind']:<11}{role:<10}{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']}"
+            f"{joint['name']:<22}{joint['antecedent']:<22}{joint['kind']:<11}{role:<10}"
+            f"{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']}"
         )
     for platform in description["platforms"]:
         lines.append(f"  {platform['name']:<22}platform, free in {' '.join(platform['dof'])}")
     if loops["rows"]:
-        lines += ["", f"  {len(loops['closures'])} closures, {loops['rows']} equations of rank {loops['rank']}:"]
+        counts = [
+            f"{count} {kind}{'s' if count > 1 else ''}"
+            for kind in ("closure", "coupling")
+            if (count := len(loops[f"{kind}s"]))
+        ]
+        lines += ["", f"  {' and '.join(counts)}, {loops['rows']} equations of rank {loops['rank']}:"]
         lines += [f"    {closure['kind']} {' - '.join(closure['between'])}" for closure in loops["closures"]]
+        lines += [f"    {_equation(coupling)}" for coupling in loops["couplings"]]
+    for note in description["notes"]:
+        lines += ["", *textwrap.wrap(f"note: {note}", 100, initial_indent="  ", subsequent_indent="        ")]
     lines += [
         "",
         f"  {base['count']} base parameters of {base['standard']} standard ones ({base['without_effect']} have no "
@@ -90,3 +105,9 @@ def robot_page(description: dict[str, Any]) -> str:
             f"{name} = {formula}" if formula != name else name, 96, initial_indent="    ", subsequent_indent="        "
         )
     return "\n".join(lines)
+
+
+def _equation(coupling: dict[str, Any]) -> str:
+    terms = [f"{ratio:+g} {name}" for name, ratio in coupling["ratios"].items()]
+    terms += [f"{coupling['offset']:+.6g}"] if coupling["offset"] else []
+    return f"{coupling['joint']} = {' '.join(terms).removeprefix('+')}"

@@ -17,6 +17,7 @@ from idim.robots.robot import (
     STANDARD_GRAVITY,
     Attachment,
     Closure,
+    Coupling,
     Joint,
     Limits,
     Mdh,
@@ -92,6 +93,7 @@ class _JointEntry(_PlacedEntry):
     actuated: bool | None = None
     home: Number = 0.0
     limits: _LimitsEntry = _LimitsEntry()
+    parameters: Literal["all", "inertial", "drive", "none"] = "all"
 
     @model_validator(mode="after")
     def _one_coordinate(self) -> _JointEntry:
@@ -135,14 +137,22 @@ class _ClosureEntry(_Entry):
         return self
 
 
+class _CouplingEntry(_Entry):
+    joint: str
+    ratios: dict[str, Number]
+    offset: Number = 0.0
+
+
 class _RobotEntry(_Entry):
     robot: str = Field(min_length=1)
     source: str = ""
+    notes: list[str] = []
     constants: dict[str, Any] = {}  # evaluated before all else, see _constants
     gravity: Triple = (0.0, 0.0, -STANDARD_GRAVITY)
     joints: dict[str, _JointEntry]
     platforms: dict[str, _PlatformEntry] = {}
     closures: list[_ClosureEntry] = []
+    couplings: list[_CouplingEntry] = []
 
 
 def read_native(path: str | Path) -> Robot:
@@ -172,8 +182,8 @@ def parse_native(text: str, path: str | Path) -> Robot:
 
 def _robot(document: Document) -> Robot:
     entry = validate(_RobotEntry, document, context=_constants(document))
-    # A loop leaves most joints passive, an open chain none: each default is the common case.
-    actuated_by_default = not entry.closures
+    # Loops and couplings leave most joints passive, an open chain none: each default is the common case.
+    actuated_by_default = not (entry.closures or entry.couplings)
     try:
         return Robot(
             name=entry.robot,
@@ -183,8 +193,13 @@ def _robot(document: Document) -> Robot:
                 for name, platform in entry.platforms.items()
             ),
             closures=tuple(map(_closure, entry.closures)),
+            couplings=tuple(
+                Coupling(coupling.joint, tuple(coupling.ratios.items()), coupling.offset)
+                for coupling in entry.couplings
+            ),
             gravity=entry.gravity,
             source=entry.source,
+            notes=tuple(entry.notes),
         )
     except IdimError as error:
         raise IdimError(f"{document.path}: {error}") from None
@@ -223,6 +238,7 @@ def _joint(name: str, entry: _JointEntry, actuated_by_default: bool) -> Joint:
         actuated=actuated_by_default if entry.actuated is None else entry.actuated,
         home=entry.home,
         limits=Limits(**dict(entry.limits)),
+        parameters=entry.parameters,
     )
 
 
@@ -256,12 +272,16 @@ def native_text(robot: Robot) -> str:
     IdimError
         A joint has an MDH placement and an axis other than z, for which the format has no words.
     """
+    passive = bool(robot.closures or robot.couplings)
     lines = [_flow({"robot": robot.name})]
     if robot.source:
         lines.append(_flow({"source": robot.source}))
+    if robot.notes:
+        lines.append("notes:")
+        lines += [f"  - {_flow_item(note)}" for note in robot.notes]
     lines.append(_flow({"gravity": list(robot.gravity)}))
     lines.append("joints:")
-    lines += [f"  {_flow({joint.name: _joint_data(joint, bool(robot.closures))})}" for joint in robot.joints]
+    lines += [f"  {_flow({joint.name: _joint_data(joint, passive)})}" for joint in robot.joints]
     if robot.platforms:
         lines.append("platforms:")
         lines += [
@@ -271,6 +291,9 @@ def native_text(robot: Robot) -> str:
     if robot.closures:
         lines.append("closures:")
         lines += [f"  - {_flow({c.kind: [_attachment_data(c.a), _attachment_data(c.b)]})}" for c in robot.closures]
+    if robot.couplings:
+        lines.append("couplings:")
+        lines += [f"  - {_flow_item(_coupling_data(coupling))}" for coupling in robot.couplings]
     return "\n".join(lines) + "\n"
 
 
@@ -292,11 +315,15 @@ def write_native(robot: Robot, path: str | Path) -> None:
 
 
 def _flow(data: dict[str, Any]) -> str:
-    text: str = yaml.safe_dump(data, default_flow_style=True, sort_keys=False, width=float("inf"), allow_unicode=True)
-    return text.strip()[1:-1]  # without the outer braces
+    return _flow_item(data)[1:-1]  # without the outer braces
 
 
-def _joint_data(joint: Joint, closed: bool) -> dict[str, Any]:
+def _flow_item(data: Any) -> str:
+    text: str = yaml.safe_dump([data], default_flow_style=True, sort_keys=False, width=float("inf"), allow_unicode=True)
+    return text.strip()[1:-1]  # without the list's brackets
+
+
+def _joint_data(joint: Joint, passive: bool) -> dict[str, Any]:
     data: dict[str, Any] = {"antecedent": joint.antecedent}
     if isinstance(joint.placement, Pose):
         data |= _pose_data(joint.placement) | {"axis": list(joint.axis), "type": joint.kind}
@@ -310,14 +337,21 @@ def _joint_data(joint: Joint, closed: bool) -> dict[str, Any]:
         data |= _mdh_data(joint.placement)
         offset = data.pop(moving, 0.0)
         data[moving] = f"q {'-' if offset < 0 else '+'} {abs(offset)!r}" if offset else "q"
-    if joint.actuated == closed:
+    if joint.actuated == passive:
         data["actuated"] = joint.actuated
     if joint.home:
         data["home"] = float(joint.home)
     limits = {key: value for key, value in asdict(joint.limits).items() if value is not None}
     if limits:
         data["limits"] = {key: list(value) if key == "position" else float(value) for key, value in limits.items()}
+    if joint.parameters != "all":
+        data["parameters"] = joint.parameters
     return data
+
+
+def _coupling_data(coupling: Coupling) -> dict[str, Any]:
+    data: dict[str, Any] = {"joint": coupling.joint, "ratios": {name: float(ratio) for name, ratio in coupling.ratios}}
+    return data | ({"offset": float(coupling.offset)} if coupling.offset else {})
 
 
 def _mdh_data(placement: Mdh) -> dict[str, Any]:

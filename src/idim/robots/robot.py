@@ -7,7 +7,7 @@ Everything here is frozen data. The mathematics lives in :mod:`idim.model`.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import cos, sin
 from typing import Literal
 
@@ -170,7 +170,8 @@ class Robot:
     """A spanning tree of joints, platforms and closures.
 
     Joints stand in an order in which every antecedent precedes its followers. ``gravity`` is the
-    acceleration of gravity in base axes, m/s2.
+    acceleration of gravity in base axes, m/s2. ``notes`` say what a reader found odd in the robot's file
+    or decided for the user, a sentence each.
     """
 
     name: str
@@ -180,6 +181,7 @@ class Robot:
     couplings: tuple[Coupling, ...] = ()
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
     source: str = ""
+    notes: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         _check(self)
@@ -196,8 +198,9 @@ class Robot:
 
     @property
     def tool(self) -> str:
-        """The body that carries a payload: the last platform, or without one the last link."""
-        return (self.platforms or self.joints)[-1].name
+        """The body that carries a payload: the last platform, or without one the last link that has a mass."""
+        links = [joint for joint in self.joints if joint.parameters in ("all", "inertial")]
+        return (self.platforms or links or self.joints)[-1].name
 
     def joint(self, name: str) -> Joint:
         """The joint of that name; raises KeyError."""

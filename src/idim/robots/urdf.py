@@ -6,22 +6,27 @@ Masses and inertias in the file are left aside: they are what is to be identifie
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from math import atan2, cos, isfinite, pi, sin
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
-from xml.etree.ElementTree import Element, ParseError
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from idim.errors import IdimError
-from idim.robots.robot import GROUND, Joint, Limits, Pose, Robot
+from idim.robots.geometry import ROUNDING, compose, rounded, rounded_pose
+from idim.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose, Robot
+from idim.robots.xml_document import attribute, numbers, read_xml
 
-MAX_BYTES = 1 << 24
-ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
-Kind = Literal["revolute", "prismatic", "fixed"]
-KINDS: dict[str, Kind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
+Kind = Literal["revolute", "prismatic"]
+KINDS: dict[str, Kind | None] = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "fixed": None,
+}
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -29,19 +34,35 @@ class _Edge:
     """A URDF joint as it stands in the file."""
 
     name: str
-    kind: Kind
+    kind: Kind | None  # None where nothing moves
     parent: str
     child: str
     origin: Pose
     element: Element
 
 
+@dataclass(frozen=True)
+class UrdfTree:
+    """What a URDF file describes.
+
+    ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
+    joint's frame and that of the link it moves are the same.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    couplings: tuple[Coupling, ...]
+    frames: Mapping[str, Attachment]
+    notes: tuple[str, ...]
+
+
 def read_urdf(path: str | Path) -> Robot:
     """Read a robot from a URDF file.
 
     Links that hang on fixed joints become part of the link that carries them. Joints stand depth first in the order
-    of the file; each keeps its name, and its link bears the name too. Gravity is along -z of the root link. Angles
-    within 1e-10 rad of a multiple of pi/2, and lengths below 1e-10 m, are taken as exact.
+    of the file; each keeps its name, and its link bears the name too. A joint that mimics another is passive and
+    coupled to it. Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths
+    below 1e-10 m, are taken as exact.
 
     Parameters
     ----------
@@ -50,7 +71,7 @@ def read_urdf(path: str | Path) -> Robot:
     Returns
     -------
     Robot
-        All joints actuated; positions in rad or m. A velocity or effort limit of 0 counts as not known.
+        Positions in rad or m. A velocity or effort limit of 0 counts as not known.
 
     Raises
     ------
@@ -59,35 +80,35 @@ def read_urdf(path: str | Path) -> Robot:
         joints.
     """
     path = Path(path)
+    tree = read_urdf_tree(path, {})
+    try:
+        return Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=tree.notes)
+    except IdimError as error:
+        raise IdimError(f"{path}: {error}") from None
+
+
+def read_urdf_tree(path: Path, types: Mapping[str, str]) -> UrdfTree:
+    """The tree of a URDF file, with the joints named in `types` read as SPHERICAL, CARDAN or FIXED instead.
+
+    A spherical joint becomes three revolute ones, about x, y and z, a cardan joint two, about x and y; the links in
+    between are massless, and the last one bears the joint's name.
+    """
     try:
         root = _parse(path)
         edges = [_edge(element) for element in root.findall("joint")]
-        links = [_attribute(element, "name", "a link") for element in root.findall("link")]
-        joints = tuple(_moving(_depth_first(links, edges)))
-        return Robot(root.get("name") or path.stem, joints, source=path.name)
+        links = [attribute(element, "name", "a link") for element in root.findall("link")]
+        ordered = _depth_first(links, edges)
+        joints, frames = _moving(ordered, types)
+        couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
+        slaves = {coupling.joint for coupling in couplings}
+        joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, tuple(_odd_masses(root)))
     except IdimError as error:
         raise IdimError(f"{path}: {error}") from None
 
 
 def _parse(path: Path) -> Element:
-    from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import fromstring
-
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise IdimError(
-            f"the file cannot be read ({(error.strerror or str(error)).lower()}); check the path."
-        ) from None
-    if len(content) > MAX_BYTES:
-        raise IdimError("the file is larger than 16 MiB; a URDF is text without meshes, so check the path.")
-    try:
-        root: Element = fromstring(content, forbid_dtd=True)
-    except DefusedXmlException:
-        raise IdimError("the file declares entities or a document type; write their values out.") from None
-    except (ParseError, ValueError, LookupError) as error:
-        raise IdimError(f"this is not valid XML ({error}); correct the file.") from None
+    root = read_xml(path)
     if root.tag != "robot":
         raise IdimError(f"the outermost element is <{root.tag}>, not <robot>; give a URDF file.")
     if any("/xacro}" in str(element.tag) for element in root.iter()):
@@ -96,23 +117,19 @@ def _parse(path: Path) -> Element:
 
 
 def _edge(element: Element) -> _Edge:
-    name = _attribute(element, "name", "a joint")
-    kind = _attribute(element, "type", f"joint '{name}'")
+    name = attribute(element, "name", "a joint")
+    kind = attribute(element, "type", f"joint '{name}'")
     if kind not in KINDS:
         raise IdimError(
             f"joint '{name}' is {kind}; only revolute, continuous, prismatic and fixed joints are read, "
             "so build it from these or describe the robot in a robot file (YAML)."
-        )
-    if element.find("mimic") is not None:
-        raise IdimError(
-            f"joint '{name}' mimics another; make it fixed, or describe the mechanism with closures in a robot file."
         )
     ends = []
     for tag in ("parent", "child"):
         end = element.find(tag)
         if end is None:
             raise IdimError(f"joint '{name}' has no <{tag} link=...>; add it.")
-        ends.append(_attribute(end, "link", f"<{tag}> of joint '{name}'"))
+        ends.append(attribute(end, "link", f"<{tag}> of joint '{name}'"))
     return _Edge(name, KINDS[kind], ends[0], ends[1], _origin(element, name), element)
 
 
@@ -158,68 +175,86 @@ def _repeated(names: list[str]) -> str | None:
     return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
-def _moving(ordered: list[_Edge]) -> Iterator[Joint]:
-    """The joints that move, each placed in the frame of the last one before it that moves."""
-    carried: dict[str, tuple[str, Pose]] = {}
+def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
+    """The joints that move, each placed in the frame of the last one before it that moves, and where frames are."""
+    joints: list[Joint] = []
+    frames: dict[str, Attachment] = {}
     for edge in ordered:
-        antecedent, placement = carried.get(edge.parent, (GROUND, Pose()))
-        placement = _compose(placement, edge.origin)
-        if edge.kind == "fixed":
-            carried[edge.child] = (antecedent, placement)
+        before = frames.setdefault(edge.parent, Attachment(GROUND))
+        placement = compose(before.placement, edge.origin)
+        type_ = types.get(edge.name)
+        if type_ == "FIXED" or (type_ is None and edge.kind is None):
+            frames[edge.child] = frames[edge.name] = Attachment(before.body, placement)
             continue
-        carried[edge.child] = (edge.name, Pose())
-        yield Joint(
-            name=edge.name,
-            antecedent=antecedent,
-            kind=edge.kind,
-            placement=placement,
-            axis=_axis(edge),
-            limits=_limits(edge),
+        if type_ is None and edge.kind is not None:
+            joints.append(Joint(edge.name, before.body, edge.kind, placement, _axis(edge), limits=_limits(edge)))
+        else:
+            joints += turning(edge.name, before.body, placement, "xyz" if type_ == "SPHERICAL" else "xy")
+        frames[edge.child] = frames[edge.name] = Attachment(edge.name)
+    return tuple(joints), frames
+
+
+def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list[Joint]:
+    """A spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
+    chain = [f"{name}_{axis}" for axis in axes[:-1]] + [name]
+    return [
+        Joint(
+            link,
+            chain[k - 1] if k else antecedent,
+            "revolute",
+            Pose() if k else placement,
+            AXES[axes[k]],
+            parameters="inertial" if link == name else "none",
         )
+        for k, link in enumerate(chain)
+    ]
 
 
-def _compose(first: Pose, second: Pose) -> Pose:
-    """The pose `second`, given in the frame `first`, in the frame where `first` is given."""
-    if first == Pose():
-        return second
-    rotation = first.rotation @ second.rotation
-    # Whatever the yaw where the angles are degenerate, what is left over then gives matching pitch and roll.
-    yaw = atan2(rotation[1, 0], rotation[0, 0])
-    c, s = cos(yaw), sin(yaw)
-    pitch = atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])
-    roll = atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
-    return _pose(first.position + first.rotation @ second.position, (roll, pitch, yaw))
+def _mimic(edge: _Edge) -> Coupling | None:
+    mimic = edge.element.find("mimic")
+    if mimic is None or edge.kind is None:
+        return None
+    master = attribute(mimic, "joint", f"<mimic> of joint '{edge.name}'")
+    ratio, offset = (
+        numbers(mimic.get(key, default), 1, f"{key} of <mimic> of joint '{edge.name}'")[0]
+        for key, default in (("multiplier", "1"), ("offset", "0"))
+    )
+    return Coupling(edge.name, ((master, ratio),), offset)
 
 
-def _pose(xyz: Iterable[float], rpy: Iterable[float]) -> Pose:
-    roll, pitch, yaw = (_exact(angle, pi / 2) for angle in rpy)
-    x, y, z = (_exact(length) for length in xyz)
-    return Pose((x, y, z), (roll, pitch, yaw))
-
-
-def _exact(number: float, unit: float = 1.0) -> float:
-    """The multiple of `unit` in place of a number that only rounding keeps from it."""
-    multiple = round(number / unit) * unit
-    return multiple if abs(number - multiple) < ROUNDING else float(number)
+def _odd_masses(root: Element) -> Iterator[str]:
+    """Notes on masses that cannot be meant; they are not used, but other programs would."""
+    masses: dict[str, float] = {}
+    for link in root.findall("link"):
+        name, inertial = attribute(link, "name", "a link"), link.find("inertial/mass")
+        if inertial is not None:
+            masses[name] = numbers(inertial.get("value", ""), 1, f"mass of link '{name}'")[0]
+    typical = float(np.median([mass for mass in masses.values() if mass > 1e-6] or [1.0]))
+    for name, mass in masses.items():
+        if mass < 0.0 or mass > max(1000.0 * typical, 1000.0):
+            yield (
+                f"link '{name}' weighs {mass:,.0f} kg in the file, which cannot be meant; masses are identified, not "
+                "read, but correct it before you use the file elsewhere"
+            )
 
 
 def _origin(element: Element, name: str) -> Pose:
     origin = element.find("origin")
     if origin is None:
         return Pose()
-    xyz, rpy = (_numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
-    return _pose(xyz, rpy)
+    xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
+    return rounded_pose(xyz, rpy)
 
 
 def _axis(edge: _Edge) -> tuple[float, float, float]:
     axis = edge.element.find("axis")
     if axis is None:
         return (1.0, 0.0, 0.0)  # as the URDF specification says
-    vector = np.array(_numbers(axis.get("xyz", "1 0 0"), 3, f"axis of joint '{edge.name}'"))
+    vector = np.array(numbers(axis.get("xyz", "1 0 0"), 3, f"axis of joint '{edge.name}'"))
     length = float(np.linalg.norm(vector))
     if length < ROUNDING:
         raise IdimError(f"the axis of joint '{edge.name}' is zero; give it a direction.")
-    x, y, z = (_exact(component) for component in vector / length)
+    x, y, z = (rounded(component) for component in vector / length)
     return (x, y, z)
 
 
@@ -228,7 +263,7 @@ def _limits(edge: _Edge) -> Limits:
     if limit is None:
         return Limits()
     values = {
-        key: _numbers(text, 1, f"{key} of joint '{edge.name}'")[0]
+        key: numbers(text, 1, f"{key} of joint '{edge.name}'")[0]
         for key in ("lower", "upper", "velocity", "effort")
         if (text := limit.get(key)) is not None
     }
@@ -238,21 +273,3 @@ def _limits(edge: _Edge) -> Limits:
         velocity=values.get("velocity") or None,
         effort=values.get("effort") or None,
     )
-
-
-def _numbers(text: str, count: int, what: str) -> list[float]:
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(isfinite, values)):
-        numbers = "a number" if count == 1 else f"{count} numbers"
-        raise IdimError(f"the {what} is '{text}'; write {numbers}.")
-    return values
-
-
-def _attribute(element: Element, key: str, what: str) -> str:
-    value = element.get(key)
-    if not value:
-        raise IdimError(f'{what} has no {key}; write {key}="...".')
-    return value
