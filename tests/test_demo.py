@@ -1,4 +1,4 @@
-"""Logs made by inverse dynamics, and the demo that is built on them."""
+"""The demo, on a simulated Orthoglide."""
 
 from __future__ import annotations
 
@@ -17,18 +17,8 @@ from idim.report import demo as demo_module
 from idim.report.demo import COMMANDS, LOGS, demo
 from idim.robots.load import load_robot
 from idim.robots.robot import Joint, Robot
-from idim.signals.experiment import Payload
-from idim.signals.run import read_run
-from idim.simulation.orthoglide_truth import drives, standard_parameters
-from idim.simulation.synthetic import Drive, synthetic_run, write_log
+from idim.simulation.orthoglide_truth import standard_parameters
 from idim.simulation.trajectories import envelope, point_to_point, sines
-
-SIGNALS = {
-    "time": "t",
-    "position": {j: f"q{j}" for j in ("11", "12", "13")},
-    "current": {j: f"v{j}" for j in ("11", "12", "13")},
-}
-PERFECT = Drive(100.0, 0.0, 0.0, 1.0, 0.0, 1e-9, 1e-9)
 
 
 def silent(what: str, done: int, total: int) -> None:
@@ -43,7 +33,7 @@ def model() -> idim.InverseDynamics:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], str]:
     out = tmp_path_factory.mktemp("demo")
-    return out, *demo(out, silent, duration=8.0)
+    return out, *demo(out, silent, duration=5.0)
 
 
 @pytest.mark.parametrize("plan", [sines, point_to_point])
@@ -73,47 +63,6 @@ def test_a_joint_without_limits_is_refused() -> None:
     robot = Robot("arm", (Joint("a", "ground", "revolute"),))
     with pytest.raises(IdimError, match="joint 'a' has no position limit"):
         envelope(robot)
-
-
-def test_the_current_is_the_torque_ahead_in_time(model: idim.InverseDynamics, rng: np.random.Generator) -> None:
-    chi, truth = (
-        standard_parameters(),
-        {
-            joint: Drive(**{**vars(PERFECT), "delay": d})
-            for joint, d in zip(model.actuated, (0.0, 0.004, 0.004), strict=True)
-        },
-    )
-    trajectory = sines(envelope(model.robot), 6.0, rng)
-    time = np.arange(2000, 4000) / 1000
-    run = synthetic_run("r", model, trajectory, time, chi, truth, rng)
-    for j, drive in enumerate(truth.values()):
-        expected = model.torques(*trajectory(time + drive.delay), chi)[:, j]
-        np.testing.assert_allclose(run.command[:, j] * drive.gain, expected, atol=1e-6)
-    np.testing.assert_allclose(run.position, trajectory(time)[0], atol=1e-8)
-
-
-def test_a_payload_is_a_further_body_on_the_platform(model: idim.InverseDynamics, rng: np.random.Generator) -> None:
-    chi, trajectory, time = standard_parameters(), sines(envelope(model.robot), 6.0, rng), np.arange(2000) / 1000
-    truth = dict.fromkeys(model.actuated, PERFECT)
-    empty, loaded = (
-        synthetic_run("r", model, trajectory, time, chi, truth, rng, load)
-        for load in (None, Payload(name="p", mass=2.0))
-    )
-    alone = model.torques(*trajectory(time), {"m_P": 2.0})
-    np.testing.assert_allclose((loaded.command - empty.command) * 100, alone, atol=1e-6)
-    assert chi == standard_parameters()
-
-
-def test_a_written_log_reads_back(model: idim.InverseDynamics, rng: np.random.Generator, tmp_path: Path) -> None:
-    time = np.arange(2001) / 1000
-    run = synthetic_run("r", model, sines(envelope(model.robot), 2.0, rng), time, standard_parameters(), drives(), rng)
-    write_log(run, tmp_path / "log.csv")
-    back = read_run(tmp_path / "log.csv", SIGNALS)
-    assert back.notes == ()
-    np.testing.assert_array_equal(back.position, run.position)
-    np.testing.assert_array_equal(back.command, run.command)
-    encoder = run.position / drives()["11"].position_quantum
-    np.testing.assert_allclose(encoder, np.round(encoder), atol=1e-3)
 
 
 def test_the_true_orthoglide_has_the_sums_of_the_papers_table_3(model: idim.InverseDynamics) -> None:
@@ -160,11 +109,12 @@ def test_the_printed_commands_give_the_same_numbers(
         assert done.exit_code == 0, done.output
         found.append(json.loads(done.stdout))
     assert (out / "model.json").read_bytes() == before
-    identified, validated, *weighed = found
+    identified, validated, *weighed, compared = found
     assert [each["value"] for each in identified["drive_gains"]] == [each["value"] for each in document["drive_gains"]]
     assert validated["runs"][0]["joints"] == document["validation"]
     for gains, each in zip(("prior", "identified"), weighed, strict=True):
         assert each["payloads"][0]["parameters"]["m"]["value"] == document["second_payload"][gains]["value"]
+    assert compared["tracking"] == document["tracking"]
 
 
 def test_without_matplotlib_the_demo_says_so(
@@ -172,9 +122,9 @@ def test_without_matplotlib_the_demo_says_so(
 ) -> None:
     out, document, _ = made
     monkeypatch.setattr(demo_module, "find_spec", lambda name: None)
-    outcome: Any = None
-    figures = demo_module.write_figures(out, outcome, lambda time: (time, time, time), 1.0, silent)
-    text = demo_module.report({**document, "files": ["README.txt", *figures]})
+    nothing: Any = None
+    figures = demo_module.write_figures(out, nothing, nothing, silent)
+    text = demo_module.report({**document, "files": ["README.txt", *figures]}, "")
     assert "pip install 'idim[plot]'" in text
 
 

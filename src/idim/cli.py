@@ -28,6 +28,9 @@ class Method(StrEnum):
     """Estimators of ``idim identify``."""
 
     ml = "ml"
+    huber = "huber"
+    ridge = "ridge"
+    two_stage = "2sls"
     mixed = "mixed"
     tls = "tls"
     wls = "wls"
@@ -56,8 +59,9 @@ def _refusals() -> Iterator[None]:
     except IdimError as error:
         typer.echo(f"idim: {error}", err=True)
         raise typer.Exit(2) from None
-    except KeyboardInterrupt:
-        typer.echo("idim: interrupted; files that were not finished have not been written.", err=True)
+    except KeyboardInterrupt as interruption:
+        finished = str(interruption) or "files that were not finished have not been written"
+        typer.echo(f"idim: interrupted; {finished}.", err=True)
         raise typer.Exit(130) from None
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -66,7 +70,7 @@ def _refusals() -> Iterator[None]:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar on stderr."""
+    """A progress bar on stderr, where that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -76,7 +80,8 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks: dict[str, Any] = {}
 
         def report(what: str, done: int, total: int) -> None:
@@ -108,7 +113,7 @@ def identify(
         float | None,
         typer.Option(
             min=1.0,
-            help="The paper's r_sigma (10 to 30) for the essential parameters; else those within 2 std of 0 go.",
+            help="The paper's r_sigma (10 to 30) for the essential parameters; default: BIC.",
         ),
     ] = None,
     as_paper: Annotated[
@@ -116,6 +121,9 @@ def identify(
         typer.Option(
             "--as-paper", help="Follow the paper step by step: its filter, friction and reduction, no delays."
         ),
+    ] = False,
+    consistent: Annotated[
+        bool, typer.Option("--consistent", help="Also find standard parameters that rigid bodies can have.")
     ] = False,
     json_: Json = False,
 ) -> None:
@@ -130,6 +138,7 @@ def identify(
                 method=method.value,
                 ratio=ratio,
                 as_paper=as_paper,
+                consistent=consistent,
                 progress=progress,
             )
         if out is not None:
@@ -143,22 +152,37 @@ def identify(
 
 
 @app.command()
+def compare(experiment: ExperimentFile, json_: Json = False) -> None:
+    """Identify with every estimator, and compare gains, deviations, residuals and verdicts."""
+    with _refusals():
+        from idim.estimation.comparison import compare as run
+        from idim.estimation.comparison import table, to_document
+
+        with _progress() as progress:
+            found = run(experiment, progress)
+        if json_:
+            _print_json(to_document(found))
+        else:
+            typer.echo(table(found))
+
+
+@app.command()
 def validate(model: ModelFile, experiment: ExperimentFile, json_: Json = False) -> None:
     """Torque errors of a model on the validation runs of an experiment."""
     with _refusals():
-        from idim.estimation.data import read_runs
+        from idim.estimation.data import experiment_of, read_runs
         from idim.estimation.result import Result
-        from idim.signals.experiment import read_experiment
 
-        result, described = Result.load(model), read_experiment(experiment)
+        result = Result.load(model)
+        described = experiment_of(result, experiment)
         if not described.validation:
             raise IdimError(f"{experiment} has no validation runs; list them under 'validation'.")
         with _progress() as progress:
             runs = read_runs(described, described.validation)
-            errors = {}
+            errors = []
             for k, run in enumerate(runs):
                 progress("validation", k, len(runs))
-                errors[run.name] = result.validate(run)
+                errors.append((run.name, result.validate(run)))
         if json_:
             _print_json(
                 {
@@ -176,12 +200,12 @@ def validate(model: ModelFile, experiment: ExperimentFile, json_: Json = False) 
                                 for e in found
                             ],
                         }
-                        for name, found in errors.items()
+                        for name, found in errors
                     ]
                 }
             )
             return
-        for name, found in errors.items():
+        for name, found in errors:
             typer.echo(f"{name}\n  {'joint':<22}{'error rms':>12}{'signal rms':>12}{'error %':>9}   unit")
             for e in found:
                 typer.echo(f"  {e.joint:<22}{e.rms:>12.4g}{e.signal:>12.4g}{e.relative:>9.2f}   {e.unit}")
@@ -218,8 +242,19 @@ def payload(
 @app.command()
 def robot(
     source: Annotated[
-        str, typer.Argument(metavar="NAME_OR_FILE", help="Catalog name, robot file (YAML) or URDF.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="NAME_OR_FILE",
+            help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv).",
+            show_default=False,
+        ),
     ],
+    save: Annotated[
+        Path | None, typer.Option("--save", metavar="ROBOT.yaml", help="Write it as a robot file, to edit or keep.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it at home (needs matplotlib).")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Joints, loops, degrees of freedom and base parameters of a robot."""
@@ -227,7 +262,17 @@ def robot(
         from idim.report.robot_page import describe, robot_page
         from idim.robots.load import load_robot
 
-        description = describe(load_robot(source))
+        found = load_robot(source)
+        if save is not None:
+            from idim.robots.native import write_native
+
+            write_native(found, save)
+        if figure is not None:
+            from idim.report.robot_figure import robot_figure
+            from idim.report.style import save_figure
+
+            save_figure(robot_figure(found), figure)
+        description = describe(found)
         if json_:
             _print_json(description)
         else:
@@ -249,3 +294,136 @@ def demo(
             _print_json(document)
         else:
             typer.echo(text)
+
+
+SimulationFile = Annotated[
+    Path, typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False)
+]
+
+
+@app.command()
+def simulate(
+    simulation: SimulationFile,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the logs and experiment.yaml.")],
+    json_: Json = False,
+) -> None:
+    """Make logs of a simulated robot under control, and the experiment file for 'idim identify'."""
+    with _refusals():
+        from idim.simulation.experiment_files import simulate_experiment
+
+        with _progress() as progress:
+            written = simulate_experiment(simulation, _folder(out), progress)
+        if json_:
+            _print_json({"files": [str(path) for path in written]})
+        else:
+            typer.echo("\n".join(f"written: {path}" for path in written))
+
+
+@app.command(name="compare-control")
+def compare_control(
+    simulation: SimulationFile,
+    experiment: ExperimentFile,
+    json_: Json = False,
+) -> None:
+    """Compare PID and computed torque with three sets of drive gains on a simulated robot (the paper's Table 4).
+
+    The models of computed torque are identified from the logs of EXPERIMENT.yaml, those that 'idim simulate' wrote.
+    """
+    with _refusals():
+        from idim.simulation.comparison import compare_control as run
+        from idim.simulation.comparison import table, table_document
+
+        with _progress() as progress:
+            comparison = run(simulation, experiment, progress)
+        if json_:
+            _print_json({"tracking": table_document(comparison)})
+        else:
+            typer.echo(table(comparison))
+
+
+@app.command()
+def excite(
+    design: Annotated[
+        Path, typer.Argument(metavar="DESIGN.yaml", help="Robot, runs, limits, prior knowledge.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the trajectory, figure and table.")],
+    criterion: Annotated[
+        str,
+        typer.Option(help="gains, condition, logdet, trace, or names of parameters (gain_11,m_PR) to be known best."),
+    ] = "gains",
+    payload_mass: Annotated[
+        list[float] | None,
+        typer.Option(metavar="KG [KG...]", help="Show also what payloads of other masses would buy.", min=1e-9),
+    ] = None,
+    starts: Annotated[int, typer.Option(min=1, help="Random motions to start from.")] = 3,
+    seed: Annotated[int, typer.Option(help="Of the random motions.")] = 0,
+    more_masses: Annotated[list[float] | None, typer.Argument(hidden=True)] = None,
+    json_: Json = False,
+) -> None:
+    """Design the motion that tells most about the drive gains, and what to expect of it.
+
+    The best motion so far is kept in DIR; an interruption (Ctrl-C) ends the search and takes it.
+    """
+    with _refusals():
+        from idim.experiment.design import Design
+        from idim.experiment.design import design as run
+        from idim.experiment.design_file import read_design
+        from idim.report.excite_page import describe_design, design_page, write_design, write_trajectory
+
+        if more_masses and not payload_mass:
+            raise IdimError("numbers stand after the design file; write them after --payload-mass.")
+        task, assumed = read_design(design)
+        folder, saved = _folder(out), [float("inf")]
+        with _progress() as progress, _interruption() as interrupted:
+
+            def keep(best: Design | None, done: int, total: int) -> None:
+                if best is not None and best.value < saved[0]:
+                    write_trajectory(best, folder / "trajectory.csv")
+                    saved[0] = best.value
+                progress("starts", done, total)
+
+            found = run(task, criterion, starts, seed, keep, interrupted)
+        document = describe_design(found, assumed, [*(payload_mass or []), *(more_masses or [])])
+        written = write_design(found, document, folder)
+        if json_:
+            _print_json(document)
+        else:
+            typer.echo(design_page(document))
+            typer.echo("\n".join(f"written: {path}" for path in written))
+
+
+@contextmanager
+def _interruption() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C has been pressed, instead of an exception in the middle of things."""
+    import signal
+
+    pressed: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: pressed.append(number))
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def main() -> None:
+    """Run the command line; what it refuses, wrong options too, is one sentence on stderr and exit code 2."""
+    if len(sys.argv) < 2:
+        app()
+    usage_error: type[Exception] = typer.BadParameter.__mro__[1]  # of the click that typer brings or finds
+    try:
+        code = app(standalone_mode=False)
+    except typer.Abort:
+        sys.exit(130)
+    except usage_error as error:
+        typer.echo(f"idim: {error.format_message()} See 'idim --help'.", err=True)  # type: ignore[attr-defined]
+        sys.exit(2)
+    except Exception as error:
+        if "IDIM_DEBUG" in os.environ:
+            raise
+        typer.echo(
+            f"idim: this should not have happened ({type(error).__name__}: {error}); please report it with what "
+            "IDIM_DEBUG=1 shows.",
+            err=True,
+        )
+        sys.exit(1)
+    sys.exit(code if isinstance(code, int) else 0)

@@ -22,14 +22,17 @@ class CarriedPayload:
     """The payload of one run.
 
     ``unknown`` maps the name in the problem of each unknown parameter that acts on some actuated joint
-    to its kind, and ``regroupings`` the kind to the formula of what it stands for. In base columns, a unit
-    of each is ``unknown_columns`` (n_b, unknown), and all that is known together ``known_column`` (n_b,).
+    to its kind, and ``regroupings`` the kind to the formula of what it stands for: ``sums`` (unknown, free)
+    of the kinds ``free`` that are not known. In base columns, a unit of each is ``unknown_columns``
+    (n_b, unknown), and all that is known together ``known_column`` (n_b,).
     """
 
     run: int
     payload: Payload
     unknown: Mapping[str, str]
     regroupings: Mapping[str, str]
+    free: tuple[str, ...]
+    sums: np.ndarray
     unknown_columns: np.ndarray
     known_column: np.ndarray
 
@@ -39,14 +42,19 @@ class Assembly:
     """The problem, and what its parameters are.
 
     ``unexcited`` are base parameters that these motions cannot tell from those before them; they are
-    not part of the problem.
+    not part of the problem, but of ``whole``. ``places`` (U, 2) say where the problem's units stand: the
+    number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, n, p, n_theta + 4) lead
+    from the columns of the runs' factors to those of ``whole``.
     """
 
     problem: Problem
+    whole: Problem
     base: BaseParameters
     payloads: tuple[CarriedPayload, ...]
     unexcited: tuple[str, ...]
     friction: Friction
+    places: np.ndarray
+    maps: np.ndarray
 
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
         """What the joints of ``run`` transmit: values of the base columns, without friction, with payload, (n_b,)."""
@@ -107,7 +115,7 @@ def assemble(
     names = [*base.names, *(name for each in carried for name in each.unknown), *drifts, *friction.terms]
     position = {name: k for k, name in enumerate(names)}
     n_b, n_theta = base.count, len(names)
-    units = []
+    units, maps = [], []
     for run, factor in enumerate(factors):
         # from the columns of the factor to those of the problem
         M = np.zeros((n_b + EXTRA, n_theta + 1 + CURRENTS))
@@ -121,16 +129,20 @@ def assemble(
             # a run's deviation from the mean friction; those of all runs add up to zero
             for other in range(last):
                 M[k, position[drift_name(base.names[k], other)]] = (other == run) - (run == last)
-        blocks = []
-        for j, joint in enumerate(idm.actuated):
+        of_joints = []
+        for joint in idm.actuated:
             M_j = M.copy()
             for t, term in enumerate(TERMS):
                 if f"{term}_{joint}" in position:
                     M_j[n_b + t, position[f"{term}_{joint}"]] = 1.0
-            blocks.append(factor.R[:, j] @ M_j)
-        units.append(np.stack(blocks, axis=1))
+            of_joints.append(M_j)
+        maps.append(of_joints)
+        units.append(np.stack([factor.R[:, j] @ M_j for j, M_j in enumerate(of_joints)], axis=1))
     rows = np.concatenate([factor.rows for factor in factors])
     filled = rows.sum(axis=1) > 0
+    places = np.array(
+        [(run, (s + 0.5) / len(each.rows)) for run, each in enumerate(factors) for s in range(len(each.rows))]
+    )
     problem = Problem(tuple(names), idm.actuated, np.concatenate(units)[filled], rows[filled], slowest)
     for joint, rows in zip(idm.actuated, problem.total_rows, strict=True):
         if rows < 50:
@@ -139,7 +151,9 @@ def assemble(
                 "add runs in which it moves, or longer ones."
             )
     unexcited = _unexcited(problem)
-    return Assembly(problem.without(unexcited), base, carried, unexcited, friction)
+    return Assembly(
+        problem.without(unexcited), problem, base, carried, unexcited, friction, places[filled], np.array(maps)
+    )
 
 
 def drift_name(name: str, run: int) -> str:
@@ -162,9 +176,8 @@ def _carried(idm: InverseDynamics, base: BaseParameters, run: int, payload: Payl
         )
         for row, k in enumerate(kept)
     }
-    return CarriedPayload(
-        run, payload, {f"{free[k]}_L{run + 1}": free[k] for k in kept}, formulas, columns[:, kept], known
-    )  # fmt: skip
+    unknown = {f"{free[k]}_L{run + 1}": free[k] for k in kept}
+    return CarriedPayload(run, payload, unknown, formulas, tuple(free), coefficients, columns[:, kept], known)
 
 
 def _unexcited(problem: Problem) -> tuple[str, ...]:

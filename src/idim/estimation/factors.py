@@ -21,6 +21,7 @@ from idim.signals.preparation import Prepared
 STRETCHES = 20
 CURRENTS = 3  # columns of a joint's current: v, v', v''
 EXTRA = len(TERMS) + CURRENTS
+Weigh = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +50,12 @@ def reduce_run(
     decimator: Decimator,
     load: np.ndarray | None = None,
     progress: Callable[[int], None] = lambda outputs: None,
+    weigh: Weigh | None = None,
 ) -> Factors:
     """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
+
+    ``weigh`` gives the rows of a joint their weights (K,), from the joint's number, the rows (K, p), and which of
+    them are kept (K,).
 
     Raises
     ------
@@ -71,6 +76,8 @@ def reduce_run(
             A[:, regressor.columns[mine]] = part.entries[mine].T
             A[:, -EXTRA:-CURRENTS] = part.terms[:, j].T
             A[:, -CURRENTS:] = part.currents[:, j].T
+            if weigh is not None:
+                A *= np.sqrt(weigh(j, A, part.keep[j]))[:, None]
             for s in np.unique(stretch):
                 chosen = A[(stretch == s) & part.keep[j]]
                 if len(chosen):

@@ -14,7 +14,7 @@ import numpy as np
 from idim.errors import IdimError
 from idim.estimation.problem import Problem, delayed
 from idim.estimation.solution import Solution
-from idim.estimation.triangle import triangle
+from idim.estimation.triangle import leave_one_out, triangle
 
 Solver = Callable[[np.ndarray], np.ndarray]  # W_tot (r, c) to chi_tot (c,)
 
@@ -131,17 +131,3 @@ def _solution(
         return np.hstack([shifts, np.zeros((len(units), n))])  # the delays are those of all units
 
     return Solution(theta, gains, problem.own_delays, sigma, full, replicates, statistics)
-
-
-def leave_one_out(factors: list[np.ndarray]) -> list[np.ndarray]:
-    """Merged triangular factor of all but each one of ``factors``, each (., c), from running merges."""
-    empty = np.zeros((0, factors[0].shape[1]))
-
-    def running(parts: list[np.ndarray]) -> list[np.ndarray]:
-        merged = [empty]
-        for part in parts[:-1]:
-            merged.append(triangle(merged[-1], part))
-        return merged
-
-    ahead, behind = running(factors), running(factors[::-1])[::-1]
-    return [triangle(a, b) for a, b in zip(ahead, behind, strict=True)]

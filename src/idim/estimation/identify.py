@@ -11,23 +11,33 @@ from threadpoolctl import threadpool_limits
 
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly, require_scale
-from idim.estimation.current_domain import ml, ols, wls
+from idim.estimation.consistency import consistent as find_consistent
+from idim.estimation.current_domain import ml, ols, two_stage, wls
 from idim.estimation.data import Data, Progress, read_runs, reduce_runs, silent
 from idim.estimation.friction import Friction, all_terms, needed_terms
 from idim.estimation.homogeneous import mixed, tls
 from idim.estimation.interpretation import make_result
+from idim.estimation.prior import ridge
 from idim.estimation.problem import Problem
 from idim.estimation.reduction import essential
 from idim.estimation.result import Result
-from idim.estimation.solution import Solution
+from idim.estimation.robust import reweighted
+from idim.estimation.solution import Solution, freedom
 from idim.estimation.verdicts import Verdict, mass_verdict
 from idim.robots.load import load_robot
 from idim.robots.robot import Robot
-from idim.signals.experiment import check_robot, read_experiment
+from idim.signals.experiment import Prior, check_robot, read_experiment
 from idim.signals.run import Run
 
 WITH_GAINS: dict[str, Callable[[Problem, np.ndarray], Solution]] = {"ols": ols, "wls": wls}
-FOR_GAINS: dict[str, Callable[[Problem], Solution]] = {"ml": ml, "mixed": mixed, "tls": tls}
+FOR_GAINS: dict[str, Callable[[Problem], Solution]] = {
+    "ml": ml,
+    "huber": ml,  # of reweighted rows
+    "ridge": ml,  # with priors
+    "2sls": two_stage,
+    "mixed": mixed,
+    "tls": tls,
+}
 METHODS = (*FOR_GAINS, *WITH_GAINS)
 LOAD_PASSES = 6  # of the logs, at most, for friction that depends on the torques transmitted
 LOAD_SETTLED = 1e-4  # relative change of the gains that ends them
@@ -41,6 +51,8 @@ def identify(
     prior_gains: Mapping[str, float] | None = None,
     ratio: float | None = None,
     as_paper: bool = False,
+    consistent: bool = False,
+    priors: Mapping[str, Prior] | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
@@ -51,18 +63,23 @@ def identify(
         An experiment file; or a robot, together with ``runs``.
     runs : sequence of Run, optional
         From :func:`idim.read_run`; only with a robot.
-    method : {"ml", "mixed", "tls", "wls", "ols"}
-        Maximum likelihood, mixed LS-TLS and the paper's TLS find the drive gains from a known payload;
-        weighted and ordinary least squares take ``prior_gains``, or torques.
+    method : {"ml", "huber", "ridge", "2sls", "mixed", "tls", "wls", "ols"}
+        Maximum likelihood (as it is, with Huber's weights against outliers, or with ``priors``), 2SLS, mixed
+        LS-TLS and the paper's TLS find the drive gains from a known payload; weighted and ordinary least
+        squares take ``prior_gains``, or torques.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N/A; the experiment file's if left out.
     ratio : float, optional
-        The paper's r_sigma for the essential parameters; if left out, only those within two standard
-        deviations of zero are cancelled.
+        The paper's r_sigma for the essential parameters; if left out, those that the Bayesian
+        information criterion does not keep are cancelled.
     as_paper : bool
         Follow the paper step by step: its decimation filter, its friction, no delays, formula
         deviations, and the essential parameters re-estimated together with the gains at ratio 10.
         (Samples near reversals are left out all the same: with them TLS fails.)
+    consistent : bool
+        Also find standard parameters that rigid bodies can have (see :mod:`idim.estimation.consistency`).
+    priors : mapping, optional
+        What is known of standard parameters, by name, for these and ``ridge``; the experiment file's if left out.
     progress : callable, optional
         Called as the work goes on.
 
@@ -87,7 +104,7 @@ def identify(
         robot = load_robot(experiment.robot)
         check_robot(experiment, robot)
         runs = read_runs(experiment, experiment.runs)
-        prior_gains = prior_gains or experiment.prior_gains
+        prior_gains, priors = prior_gains or experiment.prior_gains, priors or experiment.priors
     if method in WITH_GAINS:
         gains = given_gains(robot, runs, prior_gains, method)
     elif runs[0].kind == "torque":
@@ -106,18 +123,31 @@ def identify(
         assembly = data.assembly(Friction(), delays=False)
     else:
         data, assembly = with_friction(data, solve, progress)
+    if method == "huber":
+        data, assembly = reweighted(data, assembly, solve, progress)
     progress("estimation", 0, 1)
     solution = solve(assembly.problem)
-    covariance = solution.covariance if as_paper else solution.jackknife
-    covariance = covariance + mass_uncertainty(data, assembly, solution, solve)
+    of_masses = mass_uncertainty(data, assembly, solution, solve)
+    if method == "ridge":
+        solution = ridge(data, assembly, solution, priors or {})
+    covariance = (solution.covariance if as_paper else solution.jackknife) + of_masses
     final = solve if as_paper else (lambda problem: wls(problem, solution.gains))
     candidates = tuple(name for name in data.base.names if name in assembly.problem.parameters)
-    kept, reduced = essential(assembly.problem, candidates, final, 10.0 if as_paper and ratio is None else ratio)
+    ratio = 10.0 if as_paper and ratio is None else ratio
+    kept, reduced, std = essential(assembly.problem, candidates, final, ratio, correlated=not as_paper)
+    if ratio is None:
+        # a kept parameter absorbs what the cancelled ones did: only the deviation with all of them there holds
+        std = np.sqrt(np.diag(covariance))[[assembly.problem.parameters.index(name) for name in kept.parameters]]
     masses = weigh_known(data, assembly, method) if method in FOR_GAINS else {}
+    bodies = None
+    if consistent:
+        bodies = find_consistent(data, assembly, solution, priors or {}, free_gains=method in FOR_GAINS)
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         assembly, solution, covariance = replace(assembly, problem=kept), reduced, reduced.covariance
-    return make_result(data, assembly, method, solution, covariance, kept, reduced, masses)
+    blocks = None if as_paper else freedom(assembly.problem)
+    chosen = {name: (float(reduced.theta[k]), float(std[k])) for k, name in enumerate(kept.parameters)}
+    return make_result(data, assembly, method, solution, covariance, chosen, masses, blocks, bodies)
 
 
 def weigh_known(data: Data, assembly: Assembly, method: str) -> dict[str, Verdict]:
@@ -128,6 +158,10 @@ def weigh_known(data: Data, assembly: Assembly, method: str) -> dict[str, Verdic
         unknown = payload.model_copy(update={"mass": None})
         payloads = [unknown if run.payload and run.payload.name == name else run.payload for run in data.runs]
         other = data.assembly(assembly.friction, assembly.problem.slowest > 0, payloads)
+        try:
+            require_scale(other, payloads, method)
+        except IdimError:
+            continue  # without this payload nothing gives the scale
         solution = FOR_GAINS[method](other.problem)
         std = np.sqrt(np.diag(solution.jackknife))
         columns = [

@@ -10,9 +10,9 @@ from idim.estimation.assembly import Assembly, known_values
 from idim.estimation.data import Data
 from idim.estimation.friction import UNITS
 from idim.estimation.problem import Problem
-from idim.estimation.result import Estimate, PayloadEstimate, Result, TorqueError, torque_unit, unit_of
+from idim.estimation.result import Consistency, Estimate, PayloadEstimate, Result, TorqueError, torque_unit, unit_of
 from idim.estimation.solution import Solution
-from idim.estimation.verdicts import GOOD, Verdict, gain_verdicts, parameter_verdict
+from idim.estimation.verdicts import GOOD, Verdict, gain_verdicts, lack_of_fit, parameter_verdict
 from idim.robots.robot import INERTIAL, Robot
 
 
@@ -22,9 +22,10 @@ def make_result(
     method: str,
     solution: Solution,
     covariance: np.ndarray,
-    kept: Problem,
-    reduced: Solution,
+    essential: Mapping[str, tuple[float, float]],
     masses: Mapping[str, Verdict],
+    freedom: int | None,
+    consistency: Consistency | None = None,
 ) -> Result:
     """Name what a solution found.
 
@@ -34,10 +35,14 @@ def make_result(
         What was identified, and by which estimator.
     solution, covariance : Solution, ndarray
         Estimates with all base parameters, and the covariance of (theta, gains, delays).
-    kept, reduced : Problem, Solution
-        The problem with the essential parameters only, and its solution.
+    essential : mapping
+        Essential parameters: name to value and standard deviation.
     masses : mapping
         Verdicts on known payloads, by name.
+    freedom : int, optional
+        Degrees of freedom behind ``covariance``; None for very many.
+    consistency : Consistency, optional
+        Standard parameters that rigid bodies can have.
     """
     robot, problem, joints, base = data.robot, assembly.problem, data.model.actuated, data.base
     n_theta, n = problem.n_theta, len(joints)
@@ -45,16 +50,18 @@ def make_result(
     gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
     units = [torque_unit(robot, joint) for joint in joints]
     of_current = data.runs[0].kind == "current"
-    verdicts = gain_verdicts(problem, solution, gain_std) if gain_std.any() else (GOOD,) * n
+    names = tuple(run.name for run in data.runs)
+    verdicts = (GOOD,) * n
+    if gain_std.any():
+        verdicts = gain_verdicts(problem, solution, gain_std, assembly.places, names)
     found = _named(problem, solution.theta, std)
-    essential = _named(kept, reduced.theta, np.sqrt(np.diag(reduced.jackknife)))
     spread = _spread(assembly, solution.theta)
 
     def parameter(k: int, values: Mapping[str, tuple[float, float]]) -> Estimate:
         name, (kind, body) = base.names[k], base.standard[k].split("_", 1)
         value, deviation = values.get(name, (None, None))
         unit, verdict = unit_of(kind, robot, body), parameter_verdict(value, deviation)
-        return Estimate(name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict)
+        return Estimate(name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, freedom)
 
     signal = [
         float(np.linalg.norm(R[:, n_theta + 1]) / np.sqrt(rows))
@@ -71,21 +78,22 @@ def make_result(
                 float(gain_std[k]) if gain_std.any() else None,
                 f"{units[k]}/A" if of_current else "1",
                 verdict=verdicts[k],
+                freedom=freedom,
             )
             for k, joint in enumerate(joints)
         },
         delays={
-            joint: Estimate(joint, float(solution.delays[k]), float(delay_std[k]) or None, "s")
+            joint: Estimate(joint, float(solution.delays[k]), float(delay_std[k]) or None, "s", freedom=freedom)
             for k, joint in enumerate(joints)
         },
         parameters={name: parameter(k, found) for k, name in enumerate(base.names)},
         essential={name: parameter(k, essential) for k, name in enumerate(base.names) if name in essential},
         friction={
-            name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]))
+            name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]), freedom=freedom)
             for name, unit in _terms(assembly, robot)
             if name in found
         },
-        payloads=payload_estimates(data, assembly, solution.theta, covariance, masses),
+        payloads=payload_estimates(data, assembly, solution.theta, covariance, masses, freedom),
         residuals=tuple(
             TorqueError(joint, float(abs(solution.gains[k]) * solution.sigma[k]), abs(solution.gains[k]) * v, units[k])
             for k, (joint, v) in enumerate(zip(joints, signal, strict=True))
@@ -93,9 +101,14 @@ def make_result(
         covariance_names=(*problem.parameters, *(f"gain_{j}" for j in joints), *(f"delay_{j}" for j in joints)),
         covariance=covariance,
         preparation=data.preparation,
-        statistics={**solution.statistics, "largest_condition": max(each.condition for each in data.factors)},
-        runs=tuple(run.name for run in data.runs),
+        statistics={
+            **solution.statistics,
+            "lack_of_fit": lack_of_fit(problem, solution),
+            "largest_condition": max(each.condition for each in data.factors),
+        },
+        runs=names,
         notes=data.notes,
+        consistency=consistency,
     )
 
 
@@ -105,11 +118,12 @@ def payload_estimates(
     theta: np.ndarray,
     covariance: np.ndarray,
     masses: Mapping[str, Verdict],
+    freedom: int | None,
 ) -> tuple[PayloadEstimate, ...]:
     """The payload of every loaded run, known and unknown parameters together.
 
     ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
-    known payloads, by name.
+    known payloads, by name; ``freedom`` as in :func:`make_result`.
     """
     robot = data.robot
     found = _named(assembly.problem, theta, np.sqrt(np.diag(covariance)))
@@ -126,7 +140,9 @@ def payload_estimates(
             elif kind in each.regroupings:
                 value, deviation = found.get(label[kind], (None, None))
                 verdict = parameter_verdict(value, deviation)
-                estimates[kind] = Estimate(kind, value, deviation, unit, each.regroupings[kind], verdict=verdict)
+                estimates[kind] = Estimate(
+                    kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=freedom
+                )
         name, run = each.payload.name, data.runs[each.run].name
         payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
     return tuple(payloads)

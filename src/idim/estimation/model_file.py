@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from idim.errors import IdimError
-from idim.estimation.result import Estimate, PayloadEstimate, Result, TorqueError
+from idim.estimation.result import Consistency, Estimate, Move, PayloadEstimate, Result, TorqueError, unit_of
 from idim.estimation.verdicts import Outcome, Verdict
 from idim.files import write_atomically
 from idim.robots.native import native_text, parse_native
+from idim.robots.robot import Robot
 from idim.signals.decimation import Decimator
 from idim.signals.preparation import Preparation
 
@@ -50,7 +52,39 @@ def to_document(result: Result) -> dict[str, Any]:
         "notes": list(result.notes),
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
         "robot_file": native_text(result.robot),
+        "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
     }
+
+
+def _standard(found: Consistency, robot: Robot) -> dict[str, Any]:
+    return {
+        "parameters": [
+            {
+                "name": name,
+                "value": value,
+                "unit": unit_of(name.split("_", 1)[0], robot, name.split("_", 1)[1]),
+                "open": name in found.open,
+            }
+            for name, value in found.standard.items()
+        ],
+        "payloads": [{"name": name, "parameters": dict(values)} for name, values in found.payloads.items()],
+        "drive_gains": [{"joint": joint, "value": g, "std": std} for joint, (g, std) in found.gains.items()],
+        "moves": [asdict(move) for move in found.moves],
+        "smallest_eigenvalues": dict(found.eigenvalues),
+        "loss": dict(found.loss),
+    }
+
+
+def _read_standard(document: Mapping[str, Any]) -> Consistency:
+    return Consistency(
+        standard={each["name"]: float(each["value"]) for each in document["parameters"]},
+        payloads={each["name"]: each["parameters"] for each in document["payloads"]},
+        gains={each["joint"]: (float(each["value"]), float(each["std"])) for each in document["drive_gains"]},
+        moves=tuple(Move(**each) for each in document["moves"]),
+        eigenvalues=document["smallest_eigenvalues"],
+        loss=document["loss"],
+        open=tuple(each["name"] for each in document["parameters"] if each["open"]),
+    )
 
 
 def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:
@@ -75,6 +109,8 @@ def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
         "value": estimate.value,
         "std": estimate.std,
         "rel_std": estimate.rel_std,
+        "interval": estimate.interval(),
+        "freedom": estimate.freedom,
         "unit": estimate.unit,
         **_verdict(estimate.verdict),
     }
@@ -102,12 +138,12 @@ def load(path: str | Path) -> Result:
         Where the file cannot be read, or is no model of this schema.
     """
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        document = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refuse)
     except OSError as error:
         raise IdimError(
             f"{path} cannot be read ({error.strerror}); give the model.json that 'idim identify' wrote."
         ) from None
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         raise IdimError(f"{path} is not a JSON file; give the model.json that 'idim identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
         raise IdimError(f"{path} is not a model; give the model.json that 'idim identify' wrote.")
@@ -117,11 +153,45 @@ def load(path: str | Path) -> Result:
             "with this version."
         )
     try:
-        return _result(document, path)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise IdimError(
-            f"{path} is damaged: {error!r} while reading the model; write it again with 'idim identify'."
-        ) from None
+        result = _result(document, path)
+    except KeyError as error:
+        raise _damaged(path, f"{error} is missing") from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise _damaged(path, str(error).split(". ")[0]) from None
+    for problem in _problems(result):
+        raise _damaged(path, problem)
+    return result
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no JSON number")
+
+
+def _damaged(path: str | Path, problem: str) -> IdimError:
+    return IdimError(f"{path} is damaged ({problem}); write it again with 'idim identify'.")
+
+
+def _problems(result: Result) -> Iterator[str]:
+    joints, preparation = list(result.robot.actuated), result.preparation
+    for what, estimates in (("drive gains", result.drive_gains), ("delays", result.delays)):
+        if list(estimates) != joints:
+            yield f"the {what} are not those of the joints {', '.join(joints)}"
+        if any(each.value is None for each in estimates.values()):
+            yield f"one of the {what} is null"
+    if any(each.value == 0 for each in result.drive_gains.values()):
+        yield "a drive gain is zero"
+    every = (*result.drive_gains.values(), *result.delays.values(), *result.parameters.values())
+    if not np.isfinite([each.value or 0.0 for each in every]).all():
+        yield "a value is not finite"
+    size = len(result.covariance_names)
+    if result.covariance.shape != (size, size) or not np.isfinite(result.covariance).all():
+        yield "the covariance is no matrix of its names"
+    if not {f"gain_{joint}" for joint in joints} <= set(result.covariance_names):
+        yield "the covariance lacks the drive gains"
+    if result.kind not in ("current", "torque"):
+        yield f"the kind '{result.kind}' is neither current nor torque"
+    if preparation.bandwidth <= 0 or preparation.decimator.kind not in ("fir", "chebyshev"):
+        yield "the preparation of the signals is not one that this version knows"
 
 
 def _result(document: Mapping[str, Any], path: str | Path) -> Result:
@@ -160,6 +230,7 @@ def _result(document: Mapping[str, Any], path: str | Path) -> Result:
         statistics=document["statistics"],
         runs=tuple(document["runs"]),
         notes=tuple(document["notes"]),
+        consistency=None if document["standard"] is None else _read_standard(document["standard"]),
     )
 
 
@@ -170,7 +241,14 @@ def _estimates(entries: list[Mapping[str, Any]], key: str = "name") -> dict[str,
 def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
     value, std = (None if entry[k] is None else float(entry[k]) for k in ("value", "std"))
     return Estimate(
-        entry[key], value, std, entry["unit"], entry.get("regrouping", ""), entry.get("spread"), _read_verdict(entry)
+        entry[key],
+        value,
+        std,
+        entry["unit"],
+        entry.get("regrouping", ""),
+        entry.get("spread"),
+        _read_verdict(entry),
+        entry["freedom"],
     )
 
 

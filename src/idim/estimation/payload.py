@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,12 @@ from threadpoolctl import threadpool_limits
 
 from idim.errors import IdimError
 from idim.estimation.current_domain import wls
-from idim.estimation.data import Progress, read_runs, reduce_runs, silent
+from idim.estimation.data import Progress, at_rate_of, experiment_of, read_runs, reduce_runs, silent
 from idim.estimation.identify import given_gains, with_friction
 from idim.estimation.interpretation import payload_estimates
 from idim.estimation.problem import Problem
 from idim.estimation.result import PayloadEstimate, Result
-from idim.robots.load import load_robot
-from idim.signals.experiment import check_robot, read_experiment
+from idim.estimation.solution import freedom
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
@@ -48,25 +46,20 @@ def weigh(
     IdimError
         Where a file is wrong or of another robot, or the runs cannot tell the payload.
     """
-    described = read_experiment(experiment)
-    robot = load_robot(described.robot)
-    check_robot(described, robot)
-    if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
-        raise IdimError(
-            f"{experiment} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
-            "another geometry; "
-            "give the model of this robot."
-        )
+    described = experiment_of(model, experiment)
+    robot = model.robot
     if not any(run.payload is not None and run.payload.mass is None for run in described.runs):
         raise IdimError(f"{experiment}: no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
+    if gains == "prior" and described.signals.kind == "current" and not described.prior_gains:
+        raise IdimError(f"{experiment} has no 'prior_gains'; add them, or weigh with the identified gains.")
     runs = read_runs(described, described.runs)
     if gains == "prior":
         g_tau, covariance = given_gains(robot, runs, described.prior_gains, "wls"), None
     else:
         g_tau = np.array([model.drive_gains[joint].value for joint in robot.actuated], dtype=float)
-        rows = [k for k, name in enumerate(model.covariance_names) if name.startswith("gain_")]
+        rows = [model.covariance_names.index(f"gain_{joint}") for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
-    data = reduce_runs(robot, runs, model.preparation, progress=progress)
+    data = reduce_runs(robot, runs, at_rate_of(runs, model.preparation), progress=progress)
     data, assembly = with_friction(data, lambda problem: wls(problem, g_tau), progress)
     lost = [name for each in assembly.payloads for name in each.unknown if name in assembly.unexcited]
     if lost:
@@ -79,7 +72,7 @@ def weigh(
     if covariance is not None:
         slopes = np.stack([_slope(assembly.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
-    estimates = payload_estimates(data, assembly, solution.theta, total, {})
+    estimates = payload_estimates(data, assembly, solution.theta, total, {}, freedom(assembly.problem))
     return tuple(each for each in estimates if "m" not in each.known)
 
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from idim.errors import IdimError
+from idim.estimation.data import at_rate_of
 from idim.estimation.friction import TERMS, transmitted
 from idim.estimation.result import Estimate, Prediction, Result, TorqueError, known_parameters, torque_unit
 from idim.estimation.rows import stream_rows
@@ -17,11 +19,29 @@ def predict(result: Result, run: Run) -> Prediction:
     """Predicted and measured torques at the decimated instants of a run; see :meth:`Result.predict`."""
     model, base = result.model, result.base
     run = arrange(run, model.actuated)
-    prepared = prepare(run, result.preparation)
+    if run.kind != result.kind:
+        raise IdimError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "
+            "same kind."
+        )
+    preparation = at_rate_of([run], result.preparation)
+    prepared = prepare(run, preparation)
+    decimator = preparation.decimator
+    if not decimator.keep(prepared.usable).any():
+        raise IdimError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
+    missing = [name for name in base.names if name not in result.parameters]
+    if missing:
+        raise IdimError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
     chi = np.array([result.params[name] for name in base.names])
     if run.payload is not None:
         tool = {name: k for k, name in enumerate(model.parameter_names)}
-        for kind, value in known_parameters(run.payload, result.payload(run.payload.name)).items():
+        identified = result.payload(run.payload.name)
+        if run.payload.mass is None and "m" not in identified:
+            raise IdimError(
+                f"run '{run.name}' carries the payload '{run.payload.name}', whose mass neither the run nor the model "
+                "knows; add its 'mass'."
+            )
+        for kind, value in known_parameters(run.payload, identified).items():
             chi = chi + value * base.matrix[:, tool[f"{kind}_{result.robot.tool}"]]
     regressor = model.columns(base.standard)
     gains = np.array([result.drive_gains[joint].value for joint in model.actuated])
@@ -29,7 +49,7 @@ def predict(result: Result, run: Run) -> Prediction:
     time, predicted, measured, keep = [], [], [], []
     load = chi * transmitted(base.names)
     terms = np.array([[_value(result.friction, f"{term}_{joint}") for joint in model.actuated] for term in TERMS])
-    for part in stream_rows(model, regressor, prepared, result.preparation.decimator, load):
+    for part in stream_rows(model, regressor, prepared, decimator, load):
         tau = regressor.torques(part.entries, chi, len(model.actuated)) + np.einsum("tj,tjk->jk", terms, part.terms)
         v, v_d, v_dd = part.currents
         time.append(part.time)

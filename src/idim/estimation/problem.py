@@ -119,7 +119,10 @@ class Problem:
         """The same problem with the parameters ``names`` set to zero."""
         keep = [k for k, name in enumerate(self.parameters) if name not in set(names)]
         columns = [*keep, *range(self.n_theta, self.n_theta + 4)]
-        return replace(self, parameters=tuple(self.parameters[k] for k in keep), units=self.units[..., columns])
+        less = replace(self, parameters=tuple(self.parameters[k] for k in keep), units=self.units[..., columns])
+        # the triangles of fewer columns follow from those of all: the units need not be looked at again
+        less.__dict__["triangles"] = tuple(triangle(R[:, columns]) for R in self.triangles)
+        return less
 
 
 def delayed(d: float) -> np.ndarray:

@@ -24,7 +24,7 @@ class Estimate:
 
     ``value`` is None where the data cannot tell, ``std`` None where the value is known. ``spread`` is the
     standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
-    says whether to believe it.
+    says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
     """
 
     name: str
@@ -34,6 +34,17 @@ class Estimate:
     regrouping: str = ""
     spread: float | None = None
     verdict: Verdict = GOOD
+    freedom: int | None = None
+
+    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
+        """Confidence interval by the t distribution, in ``unit``; None without value or deviation."""
+        if self.value is None or self.std is None:
+            return None
+        from scipy.special import ndtri, stdtrit
+
+        tail = (1 + level) / 2
+        half = self.std * float(ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail))
+        return self.value - half, self.value + half
 
     @property
     def rel_std(self) -> float | None:
@@ -81,6 +92,47 @@ class Prediction:
     keep: np.ndarray
 
 
+@dataclass(frozen=True)
+class Move:
+    """What consistency did to a number: its value without and with it, and by how many standard deviations it moved."""
+
+    name: str
+    free: float
+    consistent: float
+    deviations: float
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """A robot that can exist.
+
+    Attributes
+    ----------
+    standard : dict
+        Every standard parameter by name, SI units.
+    payloads : dict
+        Label (``L3``) of each carried payload to its ten inertial parameters by kind.
+    gains : dict
+        Joint to (drive gain, standard deviation) found together with them; the deviation is 0 where given.
+    moves : tuple of Move
+        Every base parameter and gain, the most moved first.
+    eigenvalues : dict
+        Smallest eigenvalue of the pseudo-inertia of each body, SI units.
+    loss : dict
+        Joint to the growth of its residual, per cent.
+    open : tuple of str
+        Standard parameters that act on no actuated joint, chosen and not identified.
+    """
+
+    standard: Mapping[str, float]
+    payloads: Mapping[str, Mapping[str, float]]
+    gains: Mapping[str, tuple[float, float]]
+    moves: tuple[Move, ...]
+    eigenvalues: Mapping[str, float]
+    loss: Mapping[str, float]
+    open: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """Drive gains, parameters and payloads of a robot, identified from its logs.
@@ -90,13 +142,15 @@ class Result:
     robot : Robot
         The robot.
     method : str
-        ``"ml"``, ``"mixed"``, ``"tls"``, ``"wls"`` or ``"ols"``.
+        One of :data:`idim.estimation.identify.METHODS`.
     drive_gains, delays : dict
         Joint name to :class:`Estimate`.
     friction : dict
         Friction terms beyond the paper's that the data ask for; name to Estimate.
     parameters, essential : dict
-        All base parameters, and those left by the ratio rule and re-estimated; name to Estimate.
+        All base parameters, and those left by the reduction and re-estimated; name to Estimate. The
+        deviation of an essential one is that with all parameters, as it absorbs what cancelled ones did;
+        after the paper's ratio rule it takes the cancelled ones for zero, as the rule does.
     payloads : tuple of PayloadEstimate
         One entry for each loaded run.
     residuals : tuple of TorqueError
@@ -109,6 +163,8 @@ class Result:
         Further figures of the method.
     notes : tuple of str
         What was repaired, left out, or is not to be trusted.
+    consistency : Consistency, optional
+        Standard parameters that rigid bodies can have, where they were asked for.
     """
 
     robot: Robot
@@ -127,6 +183,7 @@ class Result:
     statistics: Mapping[str, float]
     runs: tuple[str, ...]
     notes: tuple[str, ...]
+    consistency: Consistency | None = None
 
     @cached_property
     def model(self) -> InverseDynamics:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from idim.estimation.friction import term_columns
-from idim.model.inverse_dynamics import InverseDynamics, Regressor
-from idim.signals.decimation import Decimator
+from idim.model.inverse_dynamics import PATH, InverseDynamics, Regressor
+from idim.signals.decimation import Block, Decimator
 from idim.signals.preparation import Prepared
 
-FAST_SAMPLES = 4096  # a block, before decimation: large enough to amortise Python, small for memory
+SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
 
 @dataclass(frozen=True)
@@ -61,16 +61,11 @@ def stream_rows(
     n = len(prepared.time)
     keep = decimator.keep(prepared.usable).T
     time = prepared.time[decimator.instants(n)]
-    size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
-    path: np.ndarray | None = None  # configurations of the block before, which the next one goes on from
-    begun = 0
-    for block in decimator.blocks(n, size):
+    size = max(SAMPLES, 8 * decimator.warm_up) // decimator.factor
+    for block, c in _paths(idm, prepared, decimator.blocks(n, size)):
         at = block.samples
-        start = None if path is None else path[:, min(at.start - begun, path.shape[1] - 1)]
-        labels = Labels(prepared.run.name, prepared.time[at])
-        q, qd, qdd = (np.ascontiguousarray(x[at].T) for x in (prepared.q, prepared.qd, prepared.qdd))
-        motion = idm.motion(q, qd, qdd, labels, start)
-        path, begun = motion.c, at.start
+        qd, qdd = prepared.qd[at].T.copy(), prepared.qdd[at].T.copy()
+        motion = idm.rates(c, qd, qdd, Labels(prepared.run.name, prepared.time[at]))
         currents = np.stack([prepared.command[at].T, prepared.command_d[at].T, prepared.command_dd[at].T])
         entries = regressor(idm.layout, motion)
         effort = currents[0] if load is None else regressor.torques(entries, load, len(idm.actuated))
@@ -83,6 +78,20 @@ def stream_rows(
             block.outputs,
             float(motion.condition.max(initial=0.0)),
         )
+
+
+def _paths(idm: InverseDynamics, prepared: Prepared, blocks: Iterable[Block]) -> Iterator[tuple[Block, np.ndarray]]:
+    """The blocks, each with its configurations; loops are closed along longer stretches, which is faster."""
+    begin, end = 0, 0  # the stretch that ``c`` is for
+    c = np.zeros((idm.layout.n_c, 0))
+    for block in blocks:
+        at = block.samples
+        if at.stop > end:
+            more = slice(end, min(max(end + PATH, at.stop), len(prepared.time)))
+            labels = Labels(prepared.run.name, prepared.time[more])
+            path = idm.path(prepared.q[more].T.copy(), labels, c[:, -1] if end else None)
+            c, begin, end = np.hstack([c[:, at.start - begin :], path]), min(at.start, end), more.stop
+        yield block, c[:, at.start - begin : at.stop - begin]
 
 
 @dataclass(frozen=True)

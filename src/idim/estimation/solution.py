@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from idim.estimation.problem import Problem
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -29,6 +31,8 @@ class Solution:
         called when the jackknife is asked for.
     statistics : Mapping
         Further figures that the method offers, such as ``singular_ratio``.
+    of_prior : ndarray or float
+        The share of priors in the covariance, which no unit of the data shows.
     """
 
     theta: np.ndarray
@@ -38,16 +42,26 @@ class Solution:
     covariance: np.ndarray
     replicates: Callable[[], np.ndarray]
     statistics: Mapping[str, float] = field(default_factory=dict)
+    of_prior: np.ndarray | float = 0.0
 
     @cached_property
     def jackknife(self) -> np.ndarray:
         """Covariance by the delete-one jackknife, which allows for errors correlated in time."""
-        replicates = self.replicates()
-        deviations = replicates - replicates.mean(axis=0)
-        units = len(replicates)
-        return (units - 1) / units * deviations.T @ deviations
+        return jackknife(self.replicates()) + self.of_prior
 
     @property
     def stacked(self) -> np.ndarray:
         """(theta, gains, delays) in one vector, (k,)."""
         return np.concatenate([self.theta, self.gains, self.delays])
+
+
+def jackknife(replicates: np.ndarray) -> np.ndarray:
+    """Covariance (k, k) from what leaving out one unit after another adds to k estimates, (U, k)."""
+    deviations = replicates - replicates.mean(axis=0)
+    units = len(replicates)
+    return np.asarray((units - 1) / units * deviations.T @ deviations)
+
+
+def freedom(problem: Problem) -> int:
+    """Degrees of freedom behind deviations by the jackknife: one less than its units."""
+    return len(problem.units) - 1

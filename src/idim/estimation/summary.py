@@ -5,12 +5,20 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 
-from idim.estimation.result import Estimate, PayloadEstimate, Result
-from idim.estimation.verdicts import Outcome
+import numpy as np
+
+from idim.estimation.result import Consistency, Estimate, PayloadEstimate, Result
+from idim.estimation.verdicts import INFLATED, Outcome
 
 WIDTH = 96
+MOVED = 0.5  # standard deviations: a smaller move is not worth a line
+LISTED = 12
+VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 METHODS = {
     "ml": "maximum likelihood in the current domain",
+    "huber": "maximum likelihood with Huber's weights against outliers",
+    "ridge": "maximum likelihood with priors on the standard parameters",
+    "2sls": "two-stage least squares",
     "mixed": "mixed LS-TLS (regressor exact, currents noisy)",
     "tls": "total least squares (the paper's)",
     "wls": "weighted least squares with given gains",
@@ -57,6 +65,8 @@ def summary(result: Result) -> str:
         f"  {each.joint:<24}{each.rms:>12.4g}{each.signal:>10.4g}{each.relative:>8.2f}   {each.unit}"
         for each in result.residuals
     ]
+    if result.consistency is not None:
+        lines += ["-" * WIDTH, *_consistency_lines(result.consistency)]
     if "singular_ratio" in result.statistics:
         lines.append(f"  ratio of the two smallest singular values of W_tot: {result.statistics['singular_ratio']:.2f}")
     lines += ["=" * WIDTH, *_notes([*_beliefs(result), *result.notes])]
@@ -73,6 +83,22 @@ def payload_lines(payload: PayloadEstimate) -> list[str]:
     return lines
 
 
+def _consistency_lines(found: Consistency) -> list[str]:
+    """What rigid bodies make of the estimates: the moves worth a line, and what it costs."""
+    moved = [move for move in found.moves if move.deviations >= MOVED]
+    lines = [f"{'Physically consistent':<26}{'free':>12}{'consistent':>12}{'moved, std':>12}"]
+    shown = [*moved[:LISTED], *(m for m in found.moves if m.name.startswith("gain_") and m not in moved[:LISTED])]
+    lines += [f"  {m.name:<24}{m.free:>12.5g}{m.consistent:>12.5g}{m.deviations:>12.2f}" for m in shown]
+    joint = max(found.loss, key=lambda name: found.loss[name])
+    together = 100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) - 1)
+    lines.append(
+        f"  {len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more; torque errors grow by "
+        f"{together:.2g} %, at most by {found.loss[joint]:.2g} % ({joint})."
+    )
+    lines.append("  model.json has every standard parameter under 'standard'; what the data leave open was chosen.")
+    return lines
+
+
 def _row(name: str, estimate: Estimate) -> str:
     value = "cannot tell" if estimate.value is None else f"{estimate.value:.5g}"
     std = "" if estimate.std is None else f"{estimate.std:.2g}"
@@ -84,12 +110,18 @@ def _beliefs(result: Result) -> list[str]:
     """What is not good, and what to do about it; one sentence for all joints that share it."""
     shared: dict[str, list[str]] = {}
     for joint, gain in result.drive_gains.items():
-        if gain.verdict.outcome != Outcome.GOOD:
+        if gain.verdict.why:
             shared.setdefault(gain.verdict.sentence, []).append(f"'{joint}'")
     sentences = [f"drive gain of {', '.join(joints)} {sentence}" for sentence, joints in shared.items()]
     for payload in {each.name: each for each in result.payloads}.values():
         if payload.verdict.outcome != Outcome.GOOD:
             sentences.append(f"payload '{payload.name}' {payload.verdict.sentence}")
+    lack = result.statistics["lack_of_fit"]
+    if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
+        sentences.append(
+            f"the errors hang together in time (deviations are {lack:.1f} times those of noise, and allow for it), so "
+            "the model lacks something: check the robot's geometry, and think of friction, elasticity and cables"
+        )
     masses = {each.name for each in result.payloads if "m" in each.known}
     if len(masses) == 1 and result.drive_gains and next(iter(result.drive_gains.values())).std is not None:
         sentences.append(

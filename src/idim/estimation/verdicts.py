@@ -14,8 +14,9 @@ from enum import StrEnum
 import numpy as np
 
 from idim.estimation.current_domain import two_stage
+from idim.estimation.drift import worst_drifts
 from idim.estimation.problem import Problem
-from idim.estimation.solution import Solution
+from idim.estimation.solution import Solution, jackknife
 
 
 class Outcome(StrEnum):
@@ -46,12 +47,17 @@ WEAK_GAIN = 0.03  # relative standard deviation
 LOST_GAIN = 0.5
 WEAK_PARAMETER = 0.2
 MISFIT = 0.25  # share of a joint's current that the model may leave unexplained
-APART = 3.0  # standard deviations between two estimates of one number
+APART = 3.5  # standard deviations between two estimates of one number, or of their difference where that is more
 ALONE = 0.6  # a joint's error by its own equations over that with all joints together
 SINGULAR_GAP = 3.0
+DRIFT = 0.005  # of the current, along a run
+DRIFTING = 6.0  # standard deviations of it
+INFLATED = 1.5  # deviations by the jackknife over those of independent errors
 
 
-def gain_verdicts(problem: Problem, solution: Solution, std: np.ndarray) -> tuple[Verdict, ...]:
+def gain_verdicts(
+    problem: Problem, solution: Solution, std: np.ndarray, places: np.ndarray, runs: Sequence[str]
+) -> tuple[Verdict, ...]:
     """Verdict on every drive gain.
 
     Parameters
@@ -60,6 +66,8 @@ def gain_verdicts(problem: Problem, solution: Solution, std: np.ndarray) -> tupl
         What was solved, and how.
     std : ndarray
         Standard deviations of the gains (n,).
+    places, runs : ndarray, sequence of str
+        Where the problem's units stand (U, 2), and the names of the runs.
     """
     signal = np.array(
         [
@@ -68,13 +76,43 @@ def gain_verdicts(problem: Problem, solution: Solution, std: np.ndarray) -> tupl
         ]
     )
     misfit, alone = solution.sigma / signal, problem.own_sigma / solution.sigma
-    apart = np.abs(solution.gains - two_stage(problem)[0]) / std
+    other, gains = two_stage(problem), slice(problem.n_theta, problem.n_theta + len(problem.joints))
+    between = np.sqrt(np.diag(jackknife((solution.replicates() - other.replicates())[:, gains])))
+    apart = np.abs(solution.gains - other.gains) / np.maximum(std, between)
     relative = std / np.abs(solution.gains)
     singular = solution.statistics.get("singular_ratio", np.inf)
-    return tuple(
-        _gain_verdict(misfit[j], alone[j], apart[j], relative[j], singular, bool(np.all(solution.gains < 0)))
+    drifts = worst_drifts(problem, solution, places)
+    reversed_ = solution.gains < 0
+    found = [
+        _gain_verdict(misfit[j], alone[j], apart[j], relative[j], singular, bool(np.all(reversed_)))
         for j in range(len(problem.joints))
-    )
+    ]
+    for j, drift in enumerate(drifts):
+        if found[j].outcome in (Outcome.GOOD, Outcome.WEAK) and abs(drift.t) > DRIFTING and abs(drift.change) > DRIFT:
+            found[j] = Verdict(
+                Outcome.CONTRADICTORY,
+                f"in the course of run '{runs[drift.run]}' the current changes by {100 * drift.change:.2g} % against "
+                "the model",
+                "let the robot warm up before the runs, and divide long runs into shorter ones, each with its own "
+                "friction",
+            )
+        elif found[j] == GOOD and reversed_[j]:
+            found[j] = Verdict(
+                Outcome.GOOD,
+                "it is negative",
+                "its current counts against its motion: reverse the sign of one of the two if that is not meant",
+            )
+    return tuple(found)
+
+
+def lack_of_fit(problem: Problem, solution: Solution) -> float:
+    """Deviations by the jackknife over those that independent errors would give, the median over the parameters.
+
+    Near 1 where the errors are noise; well above where they hang together in time, as the model lacks something.
+    """
+    known = np.diag(solution.covariance)[: problem.n_theta]
+    ratio = np.diag(solution.jackknife)[: problem.n_theta][known > 0] / known[known > 0]
+    return float(np.sqrt(np.median(ratio))) if ratio.size else 1.0
 
 
 def _gain_verdict(
@@ -110,7 +148,8 @@ def _gain_verdict(
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
             f"its standard deviation is {100 * relative:.0f} % of it",
-            "use a heavier payload, and motions in which this joint lifts or accelerates it",
+            "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
+            "gravity, and which runs carry the payload",
         )
     if apart > APART:
         return Verdict(
@@ -123,7 +162,7 @@ def _gain_verdict(
             Outcome.WEAK,
             f"its standard deviation is {100 * relative:.1f} %",
             "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; "
-            "if other joints are weak too, check which runs carry the payload",
+            "if other joints are weak too, check which runs carry the payload, and gravity",
         )
     return GOOD
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import yaml
 
 from idim.errors import IdimError
 from idim.estimation.data import Progress, read_runs
@@ -19,7 +19,13 @@ from idim.estimation.result import Estimate, Prediction, Result, TorqueError
 from idim.files import write_atomically
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
-from idim.signals.experiment import Payload, read_experiment
+from idim.signals.experiment import read_experiment
+from idim.simulation.closed_loop import write_log
+from idim.simulation.comparison import Comparison, compare_control, table, table_document
+from idim.simulation.controllers import Reference, sample
+from idim.simulation.description import read_simulation
+from idim.simulation.experiment_files import make_run
+from idim.simulation.motions import make_trajectory
 from idim.simulation.orthoglide_truth import (
     DRIVE_GAINS,
     PAYLOAD_MASS,
@@ -28,22 +34,43 @@ from idim.simulation.orthoglide_truth import (
     drives,
     standard_parameters,
 )
-from idim.simulation.synthetic import synthetic_run, write_log
-from idim.simulation.trajectories import Envelope, Trajectory, envelope, point_to_point, sines
 
 RATE = 1000.0  # Hz
-SEED = 1
 
-# Log, trajectory, mass of the payload in kg.
-LOGS: tuple[tuple[str, Callable[[Envelope, float, np.random.Generator], Trajectory], float], ...] = (
-    ("exciting_1_unloaded", sines, 0.0),
-    ("exciting_2_unloaded", point_to_point, 0.0),
-    ("exciting_3_loaded", sines, PAYLOAD_MASS),
-    ("exciting_4_loaded", point_to_point, PAYLOAD_MASS),
-    ("validation_loaded", sines, PAYLOAD_MASS),
-    ("second_payload", sines, SECOND_PAYLOAD_MASS),
-    ("second_payload_unloaded", sines, 0.0),
+# Log, kind of trajectory, mass of the payload in kg.
+LOGS: tuple[tuple[str, str, float], ...] = (
+    ("exciting_1_unloaded", "sines", 0.0),
+    ("exciting_2_unloaded", "moves", 0.0),
+    ("exciting_3_loaded", "sines", PAYLOAD_MASS),
+    ("exciting_4_loaded", "moves", PAYLOAD_MASS),
+    ("validation_loaded", "sines", PAYLOAD_MASS),
+    ("second_payload", "sines", SECOND_PAYLOAD_MASS),
+    ("second_payload_unloaded", "sines", 0.0),
 )
+# Points (m) of joints 11, 12 and 13 on which control laws are compared: in a horizontal plane, where the vertical axis
+# 13 hardly moves, and in space.
+CONTROL: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "trajectory_1": (
+        (0.015, 0.015, 0.015),
+        (0.08, -0.05, 0.015),
+        (0.08, 0.08, 0.02),
+        (-0.05, 0.08, 0.015),
+        (-0.05, -0.05, 0.01),
+        (0.015, 0.015, 0.015),
+    ),
+    "trajectory_2": (
+        (0.015, 0.015, 0.015),
+        (0.09, 0.07, 0.05),
+        (-0.06, -0.04, -0.05),
+        (0.09, -0.05, 0.08),
+        (-0.03, 0.09, -0.05),
+        (0.015, 0.015, 0.015),
+    ),
+}
+SIMULATION = """\
+# The robot that stands in for a real one: its true parameters, its drives and sensors, and the runs. Made again from
+# this file, the logs are the same: idim simulate simulation.yaml --out logs
+"""
 
 SIGNALS = """\
 robot: orthoglide            # a name of the catalog, or a robot file
@@ -74,20 +101,22 @@ COMMANDS = (
     "idim validate model.json experiment.yaml",
     "idim payload model.json second_payload.yaml --gains prior",
     "idim payload model.json second_payload.yaml --gains identified",
+    "idim compare-control simulation.yaml experiment.yaml",
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What the demo found: the model, the second payload's mass in both cases, and the run not used."""
+    """What the demo found: the model, the second payload's mass in both cases, the run not used, the control laws."""
 
     result: Result
     weighings: Mapping[str, Estimate]
     prediction: Prediction
     errors: tuple[TorqueError, ...]
+    comparison: Comparison
 
 
-def demo(out: Path, progress: Progress, duration: float = 20.0) -> tuple[dict[str, Any], str]:
+def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[str, Any], str]:
     """Make logs, identify the robot from them, weigh a second payload, and write everything to ``out``.
 
     Parameters
@@ -111,47 +140,75 @@ def demo(out: Path, progress: Progress, duration: float = 20.0) -> tuple[dict[st
     IdimError
         Where a file cannot be written.
     """
-    plans = make_experiment(out, duration, progress)
+    exciting = make_experiment(out, duration, progress)
     result = identify(out / "experiment.yaml", progress=progress)
     result.save(out / "model.json")
     weighings = {}
-    for gains in ("prior", "identified"):
-        (payload,) = weigh(result, out / "second_payload.yaml", gains, progress)
-        weighings[gains] = payload.parameters["m"]
+    for case in ("prior", "identified"):
+        (payload,) = weigh(result, out / "second_payload.yaml", case, progress)
+        weighings[case] = payload.parameters["m"]
     experiment = read_experiment(out / "experiment.yaml")
     (run,) = read_runs(experiment, experiment.validation)
     prediction = result.predict(run)
-    outcome = Outcome(result, weighings, prediction, torque_errors(result, prediction))
-    figures = write_figures(out, outcome, plans["exciting_1_unloaded"], duration, progress)
-    files = ["README.txt", "experiment.yaml", "second_payload.yaml", "model.json", *figures]
+    gains = {joint: gain.value or 0.0 for joint, gain in result.drive_gains.items()}
+    comparison = compare_control(out / "simulation.yaml", out / "experiment.yaml", progress, gains)
+    outcome = Outcome(result, weighings, prediction, torque_errors(result, prediction), comparison)
+    figures = write_figures(out, outcome, exciting, progress)
+    files = ["README.txt", "simulation.yaml", "experiment.yaml", "second_payload.yaml", "model.json", *figures]
     files += [f"logs/{name}.csv" for name, _, _ in LOGS]
     found = document(outcome, out, duration, files)
-    text = report(found)
+    text = report(found, table(comparison))
     write_atomically(
         out / "README.txt", f"{text}\n\n\nThe whole result, as idim identify prints it\n\n{result.summary()}\n"
     )
     return found, text
 
 
-def make_experiment(out: Path, duration: float, progress: Progress) -> dict[str, Trajectory]:
-    """Write the logs and the two experiment files; return the trajectories by log."""
-    robot = load_robot("orthoglide")
-    model, within = InverseDynamics(robot), envelope(robot)
-    chi, truth = standard_parameters(), drives()
-    time = np.arange(round(duration * RATE) + 1) / RATE
+def make_experiment(out: Path, duration: float, progress: Progress) -> Reference:
+    """Simulate the robot: write the logs and the files that describe them; return the first exciting trajectory."""
+    write_atomically(out / "simulation.yaml", simulation_text(duration))
+    simulation = read_simulation(out / "simulation.yaml")
+    model = InverseDynamics(load_robot(simulation.robot))
     _make_folder(out / "logs")
-    plans: dict[str, Trajectory] = {}
-    for k, (name, kind, mass) in enumerate(LOGS):
-        progress("making logs", k, len(LOGS))
-        rng = np.random.default_rng([SEED, k])
-        plans[name] = kind(within, duration, rng)
-        payload = Payload(name="payload", mass=mass) if mass else None
-        run = synthetic_run(name, model, plans[name], time, chi, truth, rng, payload)
-        write_log(run, out / "logs" / f"{name}.csv")
-    progress("making logs", len(LOGS), len(LOGS))
+    for k, run in enumerate(simulation.runs):
+        progress("simulating", k, len(simulation.runs))
+        write_log(make_run(simulation, model, run).run, out / "logs" / f"{run.name}.csv")
+    progress("simulating", len(simulation.runs), len(simulation.runs))
     write_atomically(out / "experiment.yaml", EXPERIMENT)
     write_atomically(out / "second_payload.yaml", SECOND_PAYLOAD)
-    return plans
+    exciting, _ = make_trajectory(simulation.runs[0].trajectory, model.robot, LOGS[0][0])
+    return sample(exciting, duration, RATE)
+
+
+def simulation_text(duration: float) -> str:
+    """The simulation file of the demo, its logs ``duration`` s long."""
+    runs = [
+        {"name": name, "trajectory": {kind: {"seed": seed, "duration": duration}}, **_carried(mass)}
+        for seed, (name, kind, mass) in enumerate(LOGS)
+    ]
+    control = [
+        {"name": name, "trajectory": {"points": {"through": _points(points)}}, **_carried(PAYLOAD_MASS)}
+        for name, points in CONTROL.items()
+    ]
+    document = {
+        "robot": "orthoglide",
+        "rate": RATE,
+        "seed": 1,
+        "prior_gains": PRIOR_GAINS,
+        "drives": drives(),
+        "parameters": standard_parameters(),
+        "runs": runs,
+        "control": control,
+    }
+    return SIMULATION + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120)
+
+
+def _carried(mass: float) -> dict[str, Any]:
+    return {"payload": {"name": "payload", "mass": mass}} if mass else {}
+
+
+def _points(points: tuple[tuple[float, ...], ...]) -> list[dict[str, float]]:
+    return [dict(zip(DRIVE_GAINS, point, strict=True)) for point in points]
 
 
 def _make_folder(path: Path) -> None:
@@ -161,20 +218,26 @@ def _make_folder(path: Path) -> None:
         raise IdimError(f"the folder {path} cannot be made ({error.strerror}); choose another --out.") from None
 
 
-def write_figures(out: Path, outcome: Outcome, plan: Trajectory, duration: float, progress: Progress) -> list[str]:
+def write_figures(out: Path, outcome: Outcome, exciting: Reference, progress: Progress) -> list[str]:
     """Write the figures; return their paths in ``out``, none where matplotlib is not installed."""
     if find_spec("matplotlib") is None:
         return []
+    from idim.report.control_figures import references_figure, tracking_figure
     from idim.report.figures import gains_figure, payload_figure, torques_figure, trajectory_figure
+    from idim.report.robot_figure import robot_figure
     from idim.report.style import save_figure
 
-    time = np.arange(round(duration * 200) + 1) / 200
+    compared, shown = outcome.comparison, slice(None, None, 5)
+    motion = (exciting.q[shown], exciting.qd[shown], exciting.qdd[shown])
     units = [each.unit for each in outcome.errors]
     made = {
         "gains": gains_figure(outcome.result.drive_gains, DRIVE_GAINS, PRIOR_GAINS),
         "payload": payload_figure(outcome.weighings["prior"], outcome.weighings["identified"], SECOND_PAYLOAD_MASS),
-        "torques": torques_figure(outcome.prediction, units, 0.0, min(6.0, duration)),
-        "trajectory": trajectory_figure(time, plan(time), outcome.prediction.joints, "m"),
+        "torques": torques_figure(outcome.prediction, units, 0.0, min(6.0, exciting.time[-1])),
+        "trajectory": trajectory_figure(exciting.time[shown], motion, outcome.prediction.joints, "m"),
+        "test_trajectories": references_figure(compared.references, compared.joints, compared.units),
+        **{f"tracking_{name}": tracking_figure(compared, name) for name in compared.references},
+        "robot": robot_figure(outcome.result.robot),
     }
     _make_folder(out / "figures")
     for k, (name, figure) in enumerate(made.items()):
@@ -214,6 +277,7 @@ def document(outcome: Outcome, out: Path, duration: float, files: list[str]) -> 
             },
         },
         "validation": [asdict(each) | {"relative": each.relative} for each in outcome.errors],
+        "tracking": table_document(outcome.comparison),
         "files": files,
         "commands": list(COMMANDS),
     }
@@ -223,13 +287,13 @@ def _percent(value: float | None, true: float) -> float | None:
     return None if value is None else 100 * (value - true) / true
 
 
-def report(found: Mapping[str, Any]) -> str:
-    """The document as text to read."""
+def report(found: Mapping[str, Any], tracking: str) -> str:
+    """The document as text to read, with the table of ``tracking`` errors."""
     logs, second = found["logs"], found["second_payload"]
     size = f"{logs['count']} logs of {logs['duration']:g} s at {logs['rate']:g} Hz"
     lines = [
         f"An Orthoglide whose true values are known: {size},",
-        "made by inverse dynamics with encoder rounding, noise, force ripple and delay, then used like any others.",
+        "simulated with friction, force ripple, encoder rounding, noise and held currents, then used like any others.",
         "",
         f"Drive gains, N/A, from a known payload of {found['known_payload']['mass']} kg",
         f"  {'joint':<10}{'true':>10}{'manufacturer':>16}{'error %':>10}{'identified':>14}{'std':>8}{'error %':>10}",
@@ -253,15 +317,20 @@ def report(found: Mapping[str, Any]) -> str:
     ]
     lines += [
         "",
+        "Following two trajectories, with computed torque by models identified with three sets of gains",
+        "",
+        tracking,
+        "",
         f"In {found['folder']}:",
         "  README.txt             this text and the whole result",
+        "  simulation.yaml        the robot that was simulated",
         "  experiment.yaml        the input; copy it for your own robot",
         "  second_payload.yaml    the same, for weighing",
         "  model.json             the identified robot",
         "  logs/                  what was logged",
     ]
     if any(name.startswith("figures/") for name in found["files"]):
-        lines.append("  figures/               gains, payload, torques, trajectory")
+        lines.append("  figures/               gains, payload, torques, trajectories, tracking errors, the robot")
     else:
         lines.append("  (no figures, as matplotlib is not installed: pip install 'idim[plot]' adds it)")
     return "\n".join(

@@ -17,6 +17,11 @@ MIN_SAMPLES = 100
 MAX_MISSING = 0.05  # part of a log that may be bad or missing
 MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
 MISSING_STEP = 1.5  # steps longer than so many mean steps have lost a sample
+SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
+SLIP_SPEED = 0.5  # and in shares of the joint's speed
+CLIPPED_RUN = 3  # samples in a row at the extreme value
+PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
+MAX_CLIPPED = 0.1
 
 
 @dataclass(frozen=True)
@@ -68,9 +73,9 @@ class UniformSamples:
 def check(samples: Samples) -> UniformSamples:
     """Check a log, repair what is safe, and put it on a uniform grid.
 
-    Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Irregular
-    sampling is resampled at the mean rate: cubic splines for positions, lines for commands. Steps of
-    more than 1.5 mean steps are gaps.
+    Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples
+    whose command is clipped at a limit are masked. Irregular sampling is resampled at the mean rate: cubic
+    splines for positions, lines for commands. Steps of more than 1.5 mean steps are gaps.
 
     Parameters
     ----------
@@ -86,7 +91,8 @@ def check(samples: Samples) -> UniformSamples:
     ------
     IdimError
         The log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
-        0.1 s (or three steps), reversed time, a command that never changes, or no moving joint.
+        0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a
+        tenth of the samples, a position that jumps, or no moving joint.
     """
     notes: list[str] = []
     _refuse_short(samples)
@@ -94,7 +100,8 @@ def check(samples: Samples) -> UniformSamples:
     _refuse_stuck(samples, notes)
     samples = _drop_repeated(samples, notes)
     samples = _unwrap(samples, notes)
-    return _uniform(samples, notes)
+    _refuse_slips(samples)
+    return _uniform(samples, _clipped(samples, notes), notes)
 
 
 def _refuse_short(samples: Samples) -> None:
@@ -197,14 +204,60 @@ def _unwrap(samples: Samples, notes: list[str]) -> Samples:
     return replace(samples, position=np.where(wraps, np.unwrap(samples.position, axis=0), samples.position))
 
 
-def _uniform(samples: Samples, notes: list[str]) -> UniformSamples:
+def _refuse_slips(samples: Samples) -> None:
+    """Refuse a position that jumps between two samples, as after a slipped coupling or lost counts."""
+    step = np.diff(samples.time)
+    speed = np.diff(samples.position, axis=0) / step[:, None]
+    change = speed[1:-1] - (speed[:-2] + speed[2:]) / 2
+    whole = step <= MISSING_STEP * np.median(step)
+    change[~(whole[:-2] & whole[1:-1] & whole[2:])] = 0.0
+    usual = np.quantile(np.abs(change), 0.999, axis=0)
+    fast = np.quantile(np.abs(speed), 0.999, axis=0)
+    slips = (np.abs(change) > SLIP * usual) & (np.abs(change) > SLIP_SPEED * fast)
+    for j in np.flatnonzero(slips.any(axis=0)):
+        k = int(np.argmax(np.abs(change[:, j])))
+        raise IdimError(
+            f"{samples.source}, {samples.place(k + 2)}: the position of joint '{samples.joints[j]}' jumps by "
+            f"{change[k, j] * step[k + 1]:.3g} (rad or m) at {samples.time[k + 2]:.9g} s, which is no motion; check "
+            "the coupling and the counter of its encoder, or cut the log there into two runs."
+        )
+
+
+def _clipped(samples: Samples, notes: list[str]) -> np.ndarray:
+    """Where a command stands at its extreme value although its joint moves (N,), as behind a limit of the drive."""
+    speed = np.abs(np.diff(samples.position, axis=0, prepend=samples.position[:1]))
+    moving = speed > 0.05 * np.sqrt(np.mean(speed**2, axis=0))
+    clipped = np.zeros(len(samples.time), dtype=bool)
+    for j, joint in enumerate(samples.joints):
+        for sign in (1.0, -1.0):
+            command = sign * samples.command[:, j]
+            levels = np.sort(command)
+            at = command == levels[-1]
+            beside = int((command == levels[len(levels) - 1 - at.sum()]).sum()) if not at.all() else 0
+            edges = np.flatnonzero(np.diff(np.r_[False, at & moving[:, j], False]))
+            longest = np.max(edges[1::2] - edges[::2], initial=0)
+            if longest < CLIPPED_RUN or at.sum() < PILE_UP * beside:
+                continue
+            if at.sum() > MAX_CLIPPED * len(at):
+                raise IdimError(
+                    f"{samples.source}: the command of joint '{joint}' is clipped at {sign * levels[-1]:.4g} in "
+                    f"{at.sum()} of {len(at)} samples; record it again with slower motions or a higher limit of the "
+                    "drive."
+                )
+            masked = _count(int(at.sum()), "sample")
+            notes.append(f"the command of joint '{joint}' is clipped at {sign * levels[-1]:.4g}: masked {masked}")
+            clipped |= at
+    return clipped
+
+
+def _uniform(samples: Samples, masked: np.ndarray, notes: list[str]) -> UniformSamples:
     time, period, regular = _grid(samples.time)
     step = np.diff(time)
     _refuse_gaps(samples, step, period)
     n = round((time[-1] - time[0]) / period) if regular else int((time[-1] - time[0]) / period)
     grid = time[0] + period * np.arange(n + 1)
     if regular and n + 1 == len(time):
-        return UniformSamples(grid, samples.position, samples.command, np.ones(n + 1, dtype=bool), tuple(notes))
+        return UniformSamples(grid, samples.position, samples.command, ~masked, tuple(notes))
 
     from scipy.interpolate import CubicSpline
 
@@ -214,6 +267,7 @@ def _uniform(samples: Samples, notes: list[str]) -> UniformSamples:
     before = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(step) - 1)
     near = np.minimum(np.abs(grid - time[before]), np.abs(time[before + 1] - grid)) < 0.01 * period
     valid = near | (step[before] <= MISSING_STEP * period)
+    clear = ~(masked[before] | masked[before + 1])
     missing = int((~valid).sum())
     if missing > MAX_MISSING * len(grid):
         raise IdimError(
@@ -227,7 +281,7 @@ def _uniform(samples: Samples, notes: list[str]) -> UniformSamples:
             f"resampled from irregular steps of {step.min() * 1e3:.3g} to {step.max() * 1e3:.3g} ms "
             f"to a uniform {1 / period:.2f} Hz"
         )
-    return UniformSamples(grid, position, command, valid, tuple(notes))
+    return UniformSamples(grid, position, command, valid & clear, tuple(notes))
 
 
 def _grid(time: np.ndarray) -> tuple[np.ndarray, float, bool]:

@@ -139,6 +139,23 @@ class Payload(_Keys):
         return self
 
 
+class Prior(_Keys):
+    """What is known of a standard parameter beforehand, SI units: a value with its standard deviation, or bounds."""
+
+    value: FiniteFloat | None = None
+    std: Positive | None = None
+    min: FiniteFloat | None = None
+    max: FiniteFloat | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Prior:
+        if (self.value is None) != (self.std is None):
+            raise ValueError("give 'value' and 'std' (its standard deviation) together")
+        if self.min is not None and self.max is not None and self.min >= self.max:
+            raise ValueError(f"'min' is {self.min:g} and 'max' {self.max:g}; write the smaller one as 'min'")
+        return self
+
+
 class LoggedRun(_Keys):
     """One run: its log, or two logs with positions and commands, and the payload carried, if any."""
 
@@ -170,12 +187,16 @@ def _close_file(path: Path) -> str:
 
 
 class Experiment(_Keys):
-    """An experiment file; its paths are relative to the working directory or absolute once read."""
+    """An experiment file; its paths are relative to the working directory or absolute once read.
+
+    ``priors`` say what is known of standard parameters, by name.
+    """
 
     robot: str
     signals: Signals
     units: Units = Units()
     prior_gains: dict[str, FiniteFloat] = {}
+    priors: dict[str, Prior] = {}
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
 

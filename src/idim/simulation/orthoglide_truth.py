@@ -6,7 +6,7 @@ from the dimensions of such a machine.
 
 from __future__ import annotations
 
-from idim.simulation.synthetic import Drive
+from typing import Any
 
 DRIVE_GAINS = {"11": 2170.0, "12": 2100.0, "13": 2070.0}  # N/A, Table 3
 PRIOR_GAINS = {"11": 2001.0, "12": 2001.0, "13": 2001.0}  # N/A, the manufacturer's 637 pi
@@ -24,18 +24,18 @@ BARS = {"1": 0.170, "2": 0.174, "3": 0.172}  # kg, both bars of a parallelogram
 PASSIVE_FRICTION = {"2": (0.42, 0.30), "3": (0.28, 0.22), "4": (0.27, 0.21), "5": (0.40, 0.28)}
 
 
-def drives() -> dict[str, Drive]:
-    """Drives with the true gains: 1 kHz control whose current is held for a sample, ball screws of 20 mm lead."""
+def drives() -> dict[str, dict[str, Any]]:
+    """Drives and sensors as in a simulation file: ball screws of 20 mm lead, 0.4 A at most."""
     return {
-        joint: Drive(
-            gain=gain,
-            delay=0.5e-3,
-            ripple=1.0,
-            ripple_period=0.02 / 6,
-            current_noise=3e-4,
-            current_quantum=1e-5,
-            position_quantum=2.5e-6,
-        )
+        joint: {
+            "gain": gain,
+            "current_limit": 0.4,
+            "ripple": 1.0,
+            "ripple_period": round(0.02 / 6, 6),
+            "position_quantum": 2.5e-6,
+            "current_noise": 3e-4,
+            "current_quantum": 1e-5,
+        }
         for joint, gain in DRIVE_GAINS.items()
     }
 

@@ -1,0 +1,155 @@
+"""All estimators on the same data, beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from idim.errors import IdimError
+from idim.estimation.assembly import require_scale
+from idim.estimation.current_domain import ml
+from idim.estimation.data import Progress, read_runs, reduce_runs, silent
+from idim.estimation.friction import Friction
+from idim.estimation.identify import FOR_GAINS, WITH_GAINS, with_friction
+from idim.estimation.prior import ridge
+from idim.estimation.problem import Problem
+from idim.estimation.robust import reweighted
+from idim.estimation.solution import Solution
+from idim.estimation.verdicts import Outcome, gain_verdicts, worst
+from idim.robots.load import load_robot
+from idim.signals.experiment import check_robot, read_experiment
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """What one estimator makes of the data.
+
+    ``gains`` and ``std`` (n,), N m/A or N/A, the deviations None where the gains are given. ``residuals`` (n,)
+    are those of the currents in per cent of them, ``seconds`` the time of the estimation alone. An estimator
+    that refuses the data has nothing but its ``refusal``.
+    """
+
+    method: str
+    gains: np.ndarray | None = None
+    std: np.ndarray | None = None
+    residuals: np.ndarray | None = None
+    seconds: float = 0.0
+    outcome: Outcome | None = None
+    refusal: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A row for each estimator, with the gains of the ``joints``."""
+
+    joints: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+def compare(path: str | Path, progress: Progress = silent) -> Comparison:
+    """Identify an experiment with every estimator, all on the friction terms chosen for maximum likelihood.
+
+    Raises
+    ------
+    IdimError
+        Where a file is wrong, the logs hold torques, or the runs cannot fix the scale of the gains.
+    """
+    experiment = read_experiment(path)
+    robot = load_robot(experiment.robot)
+    check_robot(experiment, robot)
+    runs = read_runs(experiment, experiment.runs)
+    if runs[0].kind == "torque":
+        raise IdimError(f"{path}: the logs hold torques, so there are no drive gains to compare; use 'idim identify'.")
+    data = reduce_runs(robot, runs, progress=progress)
+    require_scale(data.assembly(Friction()), [run.payload for run in data.runs], "ml")
+    data, assembly = with_friction(data, ml, progress)
+    names = [run.name for run in runs]
+
+    def row(method: str) -> Row:
+        mine, start = assembly, perf_counter()
+        try:
+            if method in WITH_GAINS:
+                prior = np.array([experiment.prior_gains[joint] for joint in robot.actuated])
+                solution = WITH_GAINS[method](mine.problem, prior)
+            else:
+                if method == "huber":
+                    _, mine = reweighted(data, mine, ml, progress)
+                solution = FOR_GAINS[method](mine.problem)
+                if method == "ridge":
+                    solution = ridge(data, mine, solution, experiment.priors)
+            n_theta, n = mine.problem.n_theta, len(robot.actuated)
+            std = np.sqrt(np.diag(solution.jackknife))[n_theta : n_theta + n]
+        except IdimError as refusal:
+            return Row(method, refusal=str(refusal))
+        seconds = perf_counter() - start
+        residuals = _residuals(assembly.problem, solution)
+        if method in WITH_GAINS:
+            return Row(method, solution.gains, None, residuals, seconds)
+        outcome = worst(gain_verdicts(mine.problem, solution, std, mine.places, names))
+        return Row(method, solution.gains, std, residuals, seconds, outcome)
+
+    methods = [*FOR_GAINS, *(WITH_GAINS if experiment.prior_gains else ())]
+    rows = []
+    for k, method in enumerate(methods):
+        progress("estimators", k, len(methods))
+        rows.append(row(method))
+    progress("estimators", len(methods), len(methods))
+    return Comparison(robot.actuated, tuple(rows))
+
+
+def _residuals(problem: Problem, solution: Solution) -> np.ndarray:
+    """Current residuals, per cent of the currents' rms, (n,)."""
+    signal = [np.linalg.norm(R[:, problem.n_theta + 1]) for R in problem.triangles] / np.sqrt(problem.total_rows)
+    return np.asarray(100 * solution.sigma / signal)
+
+
+def table(found: Comparison) -> str:
+    """The comparison as text."""
+    joints = "".join(f"{joint[:18]:>20}" for joint in found.joints)
+    lines = [
+        f"{'':<8}{joints}{'residual':>10}{'time':>8}   worst",
+        f"{'method':<8}{'gain +- std %':>20}" + f"{'':>20}" * (len(found.joints) - 1) + f"{'%':>10}{'s':>8}   verdict",
+    ]
+    for row in found.rows:
+        if row.gains is None or row.residuals is None:
+            lines.append(f"{row.method:<8}  {row.refusal}")
+            continue
+        std = [None] * len(row.gains) if row.std is None else 100 * row.std / np.abs(row.gains)
+        gains = "".join(
+            f"{f'{g:.5g}' + (' given' if s is None else f' +- {s:.2g} %'):>20}"
+            for g, s in zip(row.gains, std, strict=True)
+        )
+        verdict = "" if row.outcome is None else row.outcome.value
+        lines.append(f"{row.method:<8}{gains}{row.residuals.max():>10.3g}{row.seconds:>8.2f}   {verdict}")
+    lines.append("residual: of the worst joint, in per cent of its current; time: of the estimation alone")
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def to_document(found: Comparison) -> dict[str, Any]:
+    """The comparison as a JSON document."""
+
+    def numbers(values: Sequence[float] | np.ndarray | None) -> list[float] | None:
+        return None if values is None else [float(value) for value in values]
+
+    return {
+        "joints": list(found.joints),
+        "estimators": [
+            {
+                "method": row.method,
+                "gains": numbers(row.gains),
+                "std": numbers(row.std),
+                "residuals": numbers(row.residuals),
+                "seconds": row.seconds,
+                "outcome": None if row.outcome is None else row.outcome.value,
+                "refusal": row.refusal,
+            }
+            for row in found.rows
+        ],
+    }

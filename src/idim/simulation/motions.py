@@ -1,0 +1,118 @@
+"""The trajectory that a simulation file describes: of one of five kinds, and inside the robot's limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from idim.errors import IdimError
+from idim.robots.robot import Robot
+from idim.signals.log_file import read_log
+from idim.simulation.description import Motion
+from idim.simulation.trajectories import Envelope, PointToPoint, Sines, Trajectory, envelope, point_to_point, sines
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """A fifth-order spline through samples ``q`` (N, n) at ``time`` (N,), s."""
+
+    time: np.ndarray
+    q: np.ndarray
+
+    def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, velocities and accelerations (N, n)."""
+        from scipy.interpolate import make_interp_spline
+
+        spline = make_interp_spline(self.time, self.q, k=5)
+        inside = ((time >= self.time[0]) & (time <= self.time[-1]))[:, None]
+        t = np.clip(time, self.time[0], self.time[-1])
+        return spline(t), inside * spline(t, 1), inside * spline(t, 2)
+
+
+def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToPoint:
+    """Fifth-order moves through ``points`` (K, n), each as fast as the envelope lets it be, ``rest`` s between them."""
+    way = np.abs(np.diff(points, axis=0))
+    # the greatest speed and acceleration of the polynomial are 15/8 and 10/sqrt(3)
+    spans = np.maximum(1.875 * way / within.velocity, np.sqrt(10 / np.sqrt(3) * way / within.acceleration)).max(axis=1)
+    spans = np.maximum(spans, 1e-3)  # a move to the same point
+    starts = np.concatenate([[0.0], np.cumsum(spans[:-1] + rest)])
+    return PointToPoint(points, starts, spans)
+
+
+def make_trajectory(motion: Motion, robot: Robot, where: str) -> tuple[Trajectory, float]:
+    """The trajectory that a file describes, and its duration in s.
+
+    Parameters
+    ----------
+    motion : Motion
+        From a simulation file.
+    robot : Robot
+        Whose actuated joints move.
+    where : str
+        What messages call the run.
+
+    Raises
+    ------
+    IdimError
+        Where the description lacks a joint, leaves the position limits, or needs limits that the robot lacks.
+    """
+    made: Trajectory
+    if (random := motion.sines or motion.moves) is not None:
+        kind = sines if motion.sines else point_to_point
+        rng = np.random.default_rng(random.seed)
+        made, duration = kind(envelope(robot, random.share), random.duration, rng), random.duration
+    elif motion.points is not None:
+        points = np.array([_of_joints(point, robot, where) for point in motion.points.through])
+        moves = moves_through(points, envelope(robot, motion.points.share), motion.points.rest)
+        made, duration = moves, float(moves.starts[-1] + moves.spans[-1] + motion.points.rest)
+    elif (series := motion.fourier) is not None:
+        center, amplitude, phase = (
+            np.array(_of_joints(each, robot, where)) for each in (series.center, series.amplitude, series.phase)
+        )
+        made, duration = Sines(center, amplitude, phase, np.array(series.frequency), series.duration), series.duration
+    else:
+        assert motion.csv is not None
+        made, duration = _from_csv(motion.csv, robot)
+    _check_limits(made(np.arange(0.0, duration, 0.005))[0], robot, where)
+    return made, duration
+
+
+def _of_joints(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[Any]:
+    missing = [joint for joint in robot.actuated if joint not in values]
+    extra = [joint for joint in values if joint not in robot.actuated]
+    if missing or extra:
+        raise IdimError(
+            f"{where}: the trajectory "
+            + (f"lacks the joint '{missing[0]}'" if missing else f"names '{extra[0]}'")
+            + f"; give one value for each actuated joint, {', '.join(robot.actuated)}."
+        )
+    return [values[joint] for joint in robot.actuated]
+
+
+def _from_csv(path: Path, robot: Robot) -> tuple[Sampled, float]:
+    names = [f"q{joint}" for joint in robot.actuated]
+    columns = read_log(path, ("t", *names)).columns
+    time, q = columns["t"], np.column_stack([columns[name] for name in names])
+    if not (np.isfinite(time).all() and np.isfinite(q).all() and len(time) > 5 and (np.diff(time) > 0).all()):
+        raise IdimError(
+            f"{path}: the columns t and {', '.join(names)} must hold at least six rows of numbers with rising times; "
+            "correct the file."
+        )
+    return Sampled(time - time[0], q), float(time[-1] - time[0])
+
+
+def _check_limits(q: np.ndarray, robot: Robot, where: str) -> None:
+    for j, name in enumerate(robot.actuated):
+        limits = robot.joint(name).limits.position
+        low, high = q[:, j].min(), q[:, j].max()
+        if limits is not None and (low < limits[0] - 1e-9 or high > limits[1] + 1e-9):
+            raise IdimError(
+                f"{where}: joint '{name}' is to move from {low:.4g} to {high:.4g}, beyond its limits "
+                f"{limits[0]:.4g} to {limits[1]:.4g}; make the motion smaller."
+            )

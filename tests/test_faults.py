@@ -1,0 +1,287 @@
+"""Faults that happen, put into good logs: each is noticed, and the sentence names it among what to check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import idim.estimation.data
+from idim.errors import IdimError
+from idim.estimation.base_parameters import BaseParameters, base_parameters
+from idim.estimation.identify import identify
+from idim.estimation.result import Result
+from idim.estimation.verdicts import INFLATED, Outcome, worst
+from idim.model.inverse_dynamics import InverseDynamics
+from idim.robots.load import load_robot
+from idim.robots.robot import Mdh, Robot
+from idim.signals.experiment import Payload
+from idim.signals.run import Run, read_run
+from idim.simulation.orthoglide_truth import DRIVE_GAINS
+from orthoglide_logs import experiment
+
+ROBOT = load_robot("orthoglide")
+Fault = Callable[[list[Run]], tuple[Robot, list[Run]]]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def base_once() -> Iterator[None]:
+    """Base parameters found once for each robot, as most of these experiments are of the same."""
+    found: dict[Robot, BaseParameters] = {}
+
+    def remembered(model: InverseDynamics) -> BaseParameters:
+        if model.robot not in found:
+            found[model.robot] = base_parameters(model)
+        return found[model.robot]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(idim.estimation.data, "base_parameters", remembered)
+        yield
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    return experiment(1)
+
+
+def sentences(result: Result) -> str:
+    return " | ".join(gain.verdict.sentence for gain in result.drive_gains.values())
+
+
+def errors(result: Result) -> np.ndarray:
+    """Errors of the gains, per cent."""
+    return np.array([100 * (each.value / DRIVE_GAINS[joint] - 1) for joint, each in result.drive_gains.items()])
+
+
+# No fault
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_false_alarm(seed: int, runs: list[Run]) -> None:
+    result = identify(ROBOT, runs if seed == 1 else experiment(seed))
+    every = [gain.verdict for gain in result.drive_gains.values()] + [each.verdict for each in result.payloads]
+    assert worst(every) == Outcome.GOOD
+    assert not any(verdict.why for verdict in every)
+    assert result.statistics["lack_of_fit"] < INFLATED
+    assert np.abs(errors(result)).max() < 0.6
+
+
+# Faults of the runs
+
+
+def command(run: Run, columns: Sequence[int], signs: Sequence[float] = (1, 1, 1)) -> Run:
+    return replace(run, command=run.command[:, columns] * signs)
+
+
+def only(runs: list[Run], k: int, fault: Callable[[Run], Run]) -> list[Run]:
+    return [fault(run) if i == k else run for i, run in enumerate(runs)]
+
+
+def warm_up(run: Run) -> Run:
+    return replace(run, command=run.command * np.linspace(1.0, 1.05, len(run.time))[:, None])
+
+
+def turned(robot: Robot) -> Robot:
+    x, y, z = robot.gravity
+    return replace(robot, gravity=(z, x, y))
+
+
+FAULTS: dict[str, tuple[Fault, Outcome, str]] = {
+    "swapped channels": (
+        lambda runs: (ROBOT, [command(run, [1, 0, 2]) for run in runs]),
+        Outcome.CONTRADICTORY,
+        "position and current columns belong together",
+    ),
+    "a sign flipped in one run": (
+        lambda runs: (ROBOT, only(runs, 0, lambda run: command(run, [0, 1, 2], (1, -1, 1)))),
+        Outcome.CONTRADICTORY,
+        "in all runs, and their signs",
+    ),
+    "all signs flipped": (
+        lambda runs: (ROBOT, [command(run, [0, 1, 2], (-1, -1, -1)) for run in runs]),
+        Outcome.CONTRADICTORY,
+        "check the sign of the currents",
+    ),
+    "an unloaded run declared loaded": (
+        lambda runs: (ROBOT, only(runs, 1, lambda run: replace(run, payload=runs[2].payload))),
+        Outcome.WEAK,
+        "payload",
+    ),
+    "a loaded run declared unloaded": (
+        lambda runs: (ROBOT, only(runs, 2, lambda run: replace(run, payload=None))),
+        Outcome.WEAK,
+        "which runs carry the payload",
+    ),
+    "gravity along another axis": (lambda runs: (turned(ROBOT), runs), Outcome.WEAK, "gravity"),
+    "gravity upside down": (
+        lambda runs: (replace(ROBOT, gravity=(0.0, 0.0, 9.80665)), runs),
+        Outcome.NOT_IDENTIFIABLE,
+        "gravity",
+    ),
+    "positions in the wrong order": (
+        lambda runs: (ROBOT, [replace(run, position=run.position[:, [1, 0, 2]]) for run in runs]),
+        Outcome.CONTRADICTORY,
+        "position and current columns belong together",
+    ),
+    "a robot that warms up in a run": (
+        lambda runs: (ROBOT, only(runs, 0, warm_up)),
+        Outcome.CONTRADICTORY,
+        "let the robot warm up",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_noticed(name: str, runs: list[Run]) -> None:
+    put_in, outcome, advice = FAULTS[name]
+    robot, faulty = put_in(runs)
+    result = identify(robot, faulty)
+    found = worst([gain.verdict for gain in result.drive_gains.values()])
+    assert list(Outcome).index(found) >= list(Outcome).index(outcome), sentences(result)
+    assert advice in sentences(result)
+    assert advice.split()[0] in " ".join(result.summary().split())
+
+
+def test_one_reversed_current_is_a_negative_gain_and_said(
+    runs: list[Run],
+) -> None:
+    result = identify(ROBOT, [command(run, [0, 1, 2], (1, -1, 1)) for run in runs])
+    assert result.drive_gains["12"].value == pytest.approx(-DRIVE_GAINS["12"], rel=0.006)
+    assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD
+    assert "drive gain of '12' good: it is negative" in " ".join(result.summary().split())
+
+
+def test_a_link_two_per_cent_off_is_a_lack_of_fit(runs: list[Run]) -> None:
+    # The deviations grow with the misfit, so that the gains stay within them.
+    longer = [
+        replace(joint, placement=replace(joint.placement, d=1.02 * joint.placement.d))
+        if isinstance(joint.placement, Mdh)
+        else joint
+        for joint in ROBOT.joints
+    ]
+    result = identify(replace(ROBOT, joints=tuple(longer)), runs)
+    assert result.statistics["lack_of_fit"] > INFLATED
+    assert "check the robot's geometry" in " ".join(result.summary().split())
+    for joint, gain in result.drive_gains.items():
+        low, high = gain.interval(0.999) or (0.0, 0.0)
+        assert low < DRIVE_GAINS[joint] < high
+
+
+def test_millimetres_read_as_metres_are_refused(runs: list[Run]) -> None:
+    with pytest.raises(IdimError, match="check the units"):
+        identify(ROBOT, [replace(run, position=1e3 * run.position) for run in runs])
+
+
+# A wrong mass
+
+
+def heavier(run: Run, name: str, factor: float) -> Run:
+    if run.payload is None or run.payload.name != name or run.payload.mass is None:
+        return run
+    return replace(run, payload=Payload(name=name, mass=factor * run.payload.mass))
+
+
+def test_a_wrong_mass_is_not_noticed_with_one_payload_and_that_is_said(runs: list[Run]) -> None:
+    result = identify(ROBOT, [heavier(run, "1.983 kg", 1.2) for run in runs])
+    np.testing.assert_allclose(errors(result), 20.0, atol=0.6)
+    assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD
+    assert "a wrong one cannot be noticed" in " ".join(result.summary().split())
+
+
+def test_a_wrong_mass_is_noticed_with_two_payloads() -> None:
+    two = experiment(4, (0.0, 1.136, 1.983))
+    for factor, outcome in ((1.0, Outcome.GOOD), (1.03, Outcome.CONTRADICTORY)):
+        result = identify(ROBOT, [heavier(run, "1.983 kg", factor) for run in two])
+        assert worst([each.verdict for each in result.payloads]) == outcome
+        assert ("weigh the payloads again" in " ".join(result.summary().split())) == (factor > 1)
+
+
+# A serial arm in the wrong unit
+
+
+def test_degrees_read_as_radians() -> None:
+    model = InverseDynamics(load_robot("puma560"))
+    rng = np.random.default_rng(5)
+    time = np.arange(2401) / 300.0
+    w = 2 * np.pi * np.array([0.3, 0.8, 1.3])[:, None]
+    chi = {name: 0.5 if name.startswith(("m_", "ia", "fv", "fs")) else 0.05 for name in model.parameter_names}
+    logged = []
+    for k, mass in enumerate((0.0, 3.0)):
+        angle = w * time[:, None, None] + rng.uniform(0, 6.0, (3, 6))
+        q, qd, qdd = (0.4 * np.sin(angle) / w).sum(1), (0.4 * np.cos(angle)).sum(1), (-0.4 * w * np.sin(angle)).sum(1)
+        tool = f"m_{model.robot.tool}"
+        tau = model.torques(q, qd, qdd, {**chi, tool: chi[tool] + mass})
+        current = tau / 10.0 + 0.01 * rng.standard_normal(tau.shape)
+        payload = Payload(name="steel", mass=mass) if mass else None
+        logged.append(Run(f"run {k}", model.actuated, time, q, current, payload=payload))
+    right = identify(model.robot, logged)
+    assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD, sentences(right)
+    with pytest.raises(IdimError, match="signs and units of positions"):
+        identify(model.robot, [replace(run, position=np.degrees(run.position)) for run in logged])
+
+
+# Faults that the checks of a log find
+
+SIGNALS = {
+    "time": "t",
+    "position": {joint: f"q{joint}" for joint in DRIVE_GAINS},
+    "current": {joint: f"v{joint}" for joint in DRIVE_GAINS},
+}
+
+
+def logged(path: Path, run: Run) -> Run:
+    names = ["t", *(f"{kind}{joint}" for kind in "qv" for joint in run.joints)]
+    table = np.column_stack([run.time, run.position, run.command])
+    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.9f")
+    return read_run(path, SIGNALS, run.payload)
+
+
+def limited(run: Run, share: float) -> Run:
+    highest = share * np.abs(run.command).max(axis=0)
+    return replace(run, command=np.round(np.clip(run.command, -highest, highest), 9))
+
+
+def test_clipped_currents_are_masked_and_said(runs: list[Run], tmp_path: Path) -> None:
+    clipped = [logged(tmp_path / f"run_{k}.csv", limited(run, 0.85)) for k, run in enumerate(runs)]
+    masked = [int((~run.valid).sum()) for run in clipped]
+    assert min(masked) > 0
+    assert all("is clipped at" in " ".join(run.notes) for run in clipped)
+    result = identify(ROBOT, clipped)
+    assert "is clipped at" in " ".join(result.summary().split())
+    for (joint, gain), truth in zip(result.drive_gains.items(), DRIVE_GAINS.values(), strict=True):
+        low, high = gain.interval(0.999) or (0.0, 0.0)
+        assert low < truth < high, joint
+
+
+def test_a_command_clipped_all_the_time_is_refused(runs: list[Run], tmp_path: Path) -> None:
+    with pytest.raises(IdimError, match=r"is clipped at .* record it again with slower motions"):
+        logged(tmp_path / "run.csv", limited(runs[1], 0.3))
+
+
+def test_good_currents_are_not_taken_for_clipped(runs: list[Run], tmp_path: Path) -> None:
+    for k, run in enumerate(runs):
+        assert logged(tmp_path / f"run_{k}.csv", run).notes == ()
+        coarse = replace(run, command=0.02 * np.round(run.command / 0.02))
+        assert "clipped" not in " ".join(logged(tmp_path / "coarse.csv", coarse).notes)
+
+
+@pytest.mark.parametrize("slip", [0.001, 0.005])
+def test_a_slipped_encoder_is_refused(slip: float, runs: list[Run], tmp_path: Path) -> None:
+    run = runs[0]
+    later = np.arange(len(run.time)) > 2000
+    jumped = run.position + slip * np.outer(later, [0, 1, 0])
+    with pytest.raises(IdimError, match=r"joint '12' jumps by 0\.00[15].* at 5\.0025 s.* check the coupling"):
+        logged(tmp_path / "run.csv", replace(run, position=jumped))
+
+
+def test_a_gap_is_refused(runs: list[Run], tmp_path: Path) -> None:
+    run, kept = runs[0], np.ones(len(runs[0].time), dtype=bool)
+    kept[1000:1100] = False
+    gap = replace(
+        run, time=run.time[kept], position=run.position[kept], command=run.command[kept], valid=np.ones(0, bool)
+    )
+    with pytest.raises(IdimError, match=r"0\.25.* s are missing after 2\.49"):
+        logged(tmp_path / "run.csv", gap)
