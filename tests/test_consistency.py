@@ -14,8 +14,9 @@ from typer.testing import CliRunner
 from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
 from idim.cli import app
 from idim.errors import IdimError
+from idim.estimation.estimates import Consistency
 from idim.estimation.identify import identify
-from idim.estimation.result import Consistency, Result
+from idim.estimation.result import Result
 from idim.estimation.semidefinite import BASIS, MARGIN, Body, constrained_least_squares, pseudo_inertia
 from idim.robots.load import load_robot
 from idim.robots.robot import INERTIAL

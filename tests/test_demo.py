@@ -143,7 +143,7 @@ def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None
 
 def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_path: Path) -> None:
     matplotlib = pytest.importorskip("matplotlib")
-    from idim.estimation.result import Estimate
+    from idim.estimation.estimates import Estimate
     from idim.report.figures import payload_figure
     from idim.report.style import save_figure
 

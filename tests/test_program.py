@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from idim.model._interpreter import LANES
-from idim.model._least_squares import solve
+from idim.model._lanes import LANES
 from idim.model.coordinates import coordinates
 from idim.model.dynamics import parameter_names, torques
 from idim.model.inverse_dynamics import InverseDynamics
+from idim.model.least_squares import solve as symbolic_solve
 from idim.model.program import compile_program
 from robots_for_tests import planar_3rrr
 
@@ -22,6 +22,16 @@ def reference(inputs, outputs, values):
     """CasADi's own evaluation, one sample after another, (outputs, N)."""
     function = ca.Function("reference", [ca.veccat(*inputs)], [ca.densify(ca.veccat(*outputs))])
     return np.column_stack([np.array(function(column)).ravel() for column in values.T])
+
+
+def solve(a, pattern, b, refine):
+    """Solutions (n, k, N) and condition numbers (N,) of a batch: ``a`` (m, n, N), zero off ``pattern``, ``b`` (m, k, N)."""
+    (m, n, samples), k = a.shape, b.shape[1]
+    A, B = ca.SX.sym("A", ca.sparsify(ca.DM(pattern.astype(float))).sparsity()), ca.SX.sym("B", m, k)
+    rows, columns = (np.array(index, dtype=int) for index in A.sparsity().get_triplet())
+    x, condition = symbolic_solve(A, B, refine)
+    found = compile_program([ca.vec(A.nz[:]), B.T], [condition, x.T])(a[rows, columns], b.reshape(m * k, samples))
+    return found[1:].reshape(n, k, samples), found[0]
 
 
 @pytest.mark.parametrize("samples", BATCHES)

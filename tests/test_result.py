@@ -156,7 +156,7 @@ def test_gains_that_are_given_are_not_estimates() -> None:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"method": "magic"}, "there is no method 'magic'; choose from ml, mixed, tls, "),
+        ({"method": "magic"}, "there is no method 'magic'; choose from ml, "),
         ({"runs": []}, "a robot alone cannot be identified; give its runs too"),
         ({"runs": None}, "a robot alone cannot be identified; give its runs too"),
     ],

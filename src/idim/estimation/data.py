@@ -20,7 +20,7 @@ from idim.robots.robot import Robot
 from idim.signals.decimation import decimation_factor
 from idim.signals.experiment import Experiment, LoggedRun, Payload, check_robot, read_experiment
 from idim.signals.filters import cutoff_frequency
-from idim.signals.preparation import Preparation, Prepared, choose_preparation, prepare
+from idim.signals.preparation import Preparation, Prepared, choose_preparation, faster, prepare
 from idim.signals.run import Run, arrange, read_run
 
 if TYPE_CHECKING:
@@ -158,5 +158,20 @@ def reduce_runs(
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
     base = base_parameters(model)
-    prepared = tuple(prepare(run, preparation) for run in runs)
+    prepared = tuple(_coupled(model, prepare(run, preparation), preparation) for run in runs)
     return Data(robot, model, base, preparation, prepared, ()).reduced(progress=progress)
+
+
+def _coupled(model: InverseDynamics, prepared: Prepared, preparation: Preparation) -> Prepared:
+    """Leave out the rows of a motor near reversals of the joints that it drives through couplings too.
+
+    Their Coulomb friction acts in the motor's row; the ratios do not change along a run.
+    """
+    robot = model.robot
+    if not robot.couplings or robot.closures:
+        return prepared
+    still = np.zeros((len(model.actuated), 1))
+    J = model.motion(still, still, still).J[:, :, 0]
+    slow = ~faster(prepared.qd @ J.T, preparation.speed_fraction)  # (N, n_y)
+    near = slow.astype(float) @ (np.abs(J) > 1e-9) > 0
+    return replace(prepared, usable=prepared.usable & ~near)

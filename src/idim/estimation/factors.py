@@ -19,6 +19,7 @@ from idim.signals.decimation import Decimator
 from idim.signals.preparation import Prepared
 
 STRETCHES = 20
+ROWS = 512  # merged into a triangle at once
 CURRENTS = 3  # columns of a joint's current: v, v', v''
 EXTRA = len(TERMS) + CURRENTS
 Weigh = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
@@ -65,24 +66,42 @@ def reduce_run(
     regressor = idm.columns(columns)
     outputs = len(decimator.instants(len(prepared.time)))
     n, p = len(idm.actuated), len(columns) + EXTRA
+    own = [np.append(np.unique(regressor.columns[regressor.rows == j]), np.arange(p - EXTRA, p)) for j in range(n)]
     R, rows = np.zeros((STRETCHES, n, p, p)), np.zeros((STRETCHES, n), dtype=int)
-    condition = 0.0
+    small = [[np.zeros((0, columns.size)) for columns in own] for _ in range(STRETCHES)]  # the triangles of own columns
+    waiting: list[list[np.ndarray]] = [[] for _ in range(n)]
+    condition, now, held = 0.0, 0, 0
+
+    def merge() -> None:
+        for j in range(n):
+            if waiting[j]:
+                small[now][j] = triangle(small[now][j], *waiting[j])
+                waiting[j].clear()
+
     for part in stream_rows(idm, regressor, prepared, decimator, load):
         condition = max(condition, part.condition)
         stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
-        for j in range(n):
-            mine = np.flatnonzero(regressor.rows == j)
-            A = np.zeros((len(part.time), p))
-            A[:, regressor.columns[mine]] = part.entries[mine].T
-            A[:, -EXTRA:-CURRENTS] = part.terms[:, j].T
-            A[:, -CURRENTS:] = part.currents[:, j].T
-            if weigh is not None:
-                A *= np.sqrt(weigh(j, A, part.keep[j]))[:, None]
-            for s in np.unique(stretch):
-                chosen = A[(stretch == s) & part.keep[j]]
+        A = np.zeros((n, len(part.time), p))
+        A[regressor.rows, :, regressor.columns] = part.entries
+        A[:, :, -EXTRA:-CURRENTS] = part.terms.transpose(1, 2, 0)
+        A[:, :, -CURRENTS:] = part.currents.transpose(1, 2, 0)
+        if weigh is not None:
+            for j in range(n):
+                A[j] *= np.sqrt(weigh(j, A[j], part.keep[j]))[:, None]
+        for s in range(stretch[0], stretch[-1] + 1):
+            if s > now or held >= ROWS:
+                merge()
+                now, held = s, 0
+            held += int((stretch == s).sum())
+            for j in range(n):
+                chosen = A[j, (stretch == s) & part.keep[j]]
                 if len(chosen):
-                    merged = triangle(R[s, j, : min(rows[s, j], p)], chosen)
-                    R[s, j, : len(merged)] = merged
+                    waiting[j].append(chosen[:, own[j]])
                     rows[s, j] += len(chosen)
         progress(len(part.time))
+    merge()
+    for s in range(STRETCHES):
+        for j in range(n):
+            # in the columns of all joints a triangle's rows still begin at the diagonal or right of it
+            R[s, j, : len(small[s][j]), own[j]] = small[s][j].T
     return Factors(R, rows, condition)

@@ -138,6 +138,8 @@ def identify(
     if ratio is None:
         # a kept parameter absorbs what the cancelled ones did: only the deviation with all of them there holds
         std = np.sqrt(np.diag(covariance))[[assembly.problem.parameters.index(name) for name in kept.parameters]]
+    loss = {"reduction_loss": 100 * float(np.max(reduced.sigma / solution.sigma) - 1)}
+    solution, reduced = (replace(each, statistics={**each.statistics, **loss}) for each in (solution, reduced))
     masses = weigh_known(data, assembly, method) if method in FOR_GAINS else {}
     bodies = None
     if consistent:

@@ -8,9 +8,10 @@ import numpy as np
 
 from idim.estimation.assembly import Assembly, known_values
 from idim.estimation.data import Data
+from idim.estimation.estimates import Consistency, Estimate, PayloadEstimate, TorqueError, torque_unit, unit_of
 from idim.estimation.friction import UNITS
 from idim.estimation.problem import Problem
-from idim.estimation.result import Consistency, Estimate, PayloadEstimate, Result, TorqueError, torque_unit, unit_of
+from idim.estimation.result import Result
 from idim.estimation.solution import Solution
 from idim.estimation.verdicts import GOOD, Verdict, gain_verdicts, lack_of_fit, parameter_verdict
 from idim.robots.robot import INERTIAL, Robot

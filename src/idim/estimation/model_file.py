@@ -6,18 +6,21 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from idim.errors import IdimError
-from idim.estimation.result import Consistency, Estimate, Move, PayloadEstimate, Result, TorqueError, unit_of
+from idim.estimation.estimates import Consistency, Estimate, Move, PayloadEstimate, TorqueError, unit_of
 from idim.estimation.verdicts import Outcome, Verdict
 from idim.files import write_atomically
 from idim.robots.native import native_text, parse_native
 from idim.robots.robot import Robot
 from idim.signals.decimation import Decimator
 from idim.signals.preparation import Preparation
+
+if TYPE_CHECKING:
+    from idim.estimation.result import Result
 
 SCHEMA = "idim-model/1"
 
@@ -129,8 +132,8 @@ def save(result: Result, path: str | Path) -> None:
     write_atomically(path, json.dumps(to_document(result), indent=1, allow_nan=False) + "\n")
 
 
-def load(path: str | Path) -> Result:
-    """Read a result.
+def load(path: str | Path, make: type[Result]) -> Result:
+    """Read a result, which ``make`` makes.
 
     Raises
     ------
@@ -153,7 +156,7 @@ def load(path: str | Path) -> Result:
             "with this version."
         )
     try:
-        result = _result(document, path)
+        result = _result(document, path, make)
     except KeyError as error:
         raise _damaged(path, f"{error} is missing") from None
     except (TypeError, ValueError, AttributeError) as error:
@@ -194,9 +197,9 @@ def _problems(result: Result) -> Iterator[str]:
         yield "the preparation of the signals is not one that this version knows"
 
 
-def _result(document: Mapping[str, Any], path: str | Path) -> Result:
+def _result(document: Mapping[str, Any], path: str | Path, make: type[Result]) -> Result:
     preparation = document["preparation"]
-    return Result(
+    return make(
         robot=parse_native(document["robot_file"], path),
         method=document["method"],
         kind=document["kind"],

@@ -10,10 +10,11 @@ from threadpoolctl import threadpool_limits
 from idim.errors import IdimError
 from idim.estimation.current_domain import wls
 from idim.estimation.data import Progress, at_rate_of, experiment_of, read_runs, reduce_runs, silent
+from idim.estimation.estimates import PayloadEstimate
 from idim.estimation.identify import given_gains, with_friction
 from idim.estimation.interpretation import payload_estimates
 from idim.estimation.problem import Problem
-from idim.estimation.result import PayloadEstimate, Result
+from idim.estimation.result import Result
 from idim.estimation.solution import freedom
 
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from idim.errors import IdimError
+from idim.estimation.assembly import known_values
 from idim.estimation.data import at_rate_of
+from idim.estimation.estimates import Estimate, Prediction, TorqueError, torque_unit
 from idim.estimation.friction import TERMS, transmitted
-from idim.estimation.result import Estimate, Prediction, Result, TorqueError, known_parameters, torque_unit
 from idim.estimation.rows import stream_rows
 from idim.signals.preparation import prepare
 from idim.signals.run import Run, arrange
+
+if TYPE_CHECKING:
+    from idim.estimation.result import Result
 
 
 def predict(result: Result, run: Run) -> Prediction:
@@ -41,7 +46,7 @@ def predict(result: Result, run: Run) -> Prediction:
                 f"run '{run.name}' carries the payload '{run.payload.name}', whose mass neither the run nor the model "
                 "knows; add its 'mass'."
             )
-        for kind, value in known_parameters(run.payload, identified).items():
+        for kind, value in {**identified, **known_values(run.payload)}.items():
             chi = chi + value * base.matrix[:, tool[f"{kind}_{result.robot.tool}"]]
     regressor = model.columns(base.standard)
     gains = np.array([result.drive_gains[joint].value for joint in model.actuated])

@@ -10,127 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from idim.estimation.base_parameters import BaseParameters, base_parameters
-from idim.estimation.verdicts import GOOD, Verdict
+from idim.estimation.estimates import Consistency, Estimate, PayloadEstimate, Prediction, TorqueError
+from idim.estimation.model_file import load, save
+from idim.estimation.prediction import predict, torque_errors
+from idim.estimation.summary import summary
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.robot import Robot
-from idim.signals.experiment import Payload
 from idim.signals.preparation import Preparation
 from idim.signals.run import Run
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A number with its unit and standard deviation.
-
-    ``value`` is None where the data cannot tell, ``std`` None where the value is known. ``spread`` is the
-    standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
-    says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
-    """
-
-    name: str
-    value: float | None
-    std: float | None
-    unit: str
-    regrouping: str = ""
-    spread: float | None = None
-    verdict: Verdict = GOOD
-    freedom: int | None = None
-
-    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval by the t distribution, in ``unit``; None without value or deviation."""
-        if self.value is None or self.std is None:
-            return None
-        from scipy.special import ndtri, stdtrit
-
-        tail = (1 + level) / 2
-        half = self.std * float(ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail))
-        return self.value - half, self.value + half
-
-    @property
-    def rel_std(self) -> float | None:
-        """Relative standard deviation, per cent."""
-        return 100 * self.std / abs(self.value) if self.value and self.std is not None else None
-
-
-@dataclass(frozen=True)
-class PayloadEstimate:
-    """Inertial parameters of the payload of a run, by kind, in the frame of the body that carries it."""
-
-    name: str
-    run: str
-    parameters: Mapping[str, Estimate]
-    known: frozenset[str]
-    verdict: Verdict = GOOD
-
-
-@dataclass(frozen=True)
-class TorqueError:
-    """How well torques ``v g_tau`` are met at a joint: rms of error and of signal, N m or N."""
-
-    joint: str
-    rms: float
-    signal: float
-    unit: str
-
-    @property
-    def relative(self) -> float:
-        """Error over signal, per cent."""
-        return 100 * self.rms / self.signal
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Decimated torques along a run: ``time`` (K,), ``predicted`` and ``measured`` (K, n), ``keep`` (K, n).
-
-    ``keep`` is False near reversals and gaps, where the model's friction does not hold.
-    """
-
-    joints: tuple[str, ...]
-    time: np.ndarray
-    predicted: np.ndarray
-    measured: np.ndarray
-    keep: np.ndarray
-
-
-@dataclass(frozen=True)
-class Move:
-    """What consistency did to a number: its value without and with it, and by how many standard deviations it moved."""
-
-    name: str
-    free: float
-    consistent: float
-    deviations: float
-
-
-@dataclass(frozen=True)
-class Consistency:
-    """A robot that can exist.
-
-    Attributes
-    ----------
-    standard : dict
-        Every standard parameter by name, SI units.
-    payloads : dict
-        Label (``L3``) of each carried payload to its ten inertial parameters by kind.
-    gains : dict
-        Joint to (drive gain, standard deviation) found together with them; the deviation is 0 where given.
-    moves : tuple of Move
-        Every base parameter and gain, the most moved first.
-    eigenvalues : dict
-        Smallest eigenvalue of the pseudo-inertia of each body, SI units.
-    loss : dict
-        Joint to the growth of its residual, per cent.
-    open : tuple of str
-        Standard parameters that act on no actuated joint, chosen and not identified.
-    """
-
-    standard: Mapping[str, float]
-    payloads: Mapping[str, Mapping[str, float]]
-    gains: Mapping[str, tuple[float, float]]
-    moves: tuple[Move, ...]
-    eigenvalues: Mapping[str, float]
-    loss: Mapping[str, float]
-    open: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +89,6 @@ class Result:
 
     def summary(self) -> str:
         """The result as a table to print."""
-        from idim.estimation.summary import summary
-
         return summary(self)
 
     def predict(self, run: Run) -> Prediction:
@@ -214,14 +99,10 @@ class Result:
         IdimError
             Where the run does not suit the robot, or the model refuses a sample.
         """
-        from idim.estimation.prediction import predict
-
         return predict(self, run)
 
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
         """Torque error of each joint on a run, over the samples that identification would use."""
-        from idim.estimation.prediction import torque_errors
-
         return torque_errors(self, self.predict(run))
 
     def payload(self, name: str) -> dict[str, float]:
@@ -236,40 +117,9 @@ class Result:
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, atomically; see :mod:`idim.estimation.model_file`."""
-        from idim.estimation.model_file import save
-
         save(self, path)
 
     @staticmethod
     def load(path: str | Path) -> Result:
         """Read a result that :meth:`save` wrote; raises IdimError where the file is not one."""
-        from idim.estimation.model_file import load
-
-        return load(path)
-
-
-def unit_of(kind: str, robot: Robot, joint: str) -> str:
-    """SI unit of a parameter of ``kind`` at a joint or platform."""
-    if kind in ("xx", "xy", "xz", "yy", "yz", "zz"):
-        return "kg m2"
-    if kind in ("mx", "my", "mz"):
-        return "kg m"
-    if kind == "m":
-        return "kg"
-    turns = robot.joint(joint).kind == "revolute"
-    if kind == "ia":
-        return "kg m2" if turns else "kg"
-    if kind == "fv":
-        return "N m s/rad" if turns else "N s/m"
-    return torque_unit(robot, joint)
-
-
-def torque_unit(robot: Robot, joint: str) -> str:
-    """N m for a revolute joint, N for a prismatic one."""
-    return "N m" if robot.joint(joint).kind == "revolute" else "N"
-
-
-def known_parameters(payload: Payload, identified: Mapping[str, float]) -> dict[str, float]:
-    """A payload's parameters by kind: the known ones, then the identified ones."""
-    mass = {} if payload.mass is None else {"m": payload.mass}
-    return {**identified, **mass, **payload.parameters}
+        return load(path, Result)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from idim.estimation.result import Consistency, Estimate, PayloadEstimate, Result
+from idim.estimation.estimates import Consistency, Estimate, PayloadEstimate
 from idim.estimation.verdicts import INFLATED, Outcome
+
+if TYPE_CHECKING:
+    from idim.estimation.result import Result
 
 WIDTH = 96
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
@@ -56,8 +60,9 @@ def summary(result: Result) -> str:
         "-" * WIDTH,
         f"{'Essential parameters':<26}{'value':>12}{'std':>10}{'std %':>8}   unit",
         *(f"{_row(each.name, each)}   {each.unit}" for each in result.essential.values()),
-        f"  {left_out} of {len(result.parameters)} base parameters were cancelled; model.json has all, and what",
-        "  each one that ends in R regroups.",
+        f"  {left_out} of {len(result.parameters)} base parameters were cancelled, at the price of "
+        f"{max(result.statistics['reduction_loss'], 0.0):.2g} % larger torque errors at most;",
+        "  model.json has all, and what each one that ends in R regroups.",
         "-" * WIDTH,
         f"{'Torque fit':<26}{'error rms':>12}{'signal':>10}{'error %':>8}   unit",
     ]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+ROWS = 1024  # reduced at once: few enough to stay in the cache
+
 
 def triangle(*blocks: np.ndarray) -> np.ndarray:
     """Triangular factor R (min(r, c), c) of the stacked ``blocks`` (., c): ``R^T R = A^T A``.
@@ -11,7 +13,11 @@ def triangle(*blocks: np.ndarray) -> np.ndarray:
     Of triangular factors it is the factor of all the rows behind them.
     """
     stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-    return np.asarray(np.linalg.qr(stacked, mode="r"))
+    height = max(ROWS, 4 * stacked.shape[1])
+    R = np.linalg.qr(stacked[:height], mode="r")
+    for start in range(height, len(stacked), height):
+        R = np.linalg.qr(np.concatenate([R, stacked[start : start + height]]), mode="r")
+    return np.asarray(R)
 
 
 def leave_one_out(factors: list[np.ndarray]) -> list[np.ndarray]:

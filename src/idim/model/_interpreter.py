@@ -1,90 +1,106 @@
 """The compiled loop behind :mod:`idim.model.program`."""
 
 import numpy as np
-from numba import njit
+
+from idim.model import _lanes as lanes
+from idim.model._compiled import compiled
+from idim.model._lanes import LANES, lane
 
 OPERATIONS = (
-    *("CONST", "INPUT", "OUTPUT", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE"),
-    *("SIN", "COS", "SQRT", "SIGN", "FABS", "INV", "ASSIGN"),
+    *("MUL", "ADD", "SUB", "MULTIPLY_ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT", "SINE_COSINE"),
+    *("NEG", "DIV", "SQRT", "ASSIGN", "SIGN", "FABS", "FMAX"),
 )
-"""CasADi's operations that the interpreter knows; the place in this tuple is the code."""
-
-LANES = 64
+"""What the interpreter can do; the place in this tuple is the code of the operation."""
 
 
-@njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def interpret(code, constants, registers, inputs, outputs):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run ``code`` over all columns of ``inputs`` (inputs, N), filling ``outputs`` (outputs, N)."""
-    # a row a little longer than the lanes: strides that are powers of two thrash the cache
-    w = np.zeros((max(registers, 1), LANES + 8))
-    samples = inputs.shape[1]
-    for start in range(0, samples, LANES):
-        lanes = min(LANES, samples - start)
-        for k in range(code.shape[0]):
-            op, out, i, j = code[k, 0], code[k, 1], code[k, 2], code[k, 3]
-            if op == 2:
-                for n in range(lanes):
-                    outputs[out, start + n] = w[i, n]
-                continue
-            y = w[out]
-            if op == 5:
-                a, b = w[i], w[j]
-                for n in range(LANES):
-                    y[n] = a[n] * b[n]
-            elif op == 3:
-                a, b = w[i], w[j]
-                for n in range(LANES):
-                    y[n] = a[n] + b[n]
-            elif op == 4:
-                a, b = w[i], w[j]
-                for n in range(LANES):
-                    y[n] = a[n] - b[n]
-            elif op == 1:
-                for n in range(lanes):
-                    y[n] = inputs[i, start + n]
-            elif op == 0:
-                y[:] = constants[i]
-            elif op == 7:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = -a[n]
-            elif op == 8:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = a[n] * a[n]
-            elif op == 9:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = a[n] + a[n]
-            elif op == 10:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = np.sin(a[n])
-            elif op == 11:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = np.cos(a[n])
-            elif op == 6:
-                a, b = w[i], w[j]
-                for n in range(LANES):
-                    y[n] = a[n] / b[n]
-            elif op == 12:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = np.sqrt(a[n])
-            elif op == 13:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = np.sign(a[n])
-            elif op == 14:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = np.abs(a[n])
-            elif op == 15:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = 1.0 / a[n]
-            else:
-                a = w[i]
-                for n in range(LANES):
-                    y[n] = a[n]
+@compiled_once(types.void(types.int64, types.int64, types.int64))
+def machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Run ``count`` instructions at the address ``code`` on one lane of each row; ``rows`` is where their addresses are."""
+    code, rows = whole_numbers(code, (count, 5)), addresses(rows)
+    for k in range(count):
+        op, y, a, b = code[k, 0], rows[code[k, 1]], rows[code[k, 2]], rows[code[k, 3]]
+        if op == 0:
+            lanes.multiply(y, a, b)
+        elif op == 1:
+            lanes.add(y, a, b)
+        elif op == 2:
+            lanes.subtract(y, a, b)
+        elif op == 3:
+            lanes.multiply_add(y, a, b, rows[code[k, 4]])
+        elif op == 4:
+            lanes.multiply_subtract(y, a, b, rows[code[k, 4]])
+        elif op == 5:
+            lanes.subtract_product(y, a, b, rows[code[k, 4]])
+        elif op == 6:
+            lanes.sine_cosine(lane(y), lane(b), lane(a))
+        elif op == 7:
+            lanes.negate(y, a)
+        elif op == 8:
+            lanes.divide(y, a, b)
+        elif op == 9:
+            lanes.square_root(y, a)
+        elif op == 10:
+            lanes.copy(y, a)
+        elif op == 11:
+            lanes.sign(y, a)
+        elif op == 12:
+            lanes.absolute(y, a)
+        else:
+            lanes.maximum(y, a, b)
+
+
+@compiled
+def _run(code, rows, own, long, moved, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Run ``code`` on the lane at ``start``."""
+    for k in range(rows.size):
+        moved[k] = rows[k] + 8 * start if own <= k < long else rows[k]
+    execute(code, moved)
+
+
+@compiled
+def interpret(code, rows, own, long, start, stop):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Run ``code`` over the samples ``start`` to ``stop``, at least LANES of them.
+
+    The ``rows`` from ``own`` to ``long`` are as long as the data, the others are of one lane.
+    """
+    moved = np.empty(rows.size, np.int64)
+    while start < stop:
+        start = min(start, stop - LANES)  # the last lane ends where the data do, and repeats some samples
+        _run(code, rows, own, long, moved, start)
+        start += LANES
+
+
+@compiled
+def scatter(code, rows, own, long, start, stop, made, places, table):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """As :func:`interpret`, the outputs ``made`` (outputs, LANES) put at ``places`` of the rows of ``table``.
+
+    ``table`` is (N, columns), ``places`` (outputs,).
+    """
+    moved = np.empty(rows.size, np.int64)
+    while start < stop:
+        start = min(start, stop - LANES)
+        _run(code, rows, own, long, moved, start)
+        for first in range(0, LANES, 8):  # a cache line of each output
+            for k in range(places.size):
+                for n in range(first, first + 8):
+                    table[start + n, places[k]] = made[k, n]
+        start += LANES
+
+
+@compiled
+def contract(code, rows, own, long, start, stop, made, places, weights, table):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """As :func:`interpret`, the outputs ``made``, times ``weights``, summed in the ``places`` of ``table`` (., N)."""
+    moved = np.empty(rows.size, np.int64)
+    sums = np.empty((table.shape[0], LANES))
+    while start < stop:
+        start = min(start, stop - LANES)
+        _run(code, rows, own, long, moved, start)
+        sums[:] = 0.0
+        for k in range(places.size):
+            to, each, weight = sums[places[k]], made[k], weights[k]
+            for n in range(LANES):
+                to[n] += weight * each[n]
+        for j in range(table.shape[0]):
+            for n in range(LANES):
+                table[j, start + n] = sums[j, n]
+        start += LANES

@@ -12,28 +12,37 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idim.model.coordinates import Coordinates
 from idim.model.kinematics import Frame, Twist, accelerations, constant, frames, twists
+from idim.model.least_squares import solve
 from idim.model.program import Program, compile_program
-from idim.robots.robot import Attachment, Robot
+from idim.robots.robot import ROTATIONS, TRANSLATIONS, Attachment, Robot
 
 
 @dataclass(frozen=True)
 class ClosureEquations:
     """The closures of a robot, ready to be evaluated for many samples.
 
-    ``newton`` maps c to the residual (rows,) and ``G`` of the passive coordinates; ``motion`` maps c
-    and yd to ``G`` of the actuated coordinates and gamma. Lengths are in units of the robot's
-    ``length``, so that rows and columns are pure numbers: rad, or lengths over ``length``.
+    ``columns`` maps c to the residual (rows,), ``G`` of the passive coordinates (rows, n_passive) and of the
+    actuated ones (rows, n). ``step`` maps c to the configuration after a step of Newton's method, the largest
+    correction and the condition number of the passive columns, ``fast_step`` to the same without the condition
+    number, and ``gap`` to the largest residual less what angles of many turns are rounded by. ``motion``
+    maps c, qd and qdd to the condition number, yd, ydd and J (n_y, n) (eqs. 5 to 8). ``scale`` (n_c,) turns the
+    entries of c into rad, or lengths over ``length``; it is zero for the actuated ones.
+
+    Lengths are in units of the robot's ``length``, so that rows and columns are pure numbers: rad, or
+    lengths over ``length``.
     """
 
     rows: int
     length: float
-    newton: Program  # (n_c,) -> (rows + rows * n_passive,)
-    motion: Program  # (n_c + n_y,) -> (rows * n + rows,)
-    pattern: np.ndarray  # (rows, n_passive) True where G may be other than zero
+    columns: Program
+    step: Program
+    fast_step: Program
+    gap: Program
+    motion: Program
+    scale: np.ndarray
 
 
 def characteristic_length(robot: Robot) -> float:
@@ -75,15 +84,94 @@ def gaps(layout: Coordinates, c: np.ndarray) -> np.ndarray:
         (R_a, p_a), (R_b, p_b) = _attached(closure.a, frame), _attached(closure.b, frame)
         found[k, 0] = np.linalg.norm(np.array(ca.evalf(p_a - p_b)))
         if closure.kind == "weld":
-            found[k, 1] = Rotation.from_matrix(np.array(ca.evalf(R_b.T @ R_a))).magnitude()
+            R = np.array(ca.evalf(R_b.T @ R_a))
+            sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+            found[k, 1] = np.arctan2(sine, np.trace(R) - 1.0)
     return found
+
+
+def _largest(values: ca.SX) -> ca.SX:
+    found = ca.SX(0)
+    for value in ca.vertsplit(values):
+        found = ca.fmax(found, ca.fabs(value))
+    return found
+
+
+def _scale(layout: Coordinates, length: float) -> np.ndarray:
+    scale = np.full(layout.n_c, 1.0 / length)
+    joints = np.arange(len(layout.robot.joints))
+    scale[joints[layout.angular[joints]]] = 1.0
+    scale[layout.actuated] = 0.0
+    for slots in layout.platforms:
+        if slots.quaternion is not None:
+            scale[slots.quaternion] = 2.0  # of a turn by an angle, at most half of it
+    return scale
+
+
+def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
+    """Configuration ``c`` with its quaternions made unit: those of a guess are not."""
+    parts = [c[: len(layout.robot.joints)]]
+    for slots in layout.platforms:
+        parts.append(c[slots.position])
+        if slots.quaternion is not None:
+            parts.append(c[slots.quaternion] / ca.sqrt(ca.sumsqr(c[slots.quaternion])))
+    return ca.vertcat(*parts)
+
+
+def _moved(layout: Coordinates, c: ca.SX, step: ca.SX) -> ca.SX:
+    """Configuration ``c`` moved by a small ``step`` (n_y,); to first order that of :meth:`Coordinates.retract`."""
+    n_t = len(layout.robot.joints)
+    parts = [c[:n_t] + step[:n_t]]
+    for slots in layout.platforms:
+        displacement = dict(zip(slots.platform.dof, ca.vertsplit(step[slots.rates]), strict=True))
+        parts.append(c[slots.position] + ca.vertcat(*(displacement.get(dof, ca.SX(1, 1)) for dof in TRANSLATIONS)))
+        if slots.quaternion is not None:
+            turn = ca.vertcat(*(displacement.get(dof, ca.SX(1, 1)) for dof in ROTATIONS)) / 2
+            w, vector = c[slots.quaternion][0], c[slots.quaternion][1:]
+            quaternion = ca.vertcat(w - ca.dot(turn, vector), vector + w * turn + ca.cross(turn, vector))
+            parts.append(quaternion / ca.sqrt(ca.sumsqr(quaternion)))
+    return ca.vertcat(*parts)
 
 
 def closure_equations(layout: Coordinates) -> ClosureEquations:
     """Derive the closure equations of a robot from its geometry."""
+    length = characteristic_length(layout.robot)
+    given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    c = _on_unit_quaternions(layout, given)
+    residual, velocity, gamma = _equations(layout, length, c, yd)
+    unit = np.where(layout.angular, 1.0, length)
+    actuated, passive = layout.actuated.tolist(), layout.passive.tolist()
+    G = ca.jacobian(velocity, yd)
+    G_p, G_a = G[:, passive] @ constant(np.diag(unit[passive])), G[:, actuated]
+
+    correction, condition = solve(G_p, -residual, refine=False)
+    step = ca.SX(layout.n_y, 1)
+    step[passive] = correction * unit[passive]
+    moved, size = _moved(layout, c, step), _largest(correction)
+    rounding = 1e-15 * _largest(c)  # of angles of many turns
+
+    qd, qdd = ca.SX.sym("qd", len(actuated)), ca.SX.sym("qdd", len(actuated))
+    J = ca.SX(layout.n_y, len(actuated))
+    J[actuated, :] = ca.SX.eye(len(actuated))
+    J[passive, :] = constant(np.diag(unit[passive])) @ solve(G_p, -G_a, refine=True)[0]
+    yd_all, ydd_all = J @ qd, J @ qdd
+    drift, _ = solve(G_p, -ca.substitute(gamma, yd, yd_all), refine=True)
+    ydd_all[passive] += drift * unit[passive]
+    return ClosureEquations(
+        G.shape[0],
+        length,
+        columns=compile_program([given], [residual, G_p.T, (G_a @ constant(np.diag(unit[actuated]))).T]),
+        step=compile_program([given], [moved, size, condition]),
+        fast_step=compile_program([given], [moved, size]),
+        gap=compile_program([given], [_largest(residual) - rounding]),
+        motion=compile_program([given, qd, qdd], [condition, yd_all, ydd_all, J.T]),
+        scale=_scale(layout, length),
+    )
+
+
+def _equations(layout: Coordinates, length: float, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Residual, its velocity ``G yd``, and ``gamma``."""
     robot = layout.robot
-    length = characteristic_length(robot)
-    c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
     frame = frames(layout, c)
     twist = twists(layout, frame, yd)
     still = accelerations(layout, frame, twist, yd, ca.SX(layout.n_y, 1), np.zeros(3))
@@ -101,7 +189,6 @@ def closure_equations(layout: Coordinates) -> ClosureEquations:
             velocity.append(v_a.angular - v_b.angular)
             gamma.append(a_a.angular - a_b.angular)
     index = {joint.name: k for k, joint in enumerate(robot.joints)}
-    unit = constant(np.diag(np.where(layout.angular, 1.0, length)))
     for coupling in robot.couplings:
         row = np.zeros(layout.n_y)
         row[index[coupling.joint]] = 1.0
@@ -111,9 +198,4 @@ def closure_equations(layout: Coordinates) -> ClosureEquations:
         residual.append((ca.dot(constant(row[: len(index)]), c[: len(index)]) - coupling.offset) / size)
         velocity.append(ca.dot(constant(row), yd) / size)
         gamma.append(ca.SX(1, 1))
-    G = ca.jacobian(ca.vertcat(*velocity), yd) @ unit
-    G_passive, G_actuated = G[:, layout.passive.tolist()], G[:, layout.actuated.tolist()]
-    newton = compile_program([c], [ca.vertcat(*residual), G_passive.T])
-    motion = compile_program([c, yd], [G_actuated.T, ca.vertcat(*gamma)])
-    pattern = np.array(ca.DM(G_passive.sparsity(), 1).full(), dtype=bool)
-    return ClosureEquations(G.shape[0], length, newton, motion, pattern)
+    return ca.vertcat(*residual), ca.vertcat(*velocity), ca.vertcat(*gamma)

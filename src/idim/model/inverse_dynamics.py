@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,9 +11,12 @@ import numpy as np
 
 from idim.model.coordinates import Coordinates, coordinates
 from idim.model.dynamics import parameter_names, torques
-from idim.model.loops import Labels, Loops, Motion, close_loops, differentiate, follow
+from idim.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
 from idim.model.program import Program, compile_program
 from idim.robots.robot import Robot
+
+PATH = 32768  # samples whose loops are closed together: parallel, at the cost of finding the way to each part
+BLOCK = 2048  # samples whose motion is made together: few enough to stay in the cache
 
 
 @dataclass(frozen=True)
@@ -31,8 +34,7 @@ class Regressor:
 
     def __call__(self, layout: Coordinates, motion: Motion) -> np.ndarray:
         """Entries (entries, N) for the samples of ``motion``."""
-        projection = motion.J[layout.passive].reshape(len(layout.passive) * len(layout.actuated), motion.c.shape[1])
-        return self.program(np.vstack([motion.c, motion.yd, motion.ydd, projection]))
+        return self.program(*self._inputs(layout, motion))
 
     def torques(self, entries: np.ndarray, chi: np.ndarray, n: int) -> np.ndarray:
         """Torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
@@ -41,6 +43,20 @@ class Regressor:
             if chi[column]:
                 tau[row] += chi[column] * entry
         return tau
+
+    def torques_along(self, layout: Coordinates, motion: Motion, chi: np.ndarray) -> np.ndarray:
+        """The same without the entries ever in memory, (n, N)."""
+        weights = np.asarray(chi, dtype=float)[self.columns]
+        return self.program.sums(self.rows, weights, len(layout.actuated), *self._inputs(layout, motion))
+
+    def fill(self, layout: Coordinates, motion: Motion, W: np.ndarray) -> None:
+        """Put the entries into ``W`` (N, n, columns), whose other entries are zero."""
+        places = self.rows * W.shape[2] + self.columns
+        self.program.fill(W.reshape(len(W), -1), places, *self._inputs(layout, motion))
+
+    def _inputs(self, layout: Coordinates, motion: Motion) -> tuple[np.ndarray, ...]:
+        passive = motion.J[layout.passive].reshape(layout.passive.size * len(layout.actuated), motion.c.shape[1])
+        return motion.c, motion.yd, motion.ydd, passive
 
 
 class InverseDynamics:
@@ -69,6 +85,7 @@ class InverseDynamics:
         self.layout = coordinates(robot)
         self.parameter_names = parameter_names(robot, parameters)
         self.actuated = robot.actuated
+        self._regressors: dict[tuple[str, ...], Regressor] = {}
 
     @cached_property
     def loops(self) -> Loops | None:
@@ -89,36 +106,45 @@ class InverseDynamics:
         ``labels[k]`` is what messages call sample k; the path begins from the closed configuration
         ``start`` (n_c,), home if left out.
         """
+        return self.rates(self.path(q, labels, start), qd, qdd, labels)
+
+    def path(self, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
+        """Configurations (n_c, N) of :meth:`motion`."""
+        return q if self.loops is None else follow(self.loops, q, labels, start)
+
+    def rates(self, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, labels: Labels | None = None) -> Motion:
+        """State of the whole virtual tree at configurations ``c`` (n_c, N) from :meth:`path`."""
         if self.loops is None:
-            n, samples = q.shape
+            n, samples = qd.shape
             J = np.broadcast_to(np.eye(n)[:, :, None], (n, n, samples))
-            return Motion(q, qd, qdd, J, np.ones(samples))
-        return differentiate(self.loops, follow(self.loops, q, labels, start), qd, qdd, labels)
+            return Motion(c, qd, qdd, J, np.ones(samples))
+        return differentiate(self.loops, c, qd, qdd, labels)
 
     def columns(self, names: Sequence[str]) -> Regressor:
         """The regressor pruned to the standard parameters ``names``."""
-        layout = self.layout
-        c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
-        J, projection = self._projection()
-        chi = {name: ca.SX.sym(name) for name in self.parameter_names}
-        tau = torques(layout, c, yd, ydd, J, chi)
-        W = ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names)))
-        rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
-        entries = W.nz[:]
-        return Regressor(tuple(names), compile_program([c, yd, ydd, projection.T], [entries]), rows, columns)
-
-    def _projection(self) -> tuple[ca.SX, ca.SX]:
-        """``J`` with the identity in its actuated rows, and the symbols of its passive rows."""
-        layout, n = self.layout, len(self.actuated)
-        projection = ca.SX.sym("J", len(layout.passive), n)
-        J = ca.SX(layout.n_y, n)
-        for k, row in enumerate(layout.actuated):
-            J[int(row), k] = 1
-        for k, row in enumerate(layout.passive):
-            J[int(row), :] = projection[k, :]
-        return J, projection
+        names = tuple(names)
+        if names not in self._regressors:
+            inputs, whole = self._symbolic
+            position = {name: k for k, name in enumerate(self.parameter_names)}
+            W = whole[:, [position[name] for name in names]]
+            rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
+            self._regressors[names] = Regressor(names, compile_program(inputs, [W.nz[:]]), rows, columns)
+        return self._regressors[names]
 
     @cached_property
+    def _symbolic(self) -> tuple[list[ca.SX], ca.SX]:
+        """The inputs c, yd, ydd and the passive rows of J, and the regressor (n, n_st)."""
+        layout, n = self.layout, len(self.actuated)
+        c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
+        passive = ca.SX.sym("J", len(layout.passive), n)
+        J = ca.SX(layout.n_y, n)
+        J[layout.actuated.tolist(), :] = ca.SX.eye(n)
+        J[layout.passive.tolist(), :] = passive
+        chi = {name: ca.SX.sym(name) for name in self.parameter_names}
+        tau = torques(layout, c, yd, ydd, J, chi)
+        return [c, yd, ydd, passive.T], ca.jacobian(tau, ca.vertcat(*chi.values()))
+
+    @property
     def full(self) -> Regressor:
         """All standard columns."""
         return self.columns(self.parameter_names)
@@ -137,10 +163,9 @@ class InverseDynamics:
         IdimError
             Where the loops cannot be closed, or a pose is too close to a singularity.
         """
-        motion = self.motion(*self._samples(q, qd, qdd))
-        entries = self.full(self.layout, motion)
-        W = np.zeros((entries.shape[1], len(self.actuated), len(self.parameter_names)))
-        W[:, self.full.rows, self.full.columns] = entries.T
+        W = np.zeros((len(q), len(self.actuated), len(self.parameter_names)))
+        for block, motion in self._blocks(q, qd, qdd):
+            self.full.fill(self.layout, motion, W[block])
         return W
 
     def torques(
@@ -154,10 +179,23 @@ class InverseDynamics:
 
         ``chi`` is a vector (n_st,) or a mapping by name, in which what is missing is zero.
         """
-        motion = self.motion(*self._samples(q, qd, qdd))
         vector = self._vector(chi)
-        entries = self.full(self.layout, motion)
-        return self.full.torques(entries, vector, len(self.actuated)).T
+        tau = np.zeros((len(q), len(self.actuated)))
+        for block, motion in self._blocks(q, qd, qdd):
+            tau[block] = self.full.torques_along(self.layout, motion, vector).T
+        return tau
+
+    def _blocks(self, *samples: np.ndarray) -> Iterator[tuple[slice, Motion]]:
+        """The motion along a path, by blocks of samples that stay in the cache."""
+        q, qd, qdd = self._samples(*samples)
+        c: np.ndarray | None = None
+        for start in range(0, q.shape[1], PATH):
+            chunk = slice(start, min(start + PATH, q.shape[1]))
+            c = self.path(q[:, chunk], Numbers(start), None if c is None else c[:, -1])
+            for first in range(0, c.shape[1], BLOCK):
+                part = slice(first, min(first + BLOCK, c.shape[1]))
+                block = slice(start + part.start, start + part.stop)
+                yield block, self.rates(c[:, part], qd[:, block], qdd[:, block], Numbers(block.start))
 
     def _samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
         n = len(self.actuated)

@@ -13,9 +13,12 @@ from typing import Protocol
 import numpy as np
 
 from idim.errors import IdimError
-from idim.model._least_squares import solve
+from idim.model._continuation import Follower, march, travel
+from idim.model._lanes import LANES
+from idim.model._threads import share
 from idim.model.closures import ClosureEquations, closure_equations, gaps
 from idim.model.coordinates import Coordinates
+from idim.model.program import Bound, addresses, aligned
 
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
 CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
@@ -23,7 +26,8 @@ REACH = 0.5  # or if it leads this share of the way to a singular pose, where as
 SHORTEST = 2.0**-14  # of the way between two samples: shorter steps mean that there is no way
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
 FAR = 1.0  # rad, or characteristic lengths: what the home of a robot's file may be wrong by
-SEGMENTS = 512
+SEGMENTS = 128  # of a path, followed at once, each of at least SEGMENT samples
+SEGMENT = 16
 CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
 
 
@@ -33,9 +37,14 @@ class Labels(Protocol):
     def __getitem__(self, sample: int) -> str: ...
 
 
-class _Numbers:
+@dataclass(frozen=True)
+class Numbers:
+    """Samples called by their numbers, counted from ``first``."""
+
+    first: int = 0
+
     def __getitem__(self, sample: int) -> str:
-        return f"sample {sample}"
+        return f"sample {self.first + sample}"
 
 
 @dataclass(frozen=True)
@@ -69,13 +78,18 @@ class Loops:
 
     def condition(self, c: np.ndarray) -> np.ndarray:
         """Condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
-        residual, G_p = self.newton(c)
-        return solve(G_p, self.equations.pattern, residual[:, None, :], False)[1]
+        return self.equations.step(c)[-1]
 
     def newton(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residual (rows, N) and scaled passive columns of ``G`` (rows, n_passive, N) at ``c`` (n_c, N)."""
-        rows, values = self.equations.rows, self.equations.newton(c)
-        return values[:rows], values[rows:].reshape(rows, len(self.layout.passive), c.shape[1])
+        residual, G_p, _ = self.columns(c)
+        return residual, G_p
+
+    def columns(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residual (rows, N) and scaled ``G`` of the passive and the actuated coordinates (rows, ., N)."""
+        rows, passive, actuated = self.equations.rows, len(self.layout.passive), len(self.layout.actuated)
+        residual, G_p, G_a = np.split(self.equations.columns(c), np.cumsum([rows, rows * passive]))
+        return residual, G_p.reshape(rows, passive, c.shape[1]), G_a.reshape(rows, actuated, c.shape[1])
 
 
 def close_loops(layout: Coordinates) -> Loops:
@@ -107,7 +121,7 @@ def close_loops(layout: Coordinates) -> Loops:
             f"robot '{robot.name}': the loops close only far from the home configuration, with joint "
             f"'{layout.names[k]}' at {c[k, 0]:.4g} instead of {layout.home[k]:.4g}; {CLOSER}."
         )
-    G_p, G_a = _jacobians(loops, c)
+    _, G_p, G_a = loops.columns(c)
     rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
     total = int(np.linalg.matrix_rank(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), tol=1e-7))
     n, n_passive = len(layout.actuated), len(layout.passive)
@@ -128,14 +142,6 @@ def close_loops(layout: Coordinates) -> Loops:
     return Loops(layout, equations, c[:, 0], rank)
 
 
-def _jacobians(loops: Loops, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled ``G`` of the passive and of the actuated coordinates, (rows, ., N)."""
-    equations, samples = loops.equations, c.shape[1]
-    still = np.zeros((loops.layout.n_y, samples))
-    motion = equations.motion(np.vstack([c, still]))[: equations.rows * len(loops.layout.actuated)]
-    return loops.newton(c)[1], motion.reshape(equations.rows, len(loops.layout.actuated), samples)
-
-
 def _assemble(loops: Loops) -> np.ndarray:
     """The configuration (n_c, 1) near home in which the loops close, or as good as that; home may be singular."""
     layout, c = loops.layout, loops.home[:, None]
@@ -151,32 +157,20 @@ def _assemble(loops: Loops) -> np.ndarray:
     return c
 
 
-def _newton(loops: Loops, c: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Close the loops at ``q`` (n, N) from the passive coordinates of ``c``: solutions, and which closed."""
-    layout, equations = loops.layout, loops.equations
-    c = c.copy()
-    c[layout.actuated] = q
-    samples = c.shape[1]
-    last = np.full(samples, np.inf)
-    good, done = np.ones(samples, dtype=bool), np.zeros(samples, dtype=bool)
-    for iteration in range(8):
-        residual, G_p = loops.newton(c)
-        correction, condition = solve(G_p, equations.pattern, -residual[:, None, :], False)
-        size = np.abs(correction[:, 0]).max(axis=0)
-        if iteration == 0:
-            good &= size * condition <= REACH
-        else:
-            good &= (size <= CONTRACTION * last) | (size < 1e-9)
-        step = np.zeros((layout.n_y, samples))
-        step[layout.passive] = np.where(good & ~done, correction[:, 0], 0.0) * loops.unit[:, None]
-        c = layout.retract(c, step)
-        done |= size < 1e-8
-        last = size
-        if (done | ~good).all():
-            break
-    residual, _ = loops.newton(c)
-    allowed = RESIDUAL + 1e-15 * np.abs(c).max(axis=0)  # angles of many turns are rounded
-    return c, good & done & (np.abs(residual).max(axis=0) < allowed)
+def _follower(loops: Loops, shortest: float) -> Follower:
+    """What the compiled loops work with; memory of its own for each thread."""
+    equations, n_c = loops.equations, loops.layout.n_c
+    trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
+    trial[:], made[:] = 0.0, 0.0
+    at, to = addresses(trial), addresses(made)
+    bound = (
+        Bound(equations.step, at, to[: n_c + 2]),
+        Bound(equations.fast_step, at, to[: n_c + 1]),
+        Bound(equations.gap, at, to[n_c + 2 :]),
+    )
+    programs = [part for each in bound for part in (each.code, each.rows, each.memory)]
+    parameters = (loops.layout.actuated, equations.scale, shortest, RESIDUAL, CONTRACTION, REACH)
+    return Follower._make([*programs, trial, made, *parameters])
 
 
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
@@ -186,20 +180,13 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTE
 
     Returns the closed configurations arrived at (n_c, N), and which are those asked for (N,).
     """
-    c = c.copy()
-    start = c[loops.layout.actuated]
-    travelled = np.zeros(c.shape[1])  # share of the way from start to q
-    stride = np.ones(c.shape[1])
-    going = np.arange(c.shape[1])
-    while going.size:
-        there = np.minimum(travelled[going] + stride[going], 1.0)
-        target = (1.0 - there) * start[:, going] + there * q[:, going]  # exact at its ends
-        tried, closed = _newton(loops, c[:, going], target)
-        c[:, going[closed]] = tried[:, closed]
-        travelled[going[closed]] = there[closed]
-        stride[going] *= np.where(closed, 2.0, 0.5)
-        going = going[(travelled[going] < 1.0) & (stride[going] >= shortest)]
-    return c, travelled >= 1.0
+    c, q, reached = np.array(c, dtype=float), np.asarray(q, dtype=float), np.zeros(c.shape[1], dtype=bool)
+
+    def run(start: int, stop: int) -> None:
+        travel(_follower(loops, shortest), c[:, start:stop], q[:, start:stop], reached[start:stop])
+
+    share(run, c.shape[1], LANES)
+    return c, reached
 
 
 def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
@@ -222,12 +209,12 @@ def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.
         Where a sample cannot be reached, or not without leaving the assembly mode.
     """
     samples = q.shape[1]
-    labels = labels or _Numbers()
+    labels = labels or Numbers()
     begin = loops.home if start is None else start
     c = np.repeat(begin[:, None], samples, axis=1)
     if not samples:
         return c
-    length = -(-samples // SEGMENTS)
+    length = max(-(-samples // SEGMENTS), min(SEGMENT, samples))
     starts = np.arange(0, samples, length)
     c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
     if not first_reached[0]:
@@ -263,17 +250,16 @@ def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.
 
 def _march(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
     """Fill ``c`` from each of ``starts`` for ``length`` samples; returns those that were not reached."""
+    ends = np.minimum(starts + length, q.shape[1])
+    filled = np.zeros(starts.size, dtype=np.int64)
+
+    def run(first: int, last: int) -> None:
+        march(_follower(loops, SHORTEST), c, q, starts[first:last], length, filled[first:last])
+
+    share(run, starts.size, LANES)
     lost: set[int] = set()
-    lanes = starts
-    for offset in range(1, length):
-        lanes = lanes[lanes + offset < q.shape[1]]
-        if not lanes.size:
-            break
-        here = lanes + offset
-        c[:, here], reached = advance(loops, c[:, here - 1], q[:, here])
-        for start in lanes[~reached]:
-            lost |= set(range(start + offset, min(start + length, q.shape[1])))
-        lanes = lanes[reached]
+    for first_lost, end in zip(starts + filled, ends, strict=True):
+        lost |= set(range(first_lost, end))
     return lost
 
 
@@ -315,28 +301,18 @@ def differentiate(
         At a pose too close to a singularity, where the passive coordinates cannot be told from the
         actuated ones.
     """
-    layout, equations, samples = loops.layout, loops.equations, c.shape[1]
-    n, rows = len(layout.actuated), equations.rows
-    passive, actuated = _jacobians(loops, c)
-    in_units = np.where(layout.angular[layout.actuated], 1.0, equations.length)
-    solved, condition = solve(passive, equations.pattern, -actuated / in_units[None, :, None], True)
-    condition = np.nan_to_num(condition, nan=np.inf)
+    layout, samples = loops.layout, c.shape[1]
+    found = loops.equations.motion(c, qd, qdd)
+    condition, yd, ydd, J = np.split(found, np.cumsum([1, layout.n_y, layout.n_y]))
+    condition = np.nan_to_num(condition[0], nan=np.inf)
     singular = condition >= CONDITION
     if singular.any():
         worst = int(np.argmax(condition))
-        label = (labels or _Numbers())[worst]
+        label = (labels or Numbers())[worst]
         raise IdimError(
             f"robot '{layout.robot.name}': at {label} ({_pose(loops, c[layout.actuated, worst])}) the pose is too "
             f"close to a singularity (condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the "
             f"worst of {int(singular.sum())} such among {samples} samples; leave them out or keep the motion away "
             "from it."
         )
-    J = np.zeros((layout.n_y, n, samples))
-    J[layout.actuated, np.arange(n)] = 1.0
-    J[layout.passive] = solved * loops.unit[:, None, None]
-    yd = np.einsum("ijs,js->is", J, qd)
-    gamma = equations.motion(np.vstack([c, yd]))[-rows:]
-    drift, _ = solve(passive, equations.pattern, -gamma[:, None, :], True)
-    ydd = np.einsum("ijs,js->is", J, qdd)
-    ydd[layout.passive] += drift[:, 0] * loops.unit[:, None]
-    return Motion(c, yd, ydd, J, condition)
+    return Motion(c, yd, ydd, J.reshape(layout.n_y, len(layout.actuated), samples), condition)

@@ -12,7 +12,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from idim.estimation.data import silent
-from idim.estimation.result import Estimate, Result
+from idim.estimation.estimates import Estimate
+from idim.estimation.result import Result
 from idim.files import write_atomically
 from idim.report.demo import demo
 from idim.simulation.comparison import STRATEGIES

@@ -12,10 +12,11 @@ import yaml
 
 from idim.errors import IdimError
 from idim.estimation.data import Progress, read_runs
+from idim.estimation.estimates import Estimate, Prediction, TorqueError
 from idim.estimation.identify import identify
 from idim.estimation.payload import weigh
 from idim.estimation.prediction import torque_errors
-from idim.estimation.result import Estimate, Prediction, Result, TorqueError
+from idim.estimation.result import Result
 from idim.files import write_atomically
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from idim.estimation.result import torque_unit, unit_of
+from idim.estimation.estimates import torque_unit, unit_of
 from idim.experiment.advice import Weak, weak_unknowns
 from idim.experiment.design import Design, check
 from idim.experiment.forecast import Expected, Forecast, forecast, sampled_run

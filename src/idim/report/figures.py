@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from idim.estimation.result import Estimate, Prediction
+from idim.estimation.estimates import Estimate, Prediction
 from idim.report.style import (
     BLACK,
     BLUE,

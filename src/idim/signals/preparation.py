@@ -113,13 +113,13 @@ def prepare(run: Run, preparation: Preparation) -> Prepared:
     moves = np.isfinite(joint_bandwidths(run.position, run.rate))
     valid = _shrink(run.valid, STENCIL)
     valid[:edge] = valid[len(valid) - edge :] = False
-    faster = _faster(qd, preparation.speed_fraction) & moves & valid[:, None]
-    if not faster.any():
+    moving = faster(qd, preparation.speed_fraction) & moves & valid[:, None]
+    if not moving.any():
         raise IdimError(
             f"run '{run.name}': no joint moves between its filters' ends ({edge} of {len(valid)} samples at either "
             "side); give a longer log of a moving robot."
         )
-    awake = np.flatnonzero(faster.any(axis=1))
+    awake = np.flatnonzero(moving.any(axis=1))
     kept = slice(int(awake[0]), int(awake[-1]) + 1)
     command_d, command_dd = differentiate(run.command, run.rate)
     return Prepared(
@@ -132,7 +132,7 @@ def prepare(run: Run, preparation: Preparation) -> Prepared:
         command_d=command_d[kept],
         command_dd=command_dd[kept],
         # Once more, as rest lowers the rms speed that the threshold refers to.
-        usable=_faster(qd[kept], preparation.speed_fraction) & moves & valid[kept, None],
+        usable=faster(qd[kept], preparation.speed_fraction) & moves & valid[kept, None],
         rate=run.rate,
         notes=tuple(
             f"joint '{joint}' hardly moves: its rows are left out"
@@ -142,7 +142,7 @@ def prepare(run: Run, preparation: Preparation) -> Prepared:
     )
 
 
-def _faster(qd: np.ndarray, fraction: float) -> np.ndarray:
+def faster(qd: np.ndarray, fraction: float) -> np.ndarray:
     """Where each joint is faster than a fraction of its rms speed (N, n)."""
     return np.abs(qd) >= fraction * np.sqrt(np.mean(qd**2, axis=0))
 

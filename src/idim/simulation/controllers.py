@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from idim.estimation.assembly import known_values
 from idim.estimation.friction import TERMS, term_columns, transmitted
-from idim.estimation.result import Result, known_parameters
+from idim.estimation.result import Result
 from idim.model.loops import Motion
 from idim.signals.experiment import Payload
 from idim.simulation.trajectories import Trajectory
@@ -123,6 +124,6 @@ def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
     chi = np.array([result.params[name] for name in base.names])
     if payload is not None:
         place = {name: k for k, name in enumerate(model.parameter_names)}
-        for kind, value in known_parameters(payload, result.payload(payload.name)).items():
+        for kind, value in {**result.payload(payload.name), **known_values(payload)}.items():
             chi = chi + value * base.matrix[:, place[f"{kind}_{model.robot.tool}"]]
     return chi

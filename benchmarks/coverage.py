@@ -1,0 +1,319 @@
+"""Monte Carlo coverage of the 95 % intervals of gains and main parameters.
+
+    python benchmarks/coverage.py orthoglide ur10e --repetitions 300
+
+Four runs of a robot of the catalog (or of a robot file), two of them with a known payload, are made again and again
+with new errors, and identified with the default estimator. The motions stay the same: errors of the currents change
+no regressor, so its rows are computed once and factorised; errors of positions and clocks take the whole way each time.
+"""
+
+# ruff: noqa: E402
+from __future__ import annotations
+
+import sys
+
+# numba imports a package 'coverage' where there is one, and it is not this file
+sys.path = [folder for folder in sys.path if not folder.endswith("benchmarks")]
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing import Pool
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from idim.estimation.assembly import Assembly
+from idim.estimation.current_domain import ml
+from idim.estimation.data import Data, reduce_runs
+from idim.estimation.factors import CURRENTS, EXTRA, STRETCHES, Factors
+from idim.estimation.friction import Friction
+from idim.estimation.rows import stream_rows
+from idim.estimation.solution import freedom
+from idim.estimation.triangle import triangle
+from idim.estimation.verdicts import Outcome, gain_verdicts
+from idim.model.inverse_dynamics import InverseDynamics
+from idim.robots.geometry import characteristic_length
+from idim.robots.load import load_robot
+from idim.robots.robot import INERTIAL, Robot
+from idim.signals.experiment import Payload
+from idim.signals.filters import differentiate
+from idim.signals.run import Run
+from idim.simulation.trajectories import envelope, point_to_point, sines
+
+RATE, SECONDS = 400.0, 10.0
+SEED = 1
+LOADED = (False, False, True, True)
+NOISE = 0.01  # of a joint's rms current, unless said otherwise
+QUIET = 0.003
+MAIN = 10.0  # a main parameter is so many standard deviations from zero
+MODELS = ("white", "coloured", "drift", "ripple", "rounding", "jitter")
+
+
+def links(robot: Robot, rng: np.random.Generator) -> dict[str, float]:
+    """Standard parameters of a plausible robot: links of a few points of mass, friction at the motors."""
+    length, chi = characteristic_length(robot), {}
+    for body in robot.bodies:
+        mass, points = rng.uniform(0.1, 0.4, 6), length * rng.normal(0.0, 0.2, (6, 3))
+        moment = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(mass, points, strict=True))
+        values = (*moment[np.triu_indices(3)], *(mass @ points), mass.sum())
+        chi |= dict(zip((f"{k}_{body}" for k in INERTIAL), values, strict=True))
+    for name in robot.actuated:
+        weight = 5.0 if robot.joint(name).kind == "prismatic" else 3.0 * length**2
+        force = 30.0 * (1.0 if robot.joint(name).kind == "prismatic" else length)
+        chi |= {f"ia_{name}": weight, f"fv_{name}": 0.5 * force, f"fs_{name}": 0.3 * force, f"off_{name}": 0.02 * force}
+    return chi
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A robot, the true motions and torques of its runs, and what they reduce to."""
+
+    model: InverseDynamics
+    time: np.ndarray
+    paths: tuple[np.ndarray, ...]  # (N, n)
+    torques: tuple[np.ndarray, ...]
+    friction: tuple[np.ndarray, ...]  # the motors' share of them
+    gains: np.ndarray
+    payload: Payload
+    truth: dict[str, float]
+
+
+def make_case(source: str) -> Case:
+    robot = load_robot(source)
+    model, rng = InverseDynamics(robot), np.random.default_rng(SEED)
+    if source == "orthoglide":
+        from idim.simulation.orthoglide_truth import standard_parameters
+
+        chi = standard_parameters()
+    else:
+        chi = {k: v for k, v in links(robot, rng).items() if k in model.parameter_names}
+    time = np.arange(round(SECONDS * RATE) + 1) / RATE
+    within = envelope(robot, 0.7)
+    motors = {f"{kind}_{joint}" for kind in ("fv", "fs") for joint in robot.actuated}
+    payload = Payload(name="known", mass=2.0)
+    paths, torques, friction = [], [], []
+    for k, loaded in enumerate(LOADED):
+        motion = (sines, point_to_point)[k % 2](within, SECONDS, rng)(time)
+        carried = {**chi, f"m_{robot.tool}": chi.get(f"m_{robot.tool}", 0.0) + 2.0 * loaded}
+        paths.append(motion[0])
+        torques.append(model.torques(*motion, carried))
+        friction.append(model.torques(*motion, {name: chi[name] for name in motors}))
+    gains = np.sqrt(np.mean(np.concatenate(torques) ** 2, axis=0))  # about 1 A rms
+    return Case(model, time, tuple(paths), tuple(torques), tuple(friction), gains, payload, chi)
+
+
+def spoilt(case: Case, errors: str, rng: np.random.Generator) -> Iterator[Run]:
+    """The runs as they are logged with one kind of errors."""
+    n, count = len(case.gains), len(LOADED)
+    drift = 0.02 * rng.standard_normal((count, n))
+    drift -= drift.mean(axis=0)  # the parameters stand for the mean of the runs
+    for k in range(count):
+        time, q = case.time, case.paths[k]
+        current = case.torques[k] / case.gains
+        if errors == "white":
+            current = current + NOISE * rng.standard_normal(q.shape)
+        else:
+            current = current + QUIET * rng.standard_normal(q.shape)
+        if errors == "coloured":
+            current = current + NOISE * _coloured(rng, *q.shape)
+        elif errors == "drift":
+            current = current + drift[k] * case.friction[k] / case.gains
+        elif errors == "ripple":
+            turns = 40 * (q - q.min(axis=0)) / np.ptp(q, axis=0) + rng.uniform(size=n)
+            current = current + NOISE * np.sin(2 * np.pi * turns)
+        elif errors == "rounding":
+            quantum = np.ptp(q, axis=0) / 2**16
+            q = quantum * np.round(q / quantum + rng.uniform(size=n))
+        elif errors == "jitter":
+            late = time + 1e-4 * rng.standard_normal(len(time))
+            q = np.column_stack([np.interp(late, time, each) for each in q.T])
+            current = np.column_stack([np.interp(late, time, each) for each in current.T])
+        payload = case.payload if LOADED[k] else None
+        yield Run(f"run {k + 1}", case.model.actuated, time, q, current, payload=payload)
+
+
+def _coloured(rng: np.random.Generator, samples: int, n: int) -> np.ndarray:
+    """Noise of unit variance whose correlation decays in 0.1 s."""
+    from scipy.signal import lfilter
+
+    decay = np.exp(-1 / (0.1 * RATE))
+    start = rng.standard_normal((1, n))
+    noise = np.sqrt(1 - decay**2) * rng.standard_normal((samples, n))
+    return lfilter([1.0], [1.0, -decay], noise, axis=0, zi=decay * start)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed:
+    """Factorised regressor rows of a run: for each stretch and joint the rows meant, Q (k, m) and R (m, columns)."""
+
+    rows: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]]
+    samples: slice
+    rate: float
+    condition: float
+
+
+def fix(data: Data, k: int) -> Fixed:
+    """The regressor of run k, which errors of the currents leave as it is."""
+    prepared, decimator = data.prepared[k], data.preparation.decimator
+    regressor = data.model.columns(data.base.standard)
+    parts = list(stream_rows(data.model, regressor, prepared, decimator))
+    entries, keep = np.hstack([p.entries for p in parts]), np.hstack([p.keep for p in parts])
+    outputs = entries.shape[1]
+    stretch = np.arange(outputs) * STRETCHES // outputs
+    rows = []
+    for s in range(STRETCHES):
+        of_joints = []
+        for j in range(len(data.model.actuated)):
+            mine = np.flatnonzero(regressor.rows == j)
+            at = np.flatnonzero((stretch == s) & keep[j])
+            W = np.zeros((len(at), data.base.count))
+            W[:, regressor.columns[mine]] = entries[mine][:, at].T
+            of_joints.append((at, *np.linalg.qr(W)))
+        rows.append(of_joints)
+    begin = int(np.argmin(np.abs(prepared.run.time - prepared.time[0])))
+    condition = max(p.condition for p in parts)
+    return Fixed(rows, slice(begin, begin + len(prepared.time)), prepared.rate, condition)
+
+
+def refactor(data: Data, fixed: Fixed, run: Run) -> Factors:
+    """Factors of a run from its fixed regressor and new currents."""
+    decimator, n = data.preparation.decimator, len(run.joints)
+    d, dd = differentiate(run.command, fixed.rate)
+    signals = np.stack([x[fixed.samples].T for x in (run.command, d, dd)])
+    V = decimator.apply(signals)  # (3, n, K)
+    p = data.base.count + EXTRA
+    R, rows = np.zeros((STRETCHES, n, p, p)), np.zeros((STRETCHES, n), dtype=int)
+    for s, of_joints in enumerate(fixed.rows):
+        for j, (at, Q, upper) in enumerate(of_joints):
+            if not len(at):
+                continue
+            v = V[:, j, at].T
+            along = Q.T @ v
+            rest = triangle(v - Q @ along)
+            m = len(upper)
+            R[s, j, :m, : data.base.count], R[s, j, :m, -CURRENTS:] = upper, along
+            R[s, j, m : m + len(rest), -CURRENTS:] = rest[: p - m]
+            rows[s, j] = len(at)
+    return Factors(R, rows, fixed.condition)
+
+
+@dataclass(frozen=True, eq=False)
+class Repetition:
+    """Deviations from the truth in standard deviations, standard deviations, and the worst verdict on a gain."""
+
+    names: tuple[str, ...]
+    error: np.ndarray
+    std: np.ndarray
+    freedom: int
+    outcome: Outcome
+
+
+def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
+    """Identify the case once for each seed."""
+    with threadpool_limits(1):
+        exact = list(spoilt(case, "none", np.random.default_rng(0)))
+        data = reduce_runs(case.model.robot, exact)
+        slow = errors in ("rounding", "jitter")
+        fixed = [] if slow else [fix(data, k) for k in range(len(exact))]
+        found = []
+        for seed in seeds:
+            runs = list(spoilt(case, errors, np.random.default_rng([SEED, seed])))
+            if slow:
+                now = reduce_runs(case.model.robot, runs, data.preparation)
+            else:
+                now = replace(data, factors=tuple(map(refactor, [data] * len(runs), fixed, runs)))
+            found.append(judge(case, now.assembly(Friction(per_run=True))))
+    return found
+
+
+def judge(case: Case, assembly: Assembly) -> Repetition:
+    problem, base = assembly.problem, assembly.base
+    solution = ml(problem)
+    std = np.sqrt(np.diag(solution.jackknife))
+    chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])
+    truth = dict(zip(base.names, base.matrix @ chi, strict=True))
+    index = [k for k, name in enumerate(problem.parameters) if name in truth]
+    gains = np.arange(problem.n_theta, problem.n_theta + len(problem.joints))
+    expected = np.concatenate([[truth[problem.parameters[k]] for k in index], case.gains])
+    names = (*(problem.parameters[k] for k in index), *(f"gain_{joint}" for joint in problem.joints))
+    which = np.concatenate([np.array(index, dtype=int), gains])
+    verdicts = gain_verdicts(problem, solution, std[gains], assembly.places, [f"run {k + 1}" for k in range(4)])
+    worst = max((v.outcome for v in verdicts), key=list(Outcome).index)
+    return Repetition(names, solution.stacked[which] - expected, std[which], freedom(problem), worst)
+
+
+def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetition]) -> dict[str, object]:
+    from scipy.special import stdtrit
+
+    from idim.estimation.base_parameters import base_parameters
+
+    base = base_parameters(case.model)
+    chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])
+    truth = dict(zip(base.names, base.matrix @ chi, strict=True))
+    error, std = np.array([r.error for r in repetitions]), np.array([r.std for r in repetitions])
+    inside = np.mean(np.abs(error) < stdtrit(repetitions[0].freedom, 0.975) * std, axis=0)
+    names = repetitions[0].names
+    gain = np.array([name.startswith("gain_") for name in names])
+    size = np.array([abs(truth.get(name, np.inf)) for name in names])
+    main = ~gain & (size > MAIN * np.median(std, axis=0))
+    return {
+        "robot": source,
+        "errors": errors,
+        "repetitions": len(repetitions),
+        "gains": [round(100 * float(x), 1) for x in inside[gain]],
+        "gains_pooled": round(100 * float(inside[gain].mean()), 1),
+        "main_parameters": int(main.sum()),
+        "main_pooled": round(100 * float(inside[main].mean()), 1),
+        "pooled": round(100 * float(inside[gain | main].mean()), 1),
+        "smallest": round(100 * float(inside[gain | main].min()), 1),
+        "smallest_of": names[int(np.flatnonzero(gain | main)[np.argmin(inside[gain | main])])],
+        "weak": sum(r.outcome in (Outcome.WEAK, Outcome.NOT_IDENTIFIABLE) for r in repetitions),
+        "contradictory": sum(r.outcome == Outcome.CONTRADICTORY for r in repetitions),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("robots", nargs="+", help="catalog names or robot files")
+    parser.add_argument("--errors", nargs="+", choices=MODELS, default=["white", "coloured", "drift"])
+    parser.add_argument("--repetitions", type=int, default=300)
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--json", help="file for the table")
+    options = parser.parse_args()
+    print(
+        "| robot | errors | times | each gain | gains | parameters | all | smallest cell | weak | contradictory |"
+    )
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    rows = []
+    for source in options.robots:
+        case = make_case(source)
+        for errors in options.errors:
+            seeds = np.array_split(np.arange(options.repetitions), options.processes)
+            if options.processes == 1:
+                found = repeat(case, errors, seeds[0])
+            else:
+                with Pool(options.processes) as pool:
+                    parts = pool.starmap(_apart, [(source, errors, part) for part in seeds])
+                    found = [each for part in parts for each in part]
+            row = report(case, source, errors, found)
+            rows.append(row)
+            each = " ".join(f"{x:.0f}" for x in row["gains"])
+            print(
+                f"| {source} | {errors} | {row['repetitions']} | {each} | {row['gains_pooled']} | {row['main_pooled']} "
+                f"({row['main_parameters']}) | {row['pooled']} | {row['smallest']} ({row['smallest_of']}) | "
+                f"{row['weak']} | {row['contradictory']} |",
+                flush=True,
+            )
+    if options.json:
+        with open(options.json, "w", encoding="utf-8") as file:
+            json.dump(rows, file, indent=1)
+
+
+def _apart(source: str, errors: str, seeds: Sequence[int]) -> list[Repetition]:
+    return repeat(make_case(source), errors, seeds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""What a design is worth: expected gain deviations against random motions and a condition-number design.
+
+    python benchmarks/excitation_comparison.py benchmarks/excitation_orthoglide.yaml
+
+prints the rms of the relative standard deviations of the drive gains, per cent, as identification's own filters and
+rows give them, and compares those of the design with 100 identifications of simulated logs.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from idim.errors import IdimError
+from idim.experiment.design import check, design
+from idim.experiment.design_file import read_design
+from idim.experiment.forecast import forecast
+from idim.experiment.nlp import Programme
+from idim.experiment.task import Task
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from repetitions import repeated_gains
+
+RANDOM, REPETITIONS = 200, 100
+
+
+def rms(task: Task, x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean([each.relative**2 for each in forecast(task, x).gains])))
+
+
+def random_motion(task: Task, programme: Programme, rng: np.random.Generator) -> np.ndarray | None:
+    """A random motion that goes as far as the limits let it; None where they do not hold."""
+    x = programme.inside(task.series.random(rng), 0.99)
+    try:
+        return x if x is not None and all(load.excess <= 1 for load in check(task, x)) else None
+    except IdimError:
+        return None
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def main() -> None:
+    task, assumed = read_design(sys.argv[1])
+    print(*assumed, sep="\n")
+    rng, began = np.random.default_rng(1), time.perf_counter()
+    best = design(task, "gains", starts=3)
+    print(
+        f"design for the gains: {rms(task, best.x):.4f} % ({time.perf_counter() - began:.0f} s for 3 starts)",
+        flush=True,
+    )
+    found = repeated_gains(task, best.x, REPETITIONS, rng)
+    settled = found[np.isfinite(found).all(axis=1)]
+    ratios = settled.std(axis=0, ddof=1) / [each.std for each in forecast(task, best.x).gains]
+    print(f"deviations in {len(settled)} simulated experiments over those expected:", np.round(ratios, 3), flush=True)
+    programme, motions, tries = Programme(task, "gains", {}), [], 0
+    while len(motions) < RANDOM and tries < 20 * RANDOM:
+        tries += 1
+        x = random_motion(task, programme, rng)
+        if x is not None:
+            motions.append(programme.value(x)[0])
+            if motions[-1] == min(motions):
+                champion = x
+    print(
+        f"best of {len(motions)} random motions within the limits ({tries} tried): {rms(task, champion):.4f} %",
+        flush=True,
+    )
+    began = time.perf_counter()
+    other = design(task, "condition", starts=1)
+    print(f"design for the condition number: {rms(task, other.x):.4f} % ({time.perf_counter() - began:.0f} s)")
+
+
+if __name__ == "__main__":
+    main()

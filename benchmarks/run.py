@@ -1,0 +1,314 @@
+"""How fast, against what one would write with Pinocchio and NumPy: prints a table and writes JSON.
+
+    python benchmarks/run.py [--out benchmarks.json] [--quick]
+
+Results are compared with the peer's before anything is timed. Times are medians of repetitions that take turns with the
+peer's, in one thread unless said otherwise. Peers that work sample by sample are timed on fewer samples, and the
+time a sample is what is compared; FIGAROH's rows appear where it is installed (pip install figaroh).
+"""
+
+# ruff: noqa: E402
+from __future__ import annotations
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import argparse
+import json
+import platform
+import subprocess
+import sys
+import tempfile
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter, process_time
+
+# numba imports a package 'coverage' where there is one, and it is not the file beside this one
+sys.path = [folder for folder in sys.path if not folder.endswith("benchmarks")]
+sys.path += [str(Path(__file__).parent)]
+
+import numpy as np
+from peers import PinocchioLoop, figaroh_regressor, random_parameters
+
+from idim.estimation.base_parameters import base_parameters
+from idim.estimation.factors import reduce_run
+from idim.estimation.triangle import triangle
+from idim.model.inverse_dynamics import InverseDynamics
+from idim.robots.load import load_robot
+from idim.robots.robot import Joint, Mdh, Robot
+from idim.signals.decimation import Decimator
+from idim.signals.preparation import Prepared
+from idim.signals.run import Run
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the table: times in microseconds a sample unless the unit says otherwise."""
+
+    work: str
+    peer: str
+    ours: float
+    theirs: float | None
+    unit: str
+    target: str
+
+    @property
+    def ratio(self) -> float | None:
+        return None if self.theirs is None else self.theirs / self.ours
+
+
+def medians(repetitions: int, *works: Callable[[], object], clock: Callable[[], float] = process_time) -> list[float]:
+    """Median times in s of works that take turns, after each was done once.
+
+    Of processor time, which other people's work on the machine disturbs less, unless another clock is given.
+    """
+    times: list[list[float]] = [[] for _ in works]
+    for repetition in range(repetitions + 1):
+        for each, work in zip(times, works, strict=True):
+            start = clock()
+            work()
+            if repetition:
+                each.append(clock() - start)
+    return [float(np.median(each)) for each in times]
+
+
+def motion(robot: Robot, samples: int, rate: float = 1000.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A smooth path near home, (N, n) each: positions, velocities and accelerations."""
+    rng = np.random.default_rng(0)
+    joints = [robot.joint(name) for name in robot.actuated]
+    reach = np.array([0.04 if robot.closures else 0.5 for _ in joints])
+    t = np.arange(samples)[:, None] / rate
+    q, qd, qdd = (np.zeros((samples, len(joints))) for _ in range(3))
+    for harmonic in range(1, 6):
+        w = 2 * np.pi * 0.3 * harmonic
+        a, b = rng.normal(size=(2, len(joints))) * reach / 5
+        q += a * np.sin(w * t) + b * (np.cos(w * t) - 1)
+        qd += a * w * np.cos(w * t) - b * w * np.sin(w * t)
+        qdd += -a * w * w * np.sin(w * t) - b * w * w * np.cos(w * t)
+    return q + [joint.home for joint in joints], qd, qdd
+
+
+def seven_axes() -> Robot:
+    """A serial arm of seven revolute joints."""
+    alphas = (0.0, -np.pi / 2, np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, np.pi / 2)
+    joints = [
+        Joint(str(k + 1), str(k) if k else "ground", "revolute", Mdh(alpha=alpha, r=0.2 * (k % 2), d=0.05 * (k == 3)))
+        for k, alpha in enumerate(alphas)
+    ]
+    return Robot("seven-axes", tuple(joints))
+
+
+def check(what: str, ours: np.ndarray, theirs: np.ndarray) -> None:
+    """Stop where two results differ."""
+    error = np.abs(ours - theirs).max() / np.abs(theirs).max()
+    if not error < 1e-9:
+        raise SystemExit(f"{what}: results differ by {error:.1e} of the largest")
+
+
+def regressors(robot: Robot, samples: int, few: int, targets: tuple[str, str], repetitions: int) -> list[Row]:
+    """The regressor consumed in the cache, as torques, and returned."""
+    idm = InverseDynamics(robot, "inertial")
+    chi = {
+        name: value
+        for name, value in random_parameters(robot, np.random.default_rng(1)).items()
+        if name in idm.parameter_names
+    }
+    loop = PinocchioLoop(robot, chi)
+    path = motion(robot, samples)
+    short = tuple(each[:few] for each in path)
+    check(robot.name, idm.torques(*short, chi), np.array([W @ loop.chi for W in loop(*short)]))
+    cached, theirs, full, stored = medians(
+        repetitions,
+        lambda: idm.torques(*path, chi),
+        lambda: [W @ loop.chi for W in loop(*short)],
+        lambda: idm.regressor(*path),
+        lambda: np.array(list(loop(*short))),
+    )
+    per, per_few = 1e6 / samples, 1e6 / few
+    rows = [
+        Row(f"{robot.name}: regressor used in the cache", "Pinocchio loop", cached * per, theirs * per_few, "us/sample",
+            targets[0]),
+        Row(f"{robot.name}: whole W returned", "Pinocchio loop", full * per, stored * per_few, "us/sample", targets[1]),
+    ]  # fmt: skip
+    if not robot.closures and figaroh_regressor(loop.tree, *short) is not None:
+        (builder,) = medians(repetitions, lambda: figaroh_regressor(loop.tree, *short))
+        rows.append(Row(rows[1].work, "FIGAROH's builder", full * per, builder * per_few, "us/sample", "15x"))
+    return rows
+
+
+def stages(robot: Robot, samples: int) -> list[Row]:
+    """Where the time goes, a stage at a time."""
+    idm = InverseDynamics(robot)
+    q, qd, qdd = (each.T.copy() for each in motion(robot, samples))
+    c = idm.path(q)
+    part = slice(0, 2048)
+    state = idm.rates(c[:, part], qd[:, part], qdd[:, part])
+    chi = np.ones(len(idm.parameter_names))
+    closed, rates, columns = medians(
+        5,
+        lambda: idm.path(q),
+        lambda: idm.rates(c[:, part], qd[:, part], qdd[:, part]),
+        lambda: idm.full.torques_along(idm.layout, state, chi),
+    )
+    return [
+        Row(f"{robot.name}: closing the loops", "", 1e6 * closed / samples, None, "us/sample", ""),
+        Row(f"{robot.name}: velocities, accelerations, J", "", 1e6 * rates / 2048, None, "us/sample", ""),
+        Row(f"{robot.name}: all {len(chi)} columns", "", 1e6 * columns / 2048, None, "us/sample", ""),
+    ]
+
+
+def threads(robot: Robot, samples: int) -> Row:
+    idm = InverseDynamics(robot)
+    path = motion(robot, samples)
+    chi = np.ones(len(idm.parameter_names))
+
+    def work(count: str) -> None:
+        os.environ["IDIM_THREADS"] = count
+        idm.torques(*path, chi)
+
+    two, one = medians(5, lambda: work("2"), lambda: work("1"), clock=perf_counter)
+    os.environ["IDIM_THREADS"] = "1"
+    return Row(
+        f"{robot.name}: two threads", "one thread", 1e6 * two / samples, 1e6 * one / samples, "us/sample", "1.6x"
+    )
+
+
+def prepared(robot: Robot, samples: int) -> Prepared:
+    """A run as it comes from the filters, with currents that are noise."""
+    path = motion(robot, samples)
+    command = np.random.default_rng(2).normal(size=path[0].shape)
+    time = np.arange(samples) / 1000.0
+    run = Run.__new__(Run)
+    object.__setattr__(run, "name", "made up")
+    return Prepared(run, time, *path, command, command, command, np.ones(path[0].shape, dtype=bool), 1000.0)
+
+
+def reduction(robot: Robot, samples: int, few: int) -> list[Row]:
+    """A prepared run to its factors, decimation by 10, base columns; the peer does it with SciPy and NumPy."""
+    from scipy.signal import decimate
+
+    idm = InverseDynamics(robot)
+    base = base_parameters(idm)
+    run, decimator = prepared(robot, samples), Decimator(10)
+    loop = PinocchioLoop(robot, random_parameters(robot, np.random.default_rng(1)))
+    short = (run.q[:few], run.qd[:few], run.qdd[:few])
+
+    def theirs() -> None:
+        W = np.array(list(loop(*short)))
+        small = decimate(W, 10, axis=0)
+        for j in range(W.shape[1]):
+            np.linalg.qr(small[:, j], mode="r")
+
+    ours, peer = medians(3, lambda: reduce_run(idm, base.standard, run, decimator), theirs)
+    return [
+        Row(f"{robot.name}: run to factors, decimation 10", "Pinocchio, SciPy, QR", 1e6 * ours / samples,
+            1e6 * peer / few, "us/sample", "50x"),
+    ]  # fmt: skip
+
+
+def elimination(rows: int, columns: int) -> Row:
+    """Eliminating columns one after the other: on a triangle, or by SVD of all rows each time."""
+    A = np.random.default_rng(3).normal(size=(rows, columns))
+
+    def ours() -> None:
+        R = triangle(A)
+        for k in range(columns // 3):
+            np.linalg.svd(triangle(R[:, k:]))
+
+    def theirs() -> None:
+        np.linalg.svd(A, full_matrices=False)
+
+    reduced, full = medians(1, ours, theirs)
+    steps = columns // 3
+    return Row(f"{steps} eliminations, r = {rows:.0e}, c = {columns}", "SVD of all rows each step", 1e3 * reduced,
+               1e3 * full * steps, "ms", "500x")  # fmt: skip
+
+
+def growth(robot: Robot, sizes: tuple[int, int]) -> list[Row]:
+    """Time of a run's reduction, and memory beyond its input, for two lengths."""
+    idm = InverseDynamics(robot)
+    names, decimator = base_parameters(idm).standard, Decimator(10)
+    runs = [prepared(robot, samples) for samples in sizes]
+    short, long = medians(1, *(lambda run=run: reduce_run(idm, names, run, decimator) for run in runs))
+    peaks = []
+    for run in runs:
+        tracemalloc.start()
+        reduce_run(idm, names, run, decimator)
+        peaks.append(tracemalloc.get_traced_memory()[1] / 2**20)
+        tracemalloc.stop()
+    exponent = float(np.log(long / short) / np.log(sizes[1] / sizes[0]))
+    span = f"N = {sizes[0]:.0e} to {sizes[1]:.0e}"
+    beyond = f"{robot.name}: run to factors, memory beyond it"
+    return [
+        Row(f"{robot.name}: growth of time, {span}", "", exponent, None, "exponent", "0.95-1.05"),
+        *(
+            Row(f"{beyond}, N = {size:.0e}", "", peak, None, "MiB", "flat")
+            for size, peak in zip(sizes, peaks, strict=True)
+        ),
+    ]
+
+
+def fresh(code: str, **environment: str) -> float:
+    """Processor seconds that a new process takes."""
+    before = os.times()
+    subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, **environment})
+    after = os.times()
+    return after.children_user + after.children_system - before.children_user - before.children_system
+
+
+def starts() -> list[Row]:
+    """Imports, and the first call ever."""
+    light, bare = (np.median([fresh(f"import {name}") for _ in range(7)]) for name in ("idim", "numpy"))
+    call = (
+        "import idim, numpy as np; m = idim.InverseDynamics(idim.load_robot('orthoglide')); z = np.zeros((300, 3));"
+        "m.torques(z, z, z, np.ones(len(m.parameter_names)))"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        first = fresh(call, NUMBA_CACHE_DIR=folder)
+        later = float(np.median([fresh(call, NUMBA_CACHE_DIR=folder) for _ in range(5)]))
+    return [
+        Row("import idim", "import numpy", 1e3 * float(light), 1e3 * float(bare), "ms", "at most 1.5x"),
+        Row("process with a first call ever", "", first, None, "s", "under 8 s"),
+        Row("process with a first call, code in the cache", "", later, None, "s", "under 1 s"),
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("benchmarks.json"))
+    parser.add_argument("--quick", action="store_true", help="fewer samples and repetitions")
+    arguments = parser.parse_args()
+    os.environ["IDIM_THREADS"] = "1"
+    orthoglide, hexapod, arm = load_robot("orthoglide"), load_robot("gough-stewart"), seven_axes()
+    samples, few, repetitions = (20000, 300, 3) if arguments.quick else (100000, 2000, 7)
+    rows = [
+        *regressors(orthoglide, samples, few, ("100x", "15x"), repetitions),
+        *regressors(hexapod, samples, few, ("30x", ""), repetitions),
+        *regressors(arm, samples, 5 * few, ("25x", "8x"), repetitions),
+        *stages(orthoglide, 32768),
+        *stages(hexapod, 32768),
+        threads(orthoglide, samples),
+        threads(arm, samples),
+        *reduction(orthoglide, samples, 5 * few),
+        elimination(10 * samples, 60),
+        *growth(orthoglide, (samples, 10 * samples)),
+        *starts(),
+    ]
+    print(f"{'work':<58}{'peer':<27}{'ours':>10}{'peer':>10} {'unit':<10}{'ratio':>8}  target")
+    for row in rows:
+        theirs = "" if row.theirs is None else f"{row.theirs:.4g}"
+        ratio = "" if row.ratio is None else f"{row.ratio:.3g}"
+        print(f"{row.work:<58}{row.peer:<27}{row.ours:>10.4g}{theirs:>10} {row.unit:<10}{ratio:>8}  {row.target}")
+    document = {
+        "machine": {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+        "python": platform.python_version(),
+        "rows": [{**asdict(row), "ratio": row.ratio} for row in rows],
+    }
+    arguments.out.write_text(json.dumps(document, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

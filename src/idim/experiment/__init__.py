@@ -1,0 +1,1 @@
+"""Exciting trajectories, designed for what is to be identified."""

@@ -1,0 +1,158 @@
+"""Designing a motion: many starts, each made to hold its limits between the instants of the design as well."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from idim.errors import IdimError
+from idim.experiment.evaluation import Grid, Point, design_grid, evaluate
+from idim.experiment.limits import Load, loads, whole_run
+from idim.experiment.nlp import Programme, solve
+from idim.experiment.task import SPEED_FRACTION, Task, close
+
+FINER = 10
+MARGIN = 0.99  # part of every limit that a first design may use
+ROUNDS = 6  # of designing, checking and tightening
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A motion within its limits: x, the value of its criterion, and the loads on the finer grid."""
+
+    task: Task
+    criterion: str
+    x: np.ndarray
+    value: float
+    loads: tuple[Load, ...]
+    start: int
+
+
+def nothing(best: Design | None, done: int, total: int) -> None:
+    """Progress that nobody watches."""
+
+
+def never() -> bool:
+    """A design that nobody stops."""
+    return False
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+def design(
+    task: Task,
+    criterion: str = "gains",
+    starts: int = 5,
+    seed: int = 0,
+    progress: Callable[[Design | None, int, int], None] = nothing,
+    stop: Callable[[], bool] = never,
+) -> Design:
+    """The best motion that is found from ``starts`` random ones.
+
+    Parameters
+    ----------
+    task : Task
+        Robot, runs, limits and prior knowledge.
+    criterion : str
+        See :func:`idim.experiment.criteria.criterion`.
+    starts, seed : int
+        Random motions to start from, and the seed of their generator.
+    progress : callable, optional
+        Called with the best design so far, the starts done and all starts.
+    stop : callable, optional
+        Asked again and again; when it says True, the best design so far is returned.
+
+    Raises
+    ------
+    IdimError
+        Where no motion within the limits is found, with the limit that does not hold; or nothing has been found yet
+        when it is stopped.
+    """
+    rng = np.random.default_rng(seed)
+    best: Design | None = None
+    failure: Load | None = None
+    done = 0
+    for start in range(starts):
+        progress(best, done, starts)
+        if stop():
+            break
+        found, worst = _from_one(task, criterion, task.series.random(rng), start, stop)
+        if found is not None and (best is None or found.value < best.value):
+            best = found
+        if worst is not None and (failure is None or worst.excess < failure.excess):
+            failure = worst
+        done = start + 1
+    progress(best, done, starts)
+    if best is not None:
+        return best
+    robot = task.model.robot.name
+    if failure is not None:
+        raise IdimError(
+            f"robot '{robot}': no motion holds the limits: the {failure.what} must be {failure.allowed}, and "
+            f"the nearest motion found reaches {failure.reached:.4g}; relax this limit, or those that work against it."
+        )
+    if stop():
+        raise IdimError("stopped before a motion within the limits was found; let it run longer.")
+    raise IdimError(
+        f"robot '{robot}': the loops cannot be closed around the middle of the position limits or of the workspace; "
+        "narrow them to what the robot can reach."
+    )
+
+
+def _from_one(
+    task: Task, criterion: str, x: np.ndarray, start: int, stop: Callable[[], bool]
+) -> tuple[Design | None, Load | None]:
+    """Design from one start; else the limit that is exceeded most where IPOPT ends."""
+    programme = Programme(task, criterion, {})
+    inside = programme.inside(x)
+    if inside is None:
+        return None, None
+    tightness = {load.what: MARGIN for load in programme.loads(inside)}
+    x, worst = inside, None
+    for _ in range(ROUNDS):
+        programme = Programme(task, criterion, tightness)
+        ended = solve(programme, x, stop)
+        best = programme.best
+        if best is None:
+            over = sorted(programme.loads(ended), key=lambda load: load.excess / tightness[load.what])
+            return None, over[-1] if over and over[-1].excess > 1 else worst
+        found = check(task, best)
+        exceeded = [load for load in found if load.excess > 1.0]
+        if not exceeded:
+            return Design(task, criterion, best, float(np.exp(programme.best_value)), found, start), None
+        worst = max(exceeded, key=lambda load: load.excess)
+        if stop():
+            break
+        tightness = tightness | {load.what: 0.998 * tightness[load.what] / load.excess for load in exceeded}
+        x = best
+    return None, worst
+
+
+def check(task: Task, x: np.ndarray, finer: int = FINER) -> tuple[Load, ...]:
+    """Loads of the whole run, approach and return included, on a grid ``finer`` times finer than the design's.
+
+    Raises
+    ------
+    IdimError
+        Where the robot cannot go there.
+    """
+    grid = design_grid(task, finer)
+    period = evaluate(task, x, grid)
+    joints = whole_run(task, period.joints, 1 / grid.step)
+    motion = close(task.model, joints[0], joints[1], joints[2], None)
+    run = Grid(np.arange(joints.shape[2]) * grid.step, grid.step, np.empty((4, 0, 0)))
+    point = Point(task, run, x, joints, motion, None, task.regressor(motion))
+    return tuple(loads(point, share_away(task, period.joints[1], grid.step)))
+
+
+def share_away(task: Task, qd: np.ndarray, step: float) -> np.ndarray:
+    """Share (n,) of the instants of a period, ``step`` apart, whose rows identification will keep."""
+    slow = np.abs(qd) < SPEED_FRACTION * np.sqrt(np.mean(qd**2, axis=1, keepdims=True))
+    slow |= np.sign(qd) != np.sign(np.roll(qd, 1, axis=1))
+    reach = round(task.decimator.support / task.rate / step)
+    lost = slow.copy()
+    for shift in range(1, reach + 1):
+        lost |= np.roll(slow, shift, axis=1) | np.roll(slow, -shift, axis=1)
+    return np.asarray(1 - lost.mean(axis=1))

@@ -1,0 +1,112 @@
+"""Finite Fourier series that begin and end at rest, and the moves from home to their start and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+PEAKS = (1.875, 10 / 3**0.5, 60.0)  # greatest speed, acceleration and jerk of a quintic move by 1 in 1 s
+
+
+@dataclass(frozen=True, eq=False)
+class FourierSeries:
+    """Periodic motions of m coordinates, at rest at the beginning of every period.
+
+    A coordinate is ``center + sum over k of a_k sin(k w t) + b_k cos(k w t)``; the coefficients for which
+    its speed and acceleration vanish at t = 0 are ``2 harmonics - 1`` free numbers a coordinate. The vector x (size,)
+    holds these numbers, coordinate by coordinate, in units of ``half`` (m,), and amplitudes that fall with k.
+
+    Attributes
+    ----------
+    center, half : ndarray
+        (m,), rad or m: where the motion is at x = 0, and the unit of its amplitudes.
+    base_frequency : float
+        Hz.
+    harmonics : int
+        Number of sines and cosines, at least 2.
+    """
+
+    center: np.ndarray
+    half: np.ndarray
+    base_frequency: float
+    harmonics: int
+
+    @property
+    def period(self) -> float:
+        """Duration of a period, s."""
+        return 1.0 / self.base_frequency
+
+    @property
+    def free(self) -> int:
+        """Free numbers a coordinate: the center and what the two conditions of rest leave."""
+        return 2 * self.harmonics - 1
+
+    @property
+    def size(self) -> int:
+        """Length of x."""
+        return len(self.center) * self.free
+
+    def basis(self, time: np.ndarray) -> np.ndarray:
+        """Position, velocity, acceleration and jerk by the free numbers of a coordinate with half = 1.
+
+        Returns an array (4, N, free).
+        """
+        k = np.arange(1, self.harmonics + 1)
+        omega = 2 * np.pi * self.base_frequency * k
+        angle = np.multiply.outer(time, omega)
+        # amplitudes that fall with k give every harmonic the same speed
+        sine, cosine = np.sin(angle) / k, np.cos(angle) / k
+        parts = [
+            np.concatenate([factor * first, factor * second], axis=1)
+            for factor, first, second in (
+                (np.ones_like(omega), sine, cosine),
+                (omega, cosine, -sine),
+                (-(omega**2), sine, cosine),
+                (-(omega**3), cosine, -sine),
+            )
+            for factor in [np.broadcast_to(factor, sine.shape)]
+        ]
+        # speed at t = 0: sum of a_k = 0; acceleration at t = 0: sum of k b_k = 0
+        at_rest = np.zeros((2, 2 * self.harmonics))
+        at_rest[0, : self.harmonics] = 1.0
+        at_rest[1, self.harmonics :] = k / np.linalg.norm(k)
+        null = np.linalg.svd(at_rest)[2][2:].T
+        constant = np.zeros((4, len(time), 1))
+        constant[0] = 1.0
+        return np.concatenate([constant, np.stack(parts) @ null], axis=2)
+
+    def __call__(self, x: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, velocities, accelerations and jerks (m, N), rad or m and s."""
+        table = np.einsum("dtf,mf->dmt", self.basis(time), x.reshape(len(self.center), self.free) * self.half[:, None])
+        table[0] += self.center[:, None]
+        return table[0], table[1], table[2], table[3]
+
+    def random(self, rng: np.random.Generator) -> np.ndarray:
+        """A random vector x: every harmonic of about the same speed."""
+        x = rng.normal(size=(len(self.center), self.free))
+        x[:, 0] *= 0.1
+        return x.reshape(-1)
+
+
+def quintic(start: np.ndarray, end: np.ndarray, duration: float, time: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A straight move (m,) to (m,) from rest to rest: position, velocity, acceleration, jerk (m, N) at ``time``."""
+    u = np.clip(time / duration, 0.0, 1.0)
+    way = (end - start)[:, None]
+    return (
+        start[:, None] + way * (u**3 * (10 - 15 * u + 6 * u**2)),
+        way * (30 * u**2 * (1 - u) ** 2) / duration,
+        way * (60 * u * (1 - u) * (1 - 2 * u)) / duration**2,
+        way * (60 * (1 - 6 * u + 6 * u**2)) / duration**3,
+    )
+
+
+def move_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> float:
+    """Shortest duration (s) of a quintic move by ``way`` (m,) within limits (m,) of velocity, acceleration and jerk."""
+    size = np.abs(way)
+    durations = (
+        PEAKS[0] * size / velocity,
+        np.sqrt(PEAKS[1] * size / acceleration),
+        np.cbrt(PEAKS[2] * size / jerk),
+    )
+    return float(max(0.0, *(each.max() for each in durations)))

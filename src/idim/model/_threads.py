@@ -1,0 +1,40 @@
+"""Sharing samples among threads; the compiled loops let go of Python's lock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+from idim.model._lanes import LANES
+
+SHARE = 16 * LANES  # samples that are worth a thread
+
+
+def threads() -> int:
+    """Threads to use: what the environment variable IDIM_THREADS says, or one for each core."""
+    try:
+        return max(int(os.environ["IDIM_THREADS"]), 1)
+    except (KeyError, ValueError):
+        return os.cpu_count() or 1
+
+
+def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:
+    """Call ``work(start, stop)`` for stretches of whole lanes that together are ``samples``.
+
+    In threads, where each gets at least ``worth`` samples; what is computed does not depend on their number.
+    """
+    parts = min(threads(), samples // worth)
+    if parts < 2:
+        work(0, samples)
+        return
+    lanes = samples // LANES
+    cuts = [LANES * (lanes * k // parts) for k in range(parts)] + [samples]
+    list(_pool(os.getpid(), parts).map(work, cuts[:-1], cuts[1:]))
+
+
+@cache
+def _pool(process: int, workers: int) -> ThreadPoolExecutor:
+    """Threads, kept; a forked process needs its own."""
+    return ThreadPoolExecutor(workers, "idim")

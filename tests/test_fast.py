@@ -1,0 +1,216 @@
+"""What was made fast computes what it should, whatever the threads, the blocks and the number of samples."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from idim.estimation.factors import reduce_run
+from idim.estimation.rows import stream_rows
+from idim.estimation.triangle import triangle
+from idim.model import _interpreter as interpreter
+from idim.model import inverse_dynamics as inverse_dynamics_module
+from idim.model._lanes import LANES
+from idim.model.inverse_dynamics import InverseDynamics
+from idim.model.loops import follow
+from idim.model.program import compile_program
+from idim.robots.load import load_robot
+from idim.signals.decimation import Decimator
+from idim.signals.preparation import Prepared
+from idim.signals.run import Run
+from robots_for_tests import hexapod, seven_r, trajectory
+
+
+def program_of(function, inputs=2):
+    x = ca.SX.sym("x", inputs)
+    return compile_program([x], [function(x)])
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 50.0, 1e4, 1e8, 1e12])
+def test_sine_and_cosine(scale, rng):
+    """To a unit in the last place of 1, at any angle; beyond 1e9 rad as the system's library."""
+    x = np.concatenate([rng.uniform(-scale, scale, 5000), scale * np.arange(-8, 9) * np.pi / 4])[None, :]
+    found = program_of(lambda x: ca.vertcat(ca.sin(x), ca.cos(x)), 1)(x)
+    assert_allclose(found, np.concatenate([np.sin(x), np.cos(x)]), rtol=0, atol=2.3e-16)
+    small = np.array([[0.0, -0.0, 1e-300, 1e-20]])
+    assert np.array_equal(program_of(ca.sin, 1)(small), small)
+
+
+def test_what_is_not_a_number_is_not_hidden():
+    """A residual that is not a number must not pass for a small one."""
+    x = np.array([[np.nan, 1.0, np.inf], [1.0, np.nan, 2.0]])
+    found = program_of(lambda x: ca.vertcat(ca.fmax(x[0], x[1]), ca.sin(x[0]), ca.fabs(x[1])))(x)
+    assert np.isnan(found[0]).tolist() == [True, True, False]
+    assert np.isnan(found[1]).tolist() == [True, False, True]
+    assert np.isnan(found[2]).tolist() == [False, True, False]
+
+
+def test_sums_are_fused_with_products_used_once():
+    x = ca.SX.sym("x", 4)
+    product = x[0] * x[1]
+    program = compile_program([x], [product + x[2], x[2] * x[3] - x[0], x[1] - x[2] * x[0], product - x[3]])
+    names = [interpreter.OPERATIONS[code] for code in program.code[:, 0]]
+    # the first product is used twice and stays; the other two are made together with their differences
+    assert sorted(names) == sorted(["MUL", "ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT", "SUB"])
+    values = np.array([2.0, 3.0, 5.0, 7.0])
+    assert program(values[:, None]).ravel().tolist() == [11.0, 33.0, -7.0, -1.0]
+
+
+def test_a_change_of_sign_goes_into_the_sum():
+    x = ca.SX.sym("x", 2)
+    for expression, value in ((x[0] + -(x[1]), -1.0), (-x[0] + x[1], 1.0), (x[0] - -(x[1]), 5.0), (-x[0] - x[1], -5.0)):
+        assert compile_program([x], [expression])(np.array([[2.0], [3.0]])).item() == value
+
+
+def test_values_divided_by_the_same_share_a_reciprocal(rng):
+    x = ca.SX.sym("x", 3)
+    program = compile_program([x], [x[0] / x[2], x[1] / x[2], x[0] / 3.0, 1 / x[2], x[0] / x[1]])
+    names = [interpreter.OPERATIONS[code] for code in program.code[:, 0]]
+    assert names.count("DIV") == 2
+    values = rng.uniform(1.0, 2.0, (3, 5))
+    a, b, c = values
+    assert_allclose(program(values), [a / c, b / c, a / 3, 1 / c, a / b], rtol=4e-16)
+
+
+@pytest.mark.parametrize("samples", [0, 1, LANES - 1, LANES, 3 * LANES + 5])
+def test_outputs_consumed_in_the_cache(samples, rng):
+    x = ca.SX.sym("x", 2)
+    program = compile_program([x], [ca.vertcat(x[0] * x[1], 3.0, x[0], ca.sin(x[1]))])
+    values = rng.normal(size=(2, samples))
+    outputs = program(values)
+    places, weights = np.array([1, 0, 1, 1]), np.array([2.0, 3.0, -1.0, 0.5])
+    sums = program.sums(places, weights, 2, values[:1], values[1:])
+    expected = [weights[1] * outputs[1], weights[[0, 2, 3]] @ outputs[[0, 2, 3]]]
+    assert_allclose(sums, np.reshape(expected, (2, samples)), rtol=1e-15, atol=1e-15)
+    table = np.full((samples, 6), 7.0)
+    program.fill(table, np.array([5, 0, 3, 2]), values)
+    assert np.array_equal(table[:, [5, 0, 3, 2]], outputs.T)
+    assert (table[:, [1, 4]] == 7.0).all()
+
+
+def test_rows_need_not_stand_together(rng):
+    """Inputs may be views: of every other row, or of columns of a longer array."""
+    program = program_of(lambda x: ca.vertcat(x[0] - x[1], x[0] * x[1]))
+    values = rng.normal(size=(4, 300))
+    expected = np.stack([values[0] - values[2], values[0] * values[2]])
+    assert np.array_equal(program(values[::2]), expected)
+    assert np.array_equal(program(values[::2, 7:211]), expected[:, 7:211])
+    assert np.array_equal(program(values[::2, ::3]), expected[:, ::3])
+    assert np.array_equal(program(np.asfortranarray(values[::2])), expected)
+
+
+@pytest.mark.parametrize("robot", [load_robot("orthoglide"), hexapod(), seven_r()], ids=lambda robot: robot.name)
+def test_threads_change_nothing(robot, monkeypatch):
+    """Bit for bit, closures included."""
+    q, qd, qdd = trajectory(robot, np.linspace(0.0, 12.0, 5003))
+    idm = InverseDynamics(robot)
+    chi = np.linspace(-1.0, 1.0, len(idm.parameter_names))
+    found = []
+    for threads in ("1", "2", "3"):
+        monkeypatch.setenv("IDIM_THREADS", threads)
+        motion = idm.motion(q.T, qd.T, qdd.T)
+        found.append((motion.c, motion.ydd, motion.J, idm.torques(q, qd, qdd, chi), idm.regressor(q, qd, qdd)))
+    for others in found[1:]:
+        for one, other in zip(found[0], others, strict=True):
+            assert np.array_equal(one, other)
+
+
+def test_blocks_change_nothing(monkeypatch):
+    robot = load_robot("orthoglide")
+    q, qd, qdd = trajectory(robot, np.linspace(0.0, 3.0, 1201))
+    idm = InverseDynamics(robot)
+    chi = np.linspace(-1.0, 1.0, len(idm.parameter_names))
+    whole = idm.torques(q, qd, qdd, chi)
+    assert_allclose(np.einsum("tjk,k->tj", idm.regressor(q, qd, qdd), chi), whole, rtol=1e-12, atol=1e-9)
+    monkeypatch.setattr(inverse_dynamics_module, "PATH", 500)
+    monkeypatch.setattr(inverse_dynamics_module, "BLOCK", 130)
+    assert_allclose(idm.torques(q, qd, qdd, chi), whole, rtol=1e-10, atol=1e-9 * np.abs(whole).max())
+
+
+def test_a_path_at_slow_and_at_fast_sampling_is_the_same():
+    """Guesses from the samples before lead nowhere else than steps from sample to sample."""
+    robot = hexapod()
+    idm = InverseDynamics(robot)
+    fine = trajectory(robot, np.linspace(0.0, 6.0, 6001))[0].T
+    c = follow(idm.loops, fine)
+    assert_allclose(follow(idm.loops, fine[:, ::50]), c[:, ::50], atol=1e-11)
+    rough = fine + 1e-4 * np.sin(1e3 * np.arange(6001) ** 2)  # no parabola foresees this
+    assert np.abs(idm.loops.newton(follow(idm.loops, rough))[0]).max() < 1e-12
+
+
+def test_factors_are_those_of_all_rows(rng):
+    """Merged block by block over each joint's own columns, they have the Gram matrices of the rows."""
+    robot = load_robot("ur10e")
+    idm = InverseDynamics(robot)
+    n_samples, rate = 20000, 200.0
+    time = np.arange(n_samples) / rate
+    q, qd, qdd = trajectory(robot, time)
+    command, command_d, command_dd = rng.normal(size=(3, *q.shape))
+    usable = rng.uniform(size=q.shape) < 0.999
+    run = Run.__new__(Run)
+    object.__setattr__(run, "name", "made up")
+    prepared = Prepared(run, time, q, qd, qdd, command, command_d, command_dd, usable, rate)
+    names = tuple(idm.parameter_names[k] for k in range(3, len(idm.parameter_names), 2))
+    decimator = Decimator(5)
+    factors = reduce_run(idm, names, prepared, decimator)
+    (whole,) = [*stream_rows(idm, idm.columns(names), prepared, Decimator(5))][:1]
+    assert whole.entries.shape[1] < 1000
+    regressor = idm.columns(names)
+    n, p = 6, len(names) + 5
+    gram, kept = np.zeros((n, p, p)), np.zeros(n, dtype=int)
+    for part in stream_rows(idm, regressor, prepared, decimator):
+        for j in range(n):
+            A = np.zeros((len(part.time), p))
+            mine = np.flatnonzero(regressor.rows == j)
+            A[:, regressor.columns[mine]] = part.entries[mine].T
+            A[:, -5:] = np.concatenate([part.terms[:, j], part.currents[:, j]]).T
+            A = A[part.keep[j]]
+            gram[j] += A.T @ A
+            kept[j] += len(A)
+    assert np.array_equal(factors.rows.sum(axis=0), kept)
+    for j in range(n):
+        for R in factors.R[:, j]:
+            assert np.array_equal(R, np.triu(R))
+        R = triangle(*factors.R[:, j])
+        scale = np.sqrt(np.diag(gram[j]))
+        scale[scale == 0] = 1.0
+        assert_allclose(R.T @ R / np.outer(scale, scale), gram[j] / np.outer(scale, scale), atol=1e-12)
+
+
+def test_compiled_code_knows_its_sources(tmp_path):
+    """A change of any compiled module must not find results of the one before in the cache."""
+    source = Path(inverse_dynamics_module.__file__).parents[1]
+    code = "import idim.model._interpreter as i; print(i.execute.py_func.__qualname__)"
+
+    def name(root: Path) -> str:
+        environment = {**os.environ, "PYTHONPATH": str(root)}
+        return subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    copy = tmp_path / "idim"
+    copy.mkdir()
+    for file in ("__init__.py", "model/__init__.py", *(f"model/{path.name}" for path in source.glob("model/_*.py"))):
+        (copy / file).parent.mkdir(exist_ok=True)
+        (copy / file).write_bytes((source / file).read_bytes())
+    before = name(tmp_path)
+    assert before.startswith("execute_")
+    assert name(tmp_path) == before
+    with (copy / "model" / "_lanes.py").open("a") as file:
+        file.write("# another edition\n")
+    assert name(tmp_path) != before
+
+
+def test_importing_idim_imports_nothing_heavy():
+    heavy = ["numba", "casadi", "scipy", "polars", "matplotlib", "pydantic"]
+    code = f"import sys, idim; print([name for name in {heavy} if name in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env={
+        **os.environ, "PYTHONPATH": str(Path(inverse_dynamics_module.__file__).parents[2])})  # fmt: skip
+    assert found.stdout.strip() == "[]"
