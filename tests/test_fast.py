@@ -187,7 +187,7 @@ def test_factors_are_those_of_all_rows(rng):
 def test_compiled_code_knows_its_sources(tmp_path):
     """A change of any compiled module must not find results of the one before in the cache."""
     source = Path(inverse_dynamics_module.__file__).parents[1]
-    code = "import idim.model._interpreter as i; print(i.execute.py_func.__qualname__)"
+    code = "import idim.model._interpreter as i; print(i.interpret.py_func.__qualname__)"
 
     def name(root: Path) -> str:
         environment = {**os.environ, "PYTHONPATH": str(root)}
@@ -201,7 +201,7 @@ def test_compiled_code_knows_its_sources(tmp_path):
         (copy / file).parent.mkdir(exist_ok=True)
         (copy / file).write_bytes((source / file).read_bytes())
     before = name(tmp_path)
-    assert before.startswith("execute_")
+    assert before.startswith("interpret_")
     assert name(tmp_path) == before
     with (copy / "model" / "_lanes.py").open("a") as file:
         file.write("# another edition\n")

@@ -20,6 +20,7 @@ class Follower(NamedTuple):
     actuated. The rest are the parameters of the continuation.
     """
 
+    machine: int
     step: np.ndarray
     step_rows: np.ndarray
     step_memory: np.ndarray
@@ -56,9 +57,9 @@ def _newton(f, now, going):  # type: ignore[no-untyped-def]  # pragma: no cover 
             ahead[n] = max(ahead[n], f.scale[i] * abs(f.trial[i, n] - now[i, n]))
     for iteration in range(ITERATIONS):
         if iteration == 0:
-            execute(f.step, f.step_rows)
+            execute(f.machine, f.step, f.step_rows)
         else:
-            execute(f.fast_step, f.fast_step_rows)
+            execute(f.machine, f.fast_step, f.fast_step_rows)
         busy = False
         for n in range(LANES):
             step[n] = False
@@ -77,7 +78,7 @@ def _newton(f, now, going):  # type: ignore[no-untyped-def]  # pragma: no cover 
                 f.trial[i, n] = f.made[i, n] if step[n] else f.trial[i, n]
         if not busy:
             break
-    execute(f.gap, f.gap_rows)
+    execute(f.machine, f.gap, f.gap_rows)
     for n in range(LANES):
         good[n] = good[n] and done[n] and gap[n] < f.residual
     return good, share

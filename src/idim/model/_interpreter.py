@@ -1,9 +1,10 @@
 """The compiled loop behind :mod:`idim.model.program`."""
 
 import numpy as np
+from numba import carray, types  # type: ignore[attr-defined]
 
 from idim.model import _lanes as lanes
-from idim.model._compiled import compiled
+from idim.model._compiled import compiled, compiled_once
 from idim.model._lanes import LANES, lane
 
 OPERATIONS = (
@@ -14,11 +15,11 @@ OPERATIONS = (
 
 
 @compiled_once(types.void(types.int64, types.int64, types.int64))
-def machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run ``count`` instructions at the address ``code`` on one lane of each row; ``rows`` is where their addresses are."""
-    code, rows = whole_numbers(code, (count, 5)), addresses(rows)
+def run_machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Run ``count`` instructions, at the address ``code``, on one lane of the rows whose addresses are at ``rows``."""
+    words, row = carray(lanes.to_words(code), (count, 5)), carray(lanes.to_addresses(rows), (2**31,))
     for k in range(count):
-        op, y, a, b = code[k, 0], rows[code[k, 1]], rows[code[k, 2]], rows[code[k, 3]]
+        op, y, a, b = words[k, 0], row[words[k, 1]], row[words[k, 2]], row[words[k, 3]]
         if op == 0:
             lanes.multiply(y, a, b)
         elif op == 1:
@@ -26,11 +27,11 @@ def machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: no co
         elif op == 2:
             lanes.subtract(y, a, b)
         elif op == 3:
-            lanes.multiply_add(y, a, b, rows[code[k, 4]])
+            lanes.multiply_add(y, a, b, row[words[k, 4]])
         elif op == 4:
-            lanes.multiply_subtract(y, a, b, rows[code[k, 4]])
+            lanes.multiply_subtract(y, a, b, row[words[k, 4]])
         elif op == 5:
-            lanes.subtract_product(y, a, b, rows[code[k, 4]])
+            lanes.subtract_product(y, a, b, row[words[k, 4]])
         elif op == 6:
             lanes.sine_cosine(lane(y), lane(b), lane(a))
         elif op == 7:
@@ -49,16 +50,25 @@ def machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: no co
             lanes.maximum(y, a, b)
 
 
+MACHINE: int = run_machine.address
+
+
 @compiled
-def _run(code, rows, own, long, moved, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def execute(machine, code, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Run ``code`` (instructions, 5) on one lane of each row; ``machine`` is MACHINE."""
+    lanes.call(machine, code.ctypes.data, code.shape[0], rows.ctypes.data)
+
+
+@compiled
+def _run(machine, code, rows, own, long, moved, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Run ``code`` on the lane at ``start``."""
     for k in range(rows.size):
         moved[k] = rows[k] + 8 * start if own <= k < long else rows[k]
-    execute(code, moved)
+    execute(machine, code, moved)
 
 
 @compiled
-def interpret(code, rows, own, long, start, stop):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def interpret(machine, code, rows, own, long, start, stop):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Run ``code`` over the samples ``start`` to ``stop``, at least LANES of them.
 
     The ``rows`` from ``own`` to ``long`` are as long as the data, the others are of one lane.
@@ -66,12 +76,12 @@ def interpret(code, rows, own, long, start, stop):  # type: ignore[no-untyped-de
     moved = np.empty(rows.size, np.int64)
     while start < stop:
         start = min(start, stop - LANES)  # the last lane ends where the data do, and repeats some samples
-        _run(code, rows, own, long, moved, start)
+        _run(machine, code, rows, own, long, moved, start)
         start += LANES
 
 
 @compiled
-def scatter(code, rows, own, long, start, stop, made, places, table):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def scatter(machine, code, rows, own, long, start, stop, made, places, table):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """As :func:`interpret`, the outputs ``made`` (outputs, LANES) put at ``places`` of the rows of ``table``.
 
     ``table`` is (N, columns), ``places`` (outputs,).
@@ -79,7 +89,7 @@ def scatter(code, rows, own, long, start, stop, made, places, table):  # type: i
     moved = np.empty(rows.size, np.int64)
     while start < stop:
         start = min(start, stop - LANES)
-        _run(code, rows, own, long, moved, start)
+        _run(machine, code, rows, own, long, moved, start)
         for first in range(0, LANES, 8):  # a cache line of each output
             for k in range(places.size):
                 for n in range(first, first + 8):
@@ -88,13 +98,13 @@ def scatter(code, rows, own, long, start, stop, made, places, table):  # type: i
 
 
 @compiled
-def contract(code, rows, own, long, start, stop, made, places, weights, table):  # type: ignore[no-untyped-def]  # pragma: no cover
+def contract(machine, code, rows, own, long, start, stop, made, places, weights, table):  # type: ignore[no-untyped-def]  # pragma: no cover
     """As :func:`interpret`, the outputs ``made``, times ``weights``, summed in the ``places`` of ``table`` (., N)."""
     moved = np.empty(rows.size, np.int64)
     sums = np.empty((table.shape[0], LANES))
     while start < stop:
         start = min(start, stop - LANES)
-        _run(code, rows, own, long, moved, start)
+        _run(machine, code, rows, own, long, moved, start)
         sums[:] = 0.0
         for k in range(places.size):
             to, each, weight = sums[places[k]], made[k], weights[k]

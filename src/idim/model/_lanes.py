@@ -70,12 +70,31 @@ multiply_subtract = _operation(3, lambda builder, a, b, c: _call("fma", 3)(build
 subtract_product = _operation(3, lambda builder, a, b, c: _call("fma", 3)(builder, builder.fneg(a), b, c))  # c - a b
 
 
-@_intrinsic
-def _pointer(typing, address):  # type: ignore[no-untyped-def]
-    def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return builder.inttoptr(arguments[0], _DOUBLE.as_pointer())
+def _pointer(kind: Any, stored: ir.Type) -> Any:
+    """A function that makes an address a pointer to numbers of a kind."""
 
-    return types.CPointer(types.float64)(types.int64), code
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], stored.as_pointer())
+
+    return _intrinsic(lambda typing, address: (types.CPointer(kind)(types.int64), code))
+
+
+to_doubles = _pointer(types.float64, _DOUBLE)
+to_words = _pointer(types.uint32, ir.IntType(32))
+to_addresses = _pointer(types.int64, ir.IntType(64))
+
+
+@_intrinsic
+def call(typing, function, code, count, rows):  # type: ignore[no-untyped-def]
+    """Call the function at an address with three whole numbers."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        number = ir.IntType(64)
+        kind = ir.FunctionType(ir.VoidType(), [number] * 3).as_pointer()
+        builder.call(builder.inttoptr(arguments[0], kind), arguments[1:])
+        return context.get_dummy_value()
+
+    return types.void(*[types.int64] * 4), generate
 
 
 @_intrinsic
@@ -97,7 +116,7 @@ def _bits(typing, x):  # type: ignore[no-untyped-def]
 @compiled
 def lane(address):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """The lane at an address as an array (LANES,)."""
-    return numba.carray(_pointer(address), (LANES,))  # type: ignore[attr-defined]
+    return numba.carray(to_doubles(address), (LANES,))  # type: ignore[attr-defined]
 
 
 # pi/2 in three parts, and polynomials in r^2 on |r| <= pi/4 that interpolate at Chebyshev's points:

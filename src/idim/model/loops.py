@@ -14,6 +14,7 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.model._continuation import Follower, march, travel
+from idim.model._interpreter import MACHINE
 from idim.model._lanes import LANES
 from idim.model._threads import share
 from idim.model.closures import ClosureEquations, closure_equations, gaps
@@ -170,7 +171,7 @@ def _follower(loops: Loops, shortest: float) -> Follower:
     )
     programs = [part for each in bound for part in (each.code, each.rows, each.memory)]
     parameters = (loops.layout.actuated, equations.scale, shortest, RESIDUAL, CONTRACTION, REACH)
-    return Follower._make([*programs, trial, made, *parameters])
+    return Follower._make([MACHINE, *programs, trial, made, *parameters])
 
 
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:

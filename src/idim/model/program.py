@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from idim.model._instructions import instructions
-from idim.model._interpreter import contract, interpret, scatter
+from idim.model._interpreter import MACHINE, contract, interpret, scatter
 from idim.model._lanes import LANES
 from idim.model._threads import share
 
@@ -56,7 +56,7 @@ class Program:
 
         def run(start: int, stop: int) -> None:
             bound = Bound(self, _rows(sources), addresses(result))
-            interpret(bound.code, bound.rows, bound.own, len(bound.rows), start, stop)
+            interpret(MACHINE, bound.code, bound.rows, bound.own, len(bound.rows), start, stop)
 
         share(run, result.shape[1])
         return result[:, :samples]
@@ -84,7 +84,7 @@ class Program:
             outputs, values = self.fixed
             made[outputs] = values[:, None]
             bound = Bound(self, _rows(sources), addresses(made))
-            kernel(bound.code, bound.rows, bound.own, bound.own + self.inputs, start, stop, made, *arguments)
+            kernel(MACHINE, bound.code, bound.rows, bound.own, bound.own + self.inputs, start, stop, made, *arguments)
 
         share(run, sources[0].shape[1])
 
