@@ -282,9 +282,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--json", help="file for the table")
     options = parser.parse_args()
-    print(
-        "| robot | errors | times | each gain | gains | parameters | all | smallest cell | weak | contradictory |"
-    )
+    print("| robot | errors | times | each gain | gains | parameters | all | smallest cell | weak | contradictory |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     rows = []
     for source in options.robots:
