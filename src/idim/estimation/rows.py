@@ -12,7 +12,7 @@ from idim.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from idim.signals.decimation import Block, Decimator
 from idim.signals.preparation import Prepared
 
-SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
+FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
 
 @dataclass(frozen=True)
@@ -59,19 +59,20 @@ def stream_rows(
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
     n = len(prepared.time)
-    keep = decimator.keep(prepared.usable).T
-    time = prepared.time[decimator.instants(n)]
-    size = max(SAMPLES, 8 * decimator.warm_up) // decimator.factor
+    size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
     for block, c in _paths(idm, prepared, decimator.blocks(n, size)):
         at = block.samples
+        first = at.start + block.first
+        last = first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
+        seen = slice(first - decimator.support, last + decimator.support + 1)
         qd, qdd = prepared.qd[at].T.copy(), prepared.qdd[at].T.copy()
         motion = idm.rates(c, qd, qdd, Labels(prepared.run.name, prepared.time[at]))
         currents = np.stack([prepared.command[at].T, prepared.command_d[at].T, prepared.command_dd[at].T])
         entries = regressor(idm.layout, motion)
         effort = currents[0] if load is None else regressor.torques(entries, load, len(idm.actuated))
         yield Rows(
-            time[block.outputs],
-            keep[:, block.outputs],
+            prepared.time[first : last + 1 : decimator.factor],
+            decimator.keep(prepared.usable[seen]).T,
             decimator.apply(entries, block),
             decimator.apply(currents, block),
             decimator.apply(term_columns(qd, effort), block),

@@ -16,9 +16,9 @@ def compiled(function: Callable[..., Any]) -> Any:
     return njit(cache=True, nogil=True, error_model="numpy")(_of_this_edition(function))
 
 
-def compiled_once(*signature: Any) -> Callable[[Callable[..., Any]], Any]:
+def compiled_once(signature: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function of this signature that others call by its address, so that they need no copy of it."""
-    return lambda function: cfunc(*signature, cache=True)(_of_this_edition(function))
+    return lambda function: cfunc(signature, cache=True)(_of_this_edition(function))
 
 
 def _of_this_edition(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -131,12 +131,15 @@ def _go(f, now, guess, guessed, target, going):  # type: ignore[no-untyped-def] 
 
 
 @compiled
-def travel(f, c, q, reached):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Move the columns of ``c`` (n_c, N) towards those of ``q`` (n, N), in place; ``reached`` (N,): which arrive."""
+def travel(f, c, q, begin, end, reached):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Move the columns ``begin`` to ``end`` of ``c`` (n_c, N) towards those of ``q`` (n, N), in place.
+
+    ``reached`` (N,) tells which arrive.
+    """
     now, target = np.zeros((c.shape[0], LANES)), np.zeros((q.shape[0], LANES))
     going, guessed = np.empty(LANES, np.bool_), np.empty(LANES, np.bool_)
-    for start in range(0, c.shape[1], LANES):
-        lanes = min(LANES, c.shape[1] - start)
+    for start in range(begin, end, LANES):
+        lanes = min(LANES, end - start)
         for n in range(LANES):
             going[n], guessed[n] = n < lanes, False
         for n in range(lanes):

@@ -16,7 +16,7 @@ from idim.model.program import Program, compile_program
 from idim.robots.robot import Robot
 
 PATH = 32768  # samples whose loops are closed together: parallel, at the cost of finding the way to each part
-BLOCK = 2048  # samples whose motion is made together: few enough to stay in the cache
+BLOCK = 8192  # samples whose motion is made together: enough for threads, and few enough for the cache
 
 
 @dataclass(frozen=True)

@@ -181,10 +181,11 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTE
 
     Returns the closed configurations arrived at (n_c, N), and which are those asked for (N,).
     """
-    c, q, reached = np.array(c, dtype=float), np.asarray(q, dtype=float), np.zeros(c.shape[1], dtype=bool)
+    c, q = np.array(c, dtype=float, order="C"), np.ascontiguousarray(q, dtype=float)
+    reached = np.zeros(c.shape[1], dtype=bool)
 
     def run(start: int, stop: int) -> None:
-        travel(_follower(loops, shortest), c[:, start:stop], q[:, start:stop], reached[start:stop])
+        travel(_follower(loops, shortest), c, q, start, stop, reached)
 
     share(run, c.shape[1], LANES)
     return c, reached
@@ -209,7 +210,7 @@ def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.
     IdimError
         Where a sample cannot be reached, or not without leaving the assembly mode.
     """
-    samples = q.shape[1]
+    q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
     labels = labels or Numbers()
     begin = loops.home if start is None else start
     c = np.repeat(begin[:, None], samples, axis=1)
