@@ -25,7 +25,7 @@ def reference(inputs, outputs, values):
 
 
 def solve(a, pattern, b, refine):
-    """Solutions (n, k, N) and condition numbers (N,) of a batch: ``a`` (m, n, N), zero off ``pattern``, ``b`` (m, k, N)."""
+    """Solutions (n, k, N) and condition numbers (N,) for ``a`` (m, n, N), zero off ``pattern``, and ``b`` (m, k, N)."""
     (m, n, samples), k = a.shape, b.shape[1]
     A, B = ca.SX.sym("A", ca.sparsify(ca.DM(pattern.astype(float))).sparsity()), ca.SX.sym("B", m, k)
     rows, columns = (np.array(index, dtype=int) for index in A.sparsity().get_triplet())

@@ -13,8 +13,11 @@ from idim.estimation.friction import UNITS
 from idim.estimation.problem import Problem
 from idim.estimation.result import Result
 from idim.estimation.solution import Solution
+from idim.estimation.symmetry import leg_differences
 from idim.estimation.verdicts import GOOD, Verdict, gain_verdicts, lack_of_fit, parameter_verdict
 from idim.robots.robot import INERTIAL, Robot
+
+UNLIKE = 1e-3  # probability that legs which are alike differ by as much
 
 
 def make_result(
@@ -108,7 +111,7 @@ def make_result(
             "largest_condition": max(each.condition for each in data.factors),
         },
         runs=names,
-        notes=data.notes,
+        notes=(*data.notes, *_unlike_legs(data, assembly, solution.theta, covariance)),
         consistency=consistency,
     )
 
@@ -157,6 +160,22 @@ def _terms(assembly: Assembly, robot: Robot) -> list[tuple[str, str]]:
     """Further friction terms and their units."""
     split = [(name, *name.split("_", 1)) for name in assembly.friction.terms]
     return [(name, UNITS[robot.joint(joint).kind][term]) for name, term, joint in split]
+
+
+def _unlike_legs(data: Data, assembly: Assembly, theta: np.ndarray, covariance: np.ndarray) -> list[str]:
+    """Which legs of the same geometry differ in what was identified (the paper's check after section 3.1)."""
+    place = {name: k for k, name in enumerate(assembly.problem.parameters)}
+    names = [name for name in data.base.names if name in place]
+    index = [place[name] for name in names]
+    if not np.diag(covariance)[index].all():
+        return []
+    found = leg_differences(data.robot, data.base, names, theta[index], covariance[np.ix_(index, index)])
+    return [
+        f"leg '{each.leg[0]}' is not like the {len(each.others)} of the same geometry, most in {each.worst[0]} "
+        f"(by {abs(each.worst[1]):.1f} standard deviations): friction and wear differ, or the legs are not built alike"
+        for each in found
+        if each.probability < UNLIKE
+    ]
 
 
 def _spread(assembly: Assembly, theta: np.ndarray) -> dict[str, float]:
