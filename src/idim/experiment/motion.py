@@ -18,12 +18,12 @@ import numpy as np
 import scipy.linalg
 
 from idim.errors import IdimError
-from idim.model.closures import characteristic_length
 from idim.model.coordinates import Coordinates
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.model.kinematics import constant, frames
 from idim.model.loops import Motion
 from idim.model.program import Program, compile_program
+from idim.robots.geometry import characteristic_length
 from idim.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
 
 

@@ -17,7 +17,8 @@ from idim.model.coordinates import Coordinates
 from idim.model.kinematics import Frame, Twist, accelerations, constant, frames, twists
 from idim.model.least_squares import solve
 from idim.model.program import Program, compile_program
-from idim.robots.robot import ROTATIONS, TRANSLATIONS, Attachment, Robot
+from idim.robots.geometry import characteristic_length
+from idim.robots.robot import ROTATIONS, TRANSLATIONS, Attachment
 
 
 @dataclass(frozen=True)
@@ -43,15 +44,6 @@ class ClosureEquations:
     gap: Program
     motion: Program
     scale: np.ndarray
-
-
-def characteristic_length(robot: Robot) -> float:
-    """Mean length (m) of the robot's placements that have one: the scale between m and rad."""
-    placements = [joint.placement for joint in robot.joints]
-    placements += [end.placement for closure in robot.closures for end in (closure.a, closure.b)]
-    lengths = [float(np.linalg.norm(placement.position)) for placement in placements]
-    lengths = [length for length in lengths if length > 1e-9]
-    return float(np.mean(lengths)) if lengths else 1.0
 
 
 def _attached(end: Attachment, frame: dict[str, Frame]) -> tuple[ca.SX, ca.SX]:
