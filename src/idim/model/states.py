@@ -9,8 +9,6 @@ from idim.model.inverse_dynamics import InverseDynamics
 from idim.model.loops import CONDITION, Motion, advance, differentiate
 from idim.robots.robot import Joint
 
-CANDIDATES = 4  # poses tried for each that is wanted, as some robots reach few of them
-
 
 def _range(joint: Joint, length: float) -> tuple[float, float]:
     if joint.limits.position is not None:
@@ -41,21 +39,20 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) 
     bounds = np.array([_range(joint, length) for joint in joints])
     speed = np.array([joint.limits.velocity or 3.0 for joint in joints]) / 3
     push = np.array([joint.limits.acceleration or 30.0 for joint in joints]) / 3
-    tried = samples if idm.loops is None else CANDIDATES * samples
-    q = rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), tried))
+    q = rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), samples))
     qd = rng.normal(size=q.shape) * speed[:, None]
     qdd = rng.normal(size=q.shape) * push[:, None]
     if idm.loops is None:
         return idm.motion(q, qd, qdd)
     # no shorter steps: poses well before a singularity serve better than those as near to it as can be
-    c, _ = advance(idm.loops, np.repeat(idm.loops.home[:, None], tried, axis=1), q, shortest=2.0**-7)
+    c, _ = advance(idm.loops, np.repeat(idm.loops.home[:, None], samples, axis=1), q, shortest=2.0**-7)
     arrived = c[idm.layout.actuated]
     inside = ((bounds[:, :1] <= arrived) & (arrived <= bounds[:, 1:])).all(axis=0)  # home may lie outside
-    regular = np.flatnonzero(inside & (idm.loops.condition(c) < CONDITION / 10))
-    if len(regular) < samples // 4:
+    regular = inside & (idm.loops.condition(c) < CONDITION / 10)
+    if regular.sum() < samples // 10:
         raise IdimError(
-            f"robot '{idm.robot.name}': only {len(regular)} of {tried} random poses within the limits can be reached "
-            "away from singularities; narrow the joints' position limits to the workspace."
+            f"robot '{idm.robot.name}': only {regular.sum()} of {samples} random poses within the limits can be "
+            "reached away from "
+            "singularities; narrow the joints' position limits to the workspace."
         )
-    chosen = regular[:samples]
-    return differentiate(idm.loops, c[:, chosen], qd[:, chosen], qdd[:, chosen])
+    return differentiate(idm.loops, c[:, regular], qd[:, regular], qdd[:, regular])
