@@ -1,4 +1,4 @@
-"""Writing files so that they are either whole or not there."""
+"""Reading files of a sane size, and writing them so that they are either whole or not there."""
 
 from __future__ import annotations
 
@@ -33,3 +33,23 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
         raise IdimError(
             f"{path} cannot be written ({error.strerror}); choose another folder or free some space."
         ) from None
+
+
+def read_at_most(size: int, path: Path, larger: str) -> bytes:
+    """Content of a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
+
+    Raises
+    ------
+    IdimError
+        Where the file cannot be read, or with the sentence ``larger`` where it is longer. The caller names the file.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(size + 1)
+    except OSError as error:
+        raise IdimError(
+            f"the file cannot be read ({(error.strerror or str(error)).lower()}); check the path."
+        ) from None
+    if len(content) > size:
+        raise IdimError(larger)
+    return content

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from idim.errors import IdimError
+from idim.files import read_at_most
 from idim.robots.arithmetic import RESERVED, Linear, evaluate, linear
 from idim.robots.mdh_table import MdhRow, moving_parameter, table_joints, table_row
 from idim.robots.robot import GROUND, Robot
@@ -54,15 +55,8 @@ def read_mdh_csv(path: str | Path) -> Robot:
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise IdimError(
-            f"the file cannot be read ({(error.strerror or str(error)).lower()}); check the path."
-        ) from None
-    if len(content) > MAX_BYTES:
-        raise IdimError("the file is larger than 1 MiB; a table of a robot is a few kilobytes, so check the path.")
+    larger = "the file is larger than 1 MiB; a table of a robot is a few kilobytes, so check the path."
+    content = read_at_most(MAX_BYTES, path, larger)
     try:
         text = content.decode("utf-8-sig")
         cells = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), strict=True)]

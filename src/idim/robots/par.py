@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from idim.errors import IdimError
+from idim.files import read_at_most
 from idim.robots.arithmetic import evaluate, linear
 from idim.robots.assembly import assemble
 from idim.robots.mdh_table import MdhRow, moving_parameter, table_joints, table_row
@@ -50,15 +51,8 @@ def read_par(path: str | Path) -> Robot:
 
 
 def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise IdimError(
-            f"the file cannot be read ({(error.strerror or str(error)).lower()}); check the path."
-        ) from None
-    if len(content) > MAX_BYTES:
-        raise IdimError("the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path.")
+    larger = "the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path."
+    content = read_at_most(MAX_BYTES, path, larger)
     return content.decode("latin-1")  # older programs wrote accents in it; what is read is ASCII
 
 

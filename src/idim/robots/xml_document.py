@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from xml.etree.ElementTree import ParseError
 
 from idim.errors import IdimError
+from idim.files import read_at_most
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -28,15 +29,8 @@ def read_xml(path: Path) -> Element:
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import fromstring
 
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise IdimError(
-            f"the file cannot be read ({(error.strerror or str(error)).lower()}); check the path."
-        ) from None
-    if len(content) > MAX_BYTES:
-        raise IdimError("the file is larger than 16 MiB; a robot is text without meshes, so check the path.")
+    larger = "the file is larger than 16 MiB; a robot is text without meshes, so check the path."
+    content = read_at_most(MAX_BYTES, path, larger)
     try:
         root: Element = fromstring(content, forbid_dtd=True)
     except DefusedXmlException:
