@@ -18,7 +18,7 @@ import bad_input
 import idim.estimation.identify
 from bad_input import Case
 from five_bar_logs import EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
-from idim.cli import app
+from idim.cli.commands import app
 
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
 WEIGHING = EXPERIMENT.replace("loaded.csv, payload: {name: steel, mass: 1.2}", "unknown.csv, payload: {name: lead}")
@@ -297,8 +297,10 @@ def test_an_interruption_is_no_traceback(here: Path, monkeypatch: pytest.MonkeyP
 # The real thing
 
 
-def start(folder: Path, *arguments: str) -> subprocess.Popen:
-    command = [sys.executable, "-c", "from idim.cli import app; app(prog_name='idim')", *arguments]
+def start(folder: Path, *arguments: str, first: str = "") -> subprocess.Popen:
+    """The program in a process of its own, after what is to be done ``first`` in it."""
+    code = f"{first}\nimport sys; from idim.cli import main; sys.argv[0] = 'idim'; main()"
+    command = [sys.executable, "-c", code, *arguments]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1] / "src")}
     pipe = subprocess.PIPE
     return subprocess.Popen(command, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True)
@@ -313,17 +315,38 @@ def test_as_a_program(here: Path) -> None:
     assert stderr.startswith("idim: nowhere.yaml cannot be read: no such file or directory; ")
 
 
-def test_interrupted_as_a_program(here: Path) -> None:
+SIGNS = """
+import pathlib, idim.estimation.{module} as module
+def signing(*arguments, _original=module.{function}, **options):
+    pathlib.Path("begun").touch()
+    return _original(*arguments, **options)
+module.{function} = signing
+"""
+
+
+@pytest.mark.parametrize(("module", "function"), [("identify", "reduce_runs"), ("data", "prepare")])
+def test_interrupted_as_a_program(here: Path, module: str, function: str) -> None:
     write_log(here / "long.csv", Plant().run("long", seconds=300.0, seed=1))
     (here / "long.yaml").write_text(EXPERIMENT.replace("free.csv", "long.csv"))
-    process = start(here, "identify", "long.yaml", "--out", "out")
-    time.sleep(2.0)  # busy reading or filtering
+    first = SIGNS.format(module=module, function=function)
+    process = start(here, "identify", "long.yaml", "--out", "out", first=first)
+    while not (here / "begun").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
-    assert process.returncode == 130
     assert stderr == "idim: interrupted; files that were not finished have not been written.\n"
+    assert process.returncode == 130
     assert stdout == ""
     assert not (here / "out").exists()
+
+
+def test_interrupted_while_importing(here: Path) -> None:
+    """Python's own imports may be what an impatient user interrupts."""
+    (here / "typer.py").write_text("raise KeyboardInterrupt")
+    process = start(here, "robot", "ur10e", first="import sys; sys.path.insert(0, '.')")
+    assert process.communicate(timeout=60) == ("", "idim: interrupted; nothing has been written.\n")
+    assert process.returncode == 130
 
 
 def test_a_reader_that_goes_away(here: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
-from idim.cli import app
+from idim.cli.commands import app
 from idim.errors import IdimError
 from idim.estimation.estimates import Consistency
 from idim.estimation.identify import identify

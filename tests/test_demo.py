@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import idim
-from idim.cli import app
+from idim.cli.commands import app
 from idim.errors import IdimError
 from idim.report import demo as demo_module
 from idim.report.demo import COMMANDS, LOGS, demo

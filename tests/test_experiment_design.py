@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from idim.cli import app
+from idim.cli.commands import app
 from idim.errors import IdimError
 from idim.experiment.advice import weak_unknowns
 from idim.experiment.criteria import relative_deviations

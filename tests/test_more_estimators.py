@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
-from idim.cli import app
+from idim.cli.commands import app
 from idim.estimation.current_domain import ml, one_step, two_stage
 from idim.estimation.data import Data, reduce_runs
 from idim.estimation.friction import Friction

@@ -252,7 +252,7 @@ def test_a_write_that_fails_leaves_nothing(tmp_path: Path) -> None:
 def test_the_command_saves_and_draws(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
-    from idim.cli import app
+    from idim.cli.commands import app
 
     saved, drawn = tmp_path / "five-bar.yaml", tmp_path / "five-bar.png"
     done = CliRunner().invoke(app, ["robot", "five-bar", "--save", str(saved), "--figure", str(drawn)])

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from engines import random_parameters
-from idim.cli import app
+from idim.cli.commands import app
 from idim.errors import IdimError
 from idim.estimation.identify import identify
 from idim.model.inverse_dynamics import InverseDynamics

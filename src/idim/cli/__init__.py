@@ -1,0 +1,42 @@
+"""The command line: parses, calls, prints."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def main() -> None:
+    """Run the command line; what it refuses, wrong options too, is one sentence on stderr and exit code 2."""
+    try:
+        sys.exit(_run())
+    except KeyboardInterrupt:  # before a command has begun: while Python is still importing
+        print("idim: interrupted; nothing has been written.", file=sys.stderr)
+        sys.exit(130)
+
+
+def _run() -> int:
+    import typer
+
+    from idim.cli.commands import app
+
+    if len(sys.argv) < 2:
+        app()
+    usage_error: type[Exception] = typer.BadParameter.__mro__[1]  # of the click that typer brings or finds
+    try:
+        code = app(standalone_mode=False)
+    except typer.Abort:
+        return 130
+    except usage_error as error:
+        typer.echo(f"idim: {error.format_message()} See 'idim --help'.", err=True)  # type: ignore[attr-defined]
+        return 2
+    except Exception as error:
+        if "IDIM_DEBUG" in os.environ:
+            raise
+        typer.echo(
+            f"idim: this should not have happened ({type(error).__name__}: {error}); please report it with what "
+            "IDIM_DEBUG=1 shows.",
+            err=True,
+        )
+        return 1
+    return code if isinstance(code, int) else 0

@@ -1,0 +1,49 @@
+"""The command that reads, shows and converts robots."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from idim.cli.console import Json, print_json, refusals
+
+
+def robot(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME_OR_FILE",
+            help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv).",
+            show_default=False,
+        ),
+    ],
+    save: Annotated[
+        Path | None, typer.Option("--save", metavar="ROBOT.yaml", help="Write it as a robot file, to edit or keep.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it at home (needs matplotlib).")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Joints, loops, degrees of freedom and base parameters of a robot."""
+    with refusals():
+        from idim.report.robot_page import describe, robot_page
+        from idim.robots.load import load_robot
+
+        found = load_robot(source)
+        if save is not None:
+            from idim.robots.native import write_native
+
+            write_native(found, save)
+        if figure is not None:
+            from idim.report.robot_figure import robot_figure
+            from idim.report.style import save_figure
+
+            save_figure(robot_figure(found), figure)
+        description = describe(found)
+        if json_:
+            print_json(description)
+        else:
+            typer.echo(robot_page(description))
