@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from engines import Mujoco, closed_motion, random_parameters
 from idim.errors import IdimError
+from idim.estimation.base_parameters import base_parameters
 from idim.model import loops as loops_module
+from idim.model import states as states_module
 from idim.model.closures import gaps
 from idim.model.coordinates import coordinates
 from idim.model.inverse_dynamics import InverseDynamics
@@ -348,10 +350,10 @@ def attached(robot: Robot, a: Pose) -> Robot:
     ("robot", "gap"),
     [
         (attached(four_bar(), Pose((0.1, 0.0, 0.0))), "closure 1 ('2' to '3') stays open by"),
-        (attached(four_bar(), Pose((0.7, 0.0, 0.02))), "stays open by 20 mm and 0 degrees"),
-        (attached(slider_crank(), Pose((0.5, 0.0, 0.0), (0.5, 0.0, 0.0))), "and 28.6 degrees"),
-        (attached(slider_crank(), Pose((0.5, 0.0, 0.0), (pi, 0.0, 0.0))), "and 180 degrees"),
-        (attached(slider_crank(), Pose((0.5, 0.0, 0.0), (0.0, pi, 0.0))), "and 180 degrees"),
+        (attached(four_bar(), Pose((0.7, 0.0, 0.02))), "stays open by 20 mm; correct"),
+        (attached(slider_crank(), Pose((0.5, 0.0, 0.0), (0.5, 0.0, 0.0))), "stays open by 28.6 degrees;"),
+        (attached(slider_crank(), Pose((0.5, 0.0, 0.0), (pi, 0.0, 0.0))), "stays open by 180 degrees;"),
+        (attached(slider_crank(), Pose((0.5, 0.0, 0.0), (0.0, pi, 0.0))), "stays open by 180 degrees;"),
         (attached(load_robot("orthoglide"), Pose((0.0, 0.03, 0.0), (-pi / 2, 0.0, 0.0))), "closure 1 ('51' to 'P')"),
     ],
     ids=["short", "out of plane", "askew", "half a turn about x", "half a turn about y", "orthoglide upside down"],
@@ -427,7 +429,7 @@ def test_a_pose_near_the_orthoglides_singularity_on_the_diagonal():
     assert message.startswith(
         "robot 'orthoglide': at sample 399 (q_11 = -0.06967, q_12 = -0.06967, q_13 = -0.06967) the pose"
     )
-    assert "too close to a singularity (condition number" in message
+    assert "too close to a singularity of type 2" in message
     assert "at most 1000 allowed" in message
     assert "the loops cannot be closed" in refusal(motion_of, robot, down * (singular - 5e-6), still, still)
     assert "too close to a singularity" in refusal(motion_of, robot, np.full((1, 3), 0.306), still[:1], still[:1])
@@ -439,6 +441,22 @@ def test_not_a_number_is_refused():
     q[4] = np.nan
     with pytest.raises(IdimError, match="sample 4"):
         path_of(robot, q)
+
+
+def test_random_states_that_are_nearly_singular_are_drawn_anew(rng, monkeypatch):
+    """However few the regular poses are, there are as many states as asked for, or a refusal."""
+    idm = model(load_robot("five-bar"))
+    counts = []
+    for limit in (22.0, 20.5):
+        monkeypatch.setattr(states_module, "CONDITION", limit)  # a tenth of it; at best the condition number is 2
+        for samples in (7, 300):
+            motion = random_motion(idm, samples, rng)
+            assert motion.J.shape == (4, 2, samples)
+            assert motion.condition.max() < limit / 10
+        counts += [base_parameters(idm, seed).count for seed in range(2)]
+    assert set(counts) == {25}
+    monkeypatch.setattr(states_module, "CONDITION", 20.0)
+    assert "only 0 of" in refusal(random_motion, idm, 7, rng)
 
 
 def test_limits_without_a_workspace_leave_no_random_states(rng):

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from engines import Mujoco, Pinocchio, closed_motion, closed_torques, random_parameters, tree_torques
+from idim.errors import IdimError
 from idim.estimation.base_parameters import BaseParameters, base_parameters, symmetric_order
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
@@ -292,13 +293,13 @@ def test_symmetric_order_runs_over_like_legs():
 
 def test_samples_of_other_shapes_are_refused():
     idm = model(load_robot("orthoglide"))
-    with pytest.raises(ValueError, match=r"\(N, 3\)"):
+    with pytest.raises(IdimError, match=r"\(N, 3\)"):
         idm.regressor(np.zeros(3), np.zeros(3), np.zeros(3))
-    with pytest.raises(ValueError, match=r"\(N, 3\)"):
+    with pytest.raises(IdimError, match=r"\(N, 3\)"):
         idm.regressor(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="220 entries"):
+    with pytest.raises(IdimError, match="220 entries"):
         idm.torques(*np.zeros((3, 1, 3)), np.zeros(7))
-    with pytest.raises(KeyError, match="zz_99"):
+    with pytest.raises(IdimError, match="zz_99"):
         idm.torques(*np.zeros((3, 1, 3)), {"zz_99": 1.0})
 
 

@@ -23,7 +23,7 @@ from idim.model.loops import follow
 from idim.model.program import compile_program
 from idim.robots.load import load_robot
 from idim.signals.decimation import Decimator
-from idim.signals.preparation import Prepared
+from idim.signals.preparation import Held, Sampled
 from idim.signals.run import Run
 from robots_for_tests import hexapod, seven_r, trajectory
 
@@ -56,11 +56,52 @@ def test_sums_are_fused_with_products_used_once():
     x = ca.SX.sym("x", 4)
     product = x[0] * x[1]
     program = compile_program([x], [product + x[2], x[2] * x[3] - x[0], x[1] - x[2] * x[0], product - x[3]])
-    names = [interpreter.OPERATIONS[code] for code in program.code[:, 0]]
+    names = [interpreter.OPERATIONS[code].removesuffix(" last") for code in program.code[:, 0]]
     # the first product is used twice and stays; the other two are made together with their differences
     assert sorted(names) == sorted(["MUL", "ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT", "SUB"])
     values = np.array([2.0, 3.0, 5.0, 7.0])
     assert program(values[:, None]).ravel().tolist() == [11.0, 33.0, -7.0, -1.0]
+
+
+def test_what_only_the_next_instruction_needs_is_not_stored():
+    x = ca.SX.sym("x", 6)
+    program = compile_program([x], [(x[0] * x[1] + x[2] * x[3] - x[4]) * x[5]])
+    assert [interpreter.OPERATIONS[code] for code in program.code[:, 0]] == [
+        *("MUL", "MULTIPLY_ADD last", "SUB from last", "MUL last")
+    ]
+    assert (program.code[:-1, 1] == interpreter.NOWHERE).all()
+    assert program.registers == 0
+    assert program(np.arange(2.0, 8.0)[:, None]).item() == (2 * 3 + 4 * 5 - 6) * 7
+
+
+def test_every_way_to_take_the_result_before(rng):
+    """Each operand of each operation may be the one made just before, once or twice."""
+    x = ca.SX.sym("x", 4)
+    root = ca.sqrt(x[0])
+    values = rng.uniform(1.0, 2.0, (4, 3))
+    a, (_, b, c, _) = np.sqrt(values[0]), values
+    cases = {
+        root * x[1]: a * b,
+        root + x[1]: a + b,
+        root - x[1]: a - b,
+        x[1] - root: b - a,
+        root * root: a * a,
+        root * x[1] + root: a * b + a,
+        root * root - x[1]: a * a - b,
+        x[1] - root * root: b - a * a,
+        x[1] * x[2] + root: b * c + a,
+        x[1] * x[2] - root: b * c - a,
+        root - x[1] * x[2]: a - b * c,
+        x[1] * root + x[2]: a * b + c,
+        root * x[1] - x[2]: a * b - c,
+        x[2] - x[1] * root: c - a * b,
+    }
+    for expression, expected in cases.items():
+        for used_again in ([], [root]):
+            found = compile_program([x], [expression, *used_again])(values)
+            assert_allclose(found[0], expected, atol=1e-15)
+            for again in found[1:]:
+                assert_allclose(again, a, atol=1e-15)
 
 
 def test_a_change_of_sign_goes_into_the_sum():
@@ -80,19 +121,32 @@ def test_values_divided_by_the_same_share_a_reciprocal(rng):
 
 
 @pytest.mark.parametrize("samples", [0, 1, LANES - 1, LANES, 3 * LANES + 5])
-def test_outputs_consumed_in_the_cache(samples, rng):
+def test_parameters_are_the_same_for_all_samples(samples, rng):
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 3)
+    program = compile_program([x], [p[0] * x[0] + p[1] * ca.sin(x[1]), p[2], x[1]], [p])
+    values, parameters = rng.normal(size=(2, samples)), rng.normal(size=3)
+    expected = [
+        parameters[0] * values[0] + parameters[1] * np.sin(values[1]),
+        np.full(samples, parameters[2]),
+        values[1],
+    ]
+    assert_allclose(program(values[:1], values[1:], parameters=parameters), expected, rtol=1e-15, atol=1e-15)
+    with pytest.raises(ValueError, match="3 parameters"):
+        program(values)
+
+
+@pytest.mark.parametrize("samples", [0, 1, LANES - 1, LANES, 3 * LANES + 5])
+@pytest.mark.parametrize("outputs", [4, 11, 30])
+def test_outputs_put_into_a_table(samples, outputs, rng):
+    """Whether their places stand together or not, and in whatever order."""
     x = ca.SX.sym("x", 2)
-    program = compile_program([x], [ca.vertcat(x[0] * x[1], 3.0, x[0], ca.sin(x[1]))])
+    program = compile_program([x], [3.0, *(x[0] * x[1] + k * x[0] for k in range(outputs - 1))])
     values = rng.normal(size=(2, samples))
-    outputs = program(values)
-    places, weights = np.array([1, 0, 1, 1]), np.array([2.0, 3.0, -1.0, 0.5])
-    sums = program.sums(places, weights, 2, values[:1], values[1:])
-    expected = [weights[1] * outputs[1], weights[[0, 2, 3]] @ outputs[[0, 2, 3]]]
-    assert_allclose(sums, np.reshape(expected, (2, samples)), rtol=1e-15, atol=1e-15)
-    table = np.full((samples, 6), 7.0)
-    program.fill(table, np.array([5, 0, 3, 2]), values)
-    assert np.array_equal(table[:, [5, 0, 3, 2]], outputs.T)
-    assert (table[:, [1, 4]] == 7.0).all()
+    for places in (rng.permutation(outputs) + 2, rng.permutation(3 * outputs)[:outputs], np.arange(outputs)):
+        table = np.full((samples, 3 * outputs), 7.0)
+        program.fill(table, places, values)
+        assert np.array_equal(table[:, places], program(values).T)
+        assert (np.delete(table, places, axis=1) == 7.0).all()
 
 
 def test_rows_need_not_stand_together(rng):
@@ -156,7 +210,7 @@ def test_factors_are_those_of_all_rows(rng):
     usable = rng.uniform(size=q.shape) < 0.999
     run = Run.__new__(Run)
     object.__setattr__(run, "name", "made up")
-    prepared = Prepared(run, time, q, qd, qdd, command, command_d, command_dd, usable, rate)
+    prepared = Held(run, Sampled(time, q, qd, qdd, command, command_d, command_dd, usable))
     names = tuple(idm.parameter_names[k] for k in range(3, len(idm.parameter_names), 2))
     decimator = Decimator(5)
     factors = reduce_run(idm, names, prepared, decimator)

@@ -172,6 +172,49 @@ def test_an_open_parameter_file_with_symbols(tmp_path: Path) -> None:
     )
 
 
+def test_an_open_chain_without_motors_has_them_all(tmp_path: Path) -> None:
+    """Files made for kinematics leave mu at 0."""
+    text = (
+        "NL = 2\nNJ = 2\nNF = 2\nant = {0,1}\nsigma = {0,1}\nb = {0,0}\nd = {0,0}\nr = {0,r2}\n"
+        "gamma = {0,0}\nalpha = {0,pi/2}\nmu = {0,0}\ntheta = {th1,0}\nG = {0,0,-9.81}\n"
+    )
+    robot = par(text, tmp_path)
+    assert robot.actuated == ("1", "2")
+    assert robot.notes == ("no joint has mu = 1, so all were taken as driven by motors",)
+
+
+def test_a_frame_on_the_other_side_may_stand_on_such_a_frame(tmp_path: Path) -> None:
+    """Two parallelograms on one plate: both loops end on link 8, the second frame at the first."""
+    text = (
+        "NL = 8\nNJ = 10\nNF = 12\nL3 = 0.6\nL4 = 0.3\nL7 = 0.25\nslope = 0.4\n"
+        "ant = {0,1,2,3,4,1,4,3,7,6,8,11}\nsigma = {0,0,0,0,0,0,0,0,0,0,2,2}\n"
+        "b = {0,0,0,0,0,L7*cos(slope),0,0,0,0,0,0}\nd = {0,0,L3,L4,0,-L7*sin(slope),L7,0,L4,L3,L7,0}\n"
+        "r = {0,0,0,0,0,0,0,0,0,0,0,0}\ngamma = {0,0,0,0,0,0,slope + pi/2,0,0,0,slope + pi/2,0}\n"
+        "alpha = {0,pi/2,0,0,pi/2,pi/2,0,0,0,0,0,0}\nmu = {1,1,1,0,1,0,0,0,0,0,0,0}\n"
+        "theta = {th1,th2,th3,th4,th5,th6,th7,th8,th9,th10,0,0}\nG = {0,0,-9.81}\n"
+    )
+    robot = par(text, tmp_path)
+    assert [(closure.a.body, closure.b.body) for closure in robot.closures] == [("9", "8"), ("10", "8")]
+    assert robot.closures[0].b.placement.position == pytest.approx(robot.closures[1].b.placement.position)
+    loops = InverseDynamics(robot).loops
+    assert (len(robot.actuated), loops.rank) == (4, 6)
+
+
+def test_a_loop_that_is_a_truss_is_refused_for_what_it_is(tmp_path: Path) -> None:
+    """A file of OpenSYMORO named RX90 ends its loops on the links that they begin on: three pins hold joint 3."""
+    text = (
+        "NL = 7\nNJ = 9\nNF = 11\nL3 = 0.4\nL4 = 0.5\nL6 = 0.2\nL7 = 0.25\n"
+        "ant = {0,1,2,3,4,2,4,7,6,3,3}\nsigma = {0,0,0,0,0,0,0,0,0,2,2}\nb = {0,0,0,0,0,0,0,0,0,0,0}\n"
+        "d = {0,0,L3,L4,0,L6,L7,L4,L3,L7,L6}\nr = {0,0,0,0,0,0,0,0,0,0,0}\n"
+        "gamma = {0,0,0,0,0,pi/2,pi/2,0,0,pi/2,pi}\nalpha = {0,pi/2,0,0,pi/2,0,0,0,0,0,0}\n"
+        "mu = {1,1,1,0,1,0,0,0,0,0,0}\ntheta = {th1,th2,th3,th4,th5,th6,th7,th8,th9,0,0}\nG = {0,0,-9.81}\n"
+    )
+    with pytest.raises(
+        IdimError, match=r"4 actuated joints \(1, 2, 3, 5\) for 3 dof, where the closures hold 3 fixed;"
+    ):
+        _ = InverseDynamics(par(text, tmp_path)).loops
+
+
 def changed(old: str, new: str) -> str:
     assert old in parallelogram()
     return parallelogram().replace(old, new)

@@ -216,11 +216,12 @@ positive = st.none() | st.floats(1e-3, 1e3)
     gravity=triples,
     parameters=st.sampled_from(("all", "inertial", "drive", "none")),
     coupled=st.none() | st.tuples(positive.filter(bool), numbers),
+    tool=st.integers(0, 2),
     notes=st.lists(st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8), max_size=2),
 )
 def test_any_robot_survives_writing_and_reading(
     tmp_path_factory: pytest.TempPathFactory, robot, name, source, first, second, ends, kinds, closed, actuated, home,
-    limits, gravity, parameters, coupled, notes,
+    limits, gravity, parameters, coupled, tool, notes,
 ) -> None:  # fmt: skip
     joints = (
         Joint(name, GROUND, kinds[0], first, home=home, limits=limits),
@@ -232,7 +233,10 @@ def test_any_robot_survives_writing_and_reading(
         Closure("connect", Attachment(GROUND, Mdh()), Attachment("b")),
     )
     couplings = (Coupling("b", ((name, coupled[0]),), coupled[1]),) if coupled else ()
-    made = Robot(robot, joints, (platform,) * closed, closures * closed, couplings, gravity, source, tuple(notes))
+    named = ("", name, "P" if closed else "")[tool]
+    made = Robot(
+        robot, joints, (platform,) * closed, closures * closed, couplings, gravity, source, tuple(notes), named
+    )
     path = tmp_path_factory.getbasetemp() / "any.yaml"
     path.write_text(native_text(made), encoding="utf-8")
     read_back = read_native(path)
@@ -340,9 +344,15 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     ),
     (
         "unlike any key",
-        good("{dof: [x, z]}", "{dof: [x], mass: 3}"),
-        ", line 7, platforms.P.mass: unknown key 'mass'; choose from dof, home.",
+        good("{dof: [x, z]}", "{dof: [x], qqq: 3}"),
+        ", line 7, platforms.P.qqq: unknown key 'qqq'; choose from dof, home.",
     ),
+    (
+        "mass of a joint",
+        good("theta: q", "theta: q, mass: 3"),
+        ", line 4, joints.j: masses and inertias are identified, so leave 'mass' out; values known beforehand, of CAD,",
+    ),
+    ("mass of a platform", good("{dof: [x, z]}", "{dof: [x, z], inertia: 1}"), "platforms.P: masses and inertias are"),
     (
         "unknown key in a closure",
         good("{body: k}", "{bdy: k}"),
@@ -375,7 +385,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
         good("[0, 0, a]", "[0, 0, 0, a]"),
         ", line 5, joints.k.xyz: 4 values are written; write 3.",
     ),
-    ("gravity", GOOD + "gravity: 9.81\n", ", line 10, gravity: write a list such as [..., ...], not '9.81'."),
+    ("gravity", GOOD + "gravity: 9.81\n", ", line 10, gravity: write three numbers, m/s2 in base axes, such as"),
     ("actuated", good("theta: q", "theta: q, actuated: maybe"), "joints.j.actuated: write true or false, not 'maybe'."),
     # Joints
     ("q missing", good("theta: q", "theta: 0"), ", line 4, joints.j: the joint coordinate q is missing; write it in"),
@@ -410,6 +420,16 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
         "limit of zero",
         good("theta: q", "theta: q, limits: {effort: 0}"),
         ": robot 'r': the effort limit of joint 'j' is 0; write a positive number, or leave it out.",
+    ),
+    (
+        "tool of no robot",
+        good("theta: q", "theta: q, actuated: true") + "tool: l\n",
+        ": robot 'r': the tool 'l' is no body that has a mass; choose from j, k, P.",
+    ),
+    (
+        "massless tool",
+        good("theta: q", "theta: q, parameters: none") + "tool: j\n",
+        ": robot 'r': the tool 'j' is no body that has a mass; choose from k, P.",
     ),
     ("nobody actuated", GOOD, ": robot 'r': no joint is actuated; mark the motors' joints with 'actuated: true'."),
     # Platforms and closures

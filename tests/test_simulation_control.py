@@ -130,7 +130,7 @@ def motion(**kind) -> Motion:
 def test_the_five_kinds_of_trajectory(slide, tmp_path):
     robot = slide[0].robot
     (tmp_path / "m.csv").write_text(
-        "t,qx\n" + "".join(f"{t:.3f},{0.3 * np.sin(t) ** 3:.9f}\n" for t in np.arange(0, 4, 0.01)), encoding="utf-8"
+        "t,q_x\n" + "".join(f"{t:.3f},{0.3 * np.sin(t) ** 3:.9f}\n" for t in np.arange(0, 4, 0.01)), encoding="utf-8"
     )
     kinds = {
         "sines": {"duration": 4.0},

@@ -1,9 +1,12 @@
-"""Reading files of a sane size, and writing them so that they are either whole or not there."""
+"""Finding files, reading those of a sane size, and writing them so that they are either whole or not there."""
 
 from __future__ import annotations
 
 import os
+import re
 import tempfile
+from collections.abc import Iterable
+from glob import glob
 from pathlib import Path
 
 from idim.errors import IdimError
@@ -35,6 +38,16 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
         ) from None
 
 
+def folder_of(path: str | Path) -> Path:
+    """The folder itself, made where it is missing; raises IdimError."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise IdimError(f"the folder {path} cannot be made ({error.strerror}); choose another one.") from None
+    return path
+
+
 def read_at_most(size: int, path: Path, larger: str) -> bytes:
     """Content of a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
 
@@ -53,3 +66,19 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
     if len(content) > size:
         raise IdimError(larger)
     return content
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """Paths sorted as people number them: ``part_2`` before ``part_10``."""
+
+    def key(path: Path) -> list[tuple[bool, int, str]]:
+        return [(not number, int(number or 0), text) for number, text in re.findall(r"(\d+)|(\D+)", str(path))]
+
+    return sorted(paths, key=key)
+
+
+def matching(pattern: Path) -> list[Path]:
+    """The path itself where it exists, otherwise what it matches as a pattern with ``*``, ``?``, ``[]`` or ``**``."""
+    if pattern.exists():
+        return [pattern]
+    return in_order(Path(each) for each in glob(str(pattern), recursive=True))

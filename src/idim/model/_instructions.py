@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import casadi as ca
 import numpy as np
 
-from idim.model._interpreter import OPERATIONS
+from idim.model._interpreter import NOWHERE, OPERATIONS
 
 CODE = {name: code for code, name in enumerate(OPERATIONS)}
 _SAME = {getattr(ca, f"OP_{name}"): name for name in OPERATIONS if hasattr(ca, f"OP_{name}")}
@@ -13,6 +15,12 @@ _SINE_OR_COSINE = (ca.OP_SIN, ca.OP_COS)
 # a product used once is made together with the sum it goes into: by sum and place of the product in it
 _FUSED = {("ADD", 0): "MULTIPLY_ADD", ("ADD", 1): "MULTIPLY_ADD", ("SUB", 0): "MULTIPLY_SUBTRACT",
           ("SUB", 1): "SUBTRACT_PRODUCT"}  # fmt: skip
+
+# the form of an operation whose operand in a place is the result before
+_LAST = {("MUL", 0): "MUL last", ("MUL", 1): "MUL last", ("ADD", 0): "ADD last", ("ADD", 1): "ADD last",
+         ("SUB", 0): "SUB from last", ("SUB", 1): "SUB last"}  # fmt: skip
+for _name in ("MULTIPLY_ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT"):
+    _LAST |= {(_name, 0): f"{_name} by last", (_name, 1): f"{_name} by last", (_name, 2): f"{_name} last"}
 
 
 class Instruction:
@@ -25,10 +33,13 @@ class Instruction:
 
 
 def instructions(
-    function: ca.Function,
+    function: ca.Function, parameters: int
 ) -> tuple[np.ndarray, np.ndarray, int, tuple[np.ndarray, np.ndarray]]:
-    """``code``, ``constants``, ``registers`` and ``fixed`` of :class:`idim.model.program.Program`."""
-    inputs = function.numel_in()
+    """``code``, ``constants``, ``registers`` and ``fixed`` of :class:`idim.model.program.Program`.
+
+    The last ``parameters`` entries of the function's input are the same for all samples.
+    """
+    inputs = function.numel_in() - parameters
     listing, constants, outputs = _read(function)
     listing = _fused(_multiplied(listing, constants), outputs)
     fixed = [k for k, value in enumerate(outputs) if value in constants]
@@ -43,15 +54,17 @@ def instructions(
         elif value not in constants:
             listing.append(Instruction("ASSIGN", [_copy(k)], [value]))
             home[_copy(k)] = k
-    registers, stands = _allocated(listing, made - home.keys())
-    first = len(place)
-    row = place | {value: first + register for value, register in stands.items()}
+    unstored = _chained(listing, home.keys())
+    registers, stands = _allocated(listing, made - home.keys() - unstored)
+    row = place | {inputs + k: len(place) + k for k in range(parameters)}
+    first = len(place) + parameters
+    row |= {value: first + register for value, register in stands.items()}
     row |= {value: first + registers + value for value in range(inputs)}
     row |= {value: first + registers + inputs + k for value, k in home.items()}
     code = np.zeros((len(listing), 5), dtype=np.uint32)
     for line, each in zip(code, listing, strict=True):
         # the second result of SINE_COSINE stands in the place of a second operand
-        rows = [row[value] for value in (each.results[0], *each.operands, *each.results[1:])]
+        rows = [row.get(value, NOWHERE) for value in (each.results[0], *each.operands, *each.results[1:])]
         line[: len(rows) + 1] = CODE[each.operation], *rows
     values = np.array([constants[value] for value in sorted(used)])
     constant_outputs = np.array(fixed, dtype=int), np.array([constants[outputs[k]] for k in fixed])
@@ -170,6 +183,27 @@ def _fused(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
                 each.operands = [*product.operands, each.operands[1 - place]]
                 break
     return [each for each in listing if each.results[0] not in gone]
+
+
+def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
+    """Let instructions take the result before from the processor's registers; returns what then needs no row.
+
+    The values ``kept`` need one in any case.
+    """
+    made: set[int] = set()
+    read = set(kept)
+    before: int | None = None
+    for each in listing:
+        places = [place for place, value in enumerate(each.operands) if value == before]
+        if len(places) == 1 and (each.operation, places[0]) in _LAST:
+            each.operation = _LAST[each.operation, places[0]]
+            del each.operands[places[0]]
+        read.update(each.operands)
+        before = None
+        if each.operation != "SINE_COSINE":
+            before = each.results[0]
+            made.add(before)
+    return made - read
 
 
 def _allocated(listing: list[Instruction], values: set[int]) -> tuple[int, dict[int, int]]:

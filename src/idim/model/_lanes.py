@@ -1,7 +1,7 @@
-"""Arithmetic on lanes: LANES doubles at an address in memory, a few vector instructions each.
+"""Arithmetic on lanes of LANES doubles, each a few vector registers of the processor.
 
-Addresses instead of arrays let an operand stand anywhere, in a register of the interpreter as in the
-caller's arrays, so that nothing is copied; and whole-lane vectors need no checks for overlap.
+Lanes are loaded from addresses, so an operand may stand anywhere, in a row of the interpreter as in the
+caller's arrays, and nothing is copied; whole-lane vectors need no checks for overlap.
 """
 
 from collections.abc import Callable
@@ -11,31 +11,47 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.core.datamodel import models
+from numba.extending import intrinsic, register_model
 
 from idim.model._compiled import compiled
 
 LANES = 64
+WIDE = 8  # doubles in a cache line
 
 _DOUBLE = ir.DoubleType()
 _LANE = ir.VectorType(_DOUBLE, LANES)
 _intrinsic: Any = intrinsic
 
 
+class _LaneType(types.Type):
+    """What Numba calls a lane's numbers while they are in the processor's registers."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Lane{LANES}")
+
+
+_lane = _LaneType()
+
+
+@register_model(_LaneType)
+class _LaneModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _LANE)
+
+
 def _operation(operands: int, compute: Callable[..., Any]) -> Any:
-    """A function (y, a, b, ...) of addresses that computes a lane of y from whole lanes of the operands."""
+    """A function of so many lanes that gives a lane."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        y, *sources = (builder.inttoptr(address, _LANE.as_pointer()) for address in arguments)
-        builder.store(compute(builder, *(builder.load(source, align=8) for source in sources)), y, align=8)
-        return context.get_dummy_value()
+        return compute(builder, *arguments)
 
-    signature = types.void(*[types.int64] * (operands + 1))
+    signature = _lane(*[_lane] * operands)
     if operands == 1:
-        return _intrinsic(lambda typing, y, a: (signature, code))
+        return _intrinsic(lambda typing, a: (signature, code))
     if operands == 2:
-        return _intrinsic(lambda typing, y, a, b: (signature, code))
-    return _intrinsic(lambda typing, y, a, b, c: (signature, code))
+        return _intrinsic(lambda typing, a, b: (signature, code))
+    return _intrinsic(lambda typing, a, b, c: (signature, code))
 
 
 def _call(name: str, operands: int) -> Callable[..., Any]:
@@ -60,7 +76,6 @@ subtract = _operation(2, lambda builder, a, b: builder.fsub(a, b))
 multiply = _operation(2, lambda builder, a, b: builder.fmul(a, b))
 divide = _operation(2, lambda builder, a, b: builder.fdiv(a, b))
 negate = _operation(1, lambda builder, a: builder.fneg(a))
-copy = _operation(1, lambda builder, a: a)
 square_root = _operation(1, _call("sqrt", 1))
 absolute = _operation(1, _call("fabs", 1))
 maximum = _operation(2, _call("maximum", 2))  # nan if either is, so that a test on it fails
@@ -68,6 +83,33 @@ sign = _operation(1, _sign)
 multiply_add = _operation(3, _call("fma", 3))  # a b + c
 multiply_subtract = _operation(3, lambda builder, a, b, c: _call("fma", 3)(builder, a, b, builder.fneg(c)))  # a b - c
 subtract_product = _operation(3, lambda builder, a, b, c: _call("fma", 3)(builder, builder.fneg(a), b, c))  # c - a b
+
+
+@_intrinsic
+def undefined(typing):  # type: ignore[no-untyped-def]
+    """A lane of any numbers."""
+    return _lane(), lambda context, builder, signature, arguments: ir.Constant(_LANE, ir.Undefined)
+
+
+@_intrinsic
+def load(typing, address):  # type: ignore[no-untyped-def]
+    """The lane at an address."""
+
+    def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.load(builder.inttoptr(arguments[0], _LANE.as_pointer()), align=8)
+
+    return _lane(types.int64), code
+
+
+@_intrinsic
+def store(typing, address, value):  # type: ignore[no-untyped-def]
+    """Put a lane at an address."""
+
+    def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        builder.store(arguments[1], builder.inttoptr(arguments[0], _LANE.as_pointer()), align=8)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, _lane), code
 
 
 def _pointer(kind: Any, stored: ir.Type) -> Any:
@@ -82,6 +124,33 @@ def _pointer(kind: Any, stored: ir.Type) -> Any:
 to_doubles = _pointer(types.float64, _DOUBLE)
 to_words = _pointer(types.uint32, ir.IntType(32))
 to_addresses = _pointer(types.int64, ir.IntType(64))
+
+
+@_intrinsic
+def transpose(typing, sources, targets):  # type: ignore[no-untyped-def]
+    """Put the columns of WIDE by WIDE doubles, whose rows' addresses are at ``sources``, at those at ``targets``."""
+
+    def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        vector = ir.VectorType(_DOUBLE, WIDE)
+
+        def place(addresses, k):  # type: ignore[no-untyped-def]
+            pointer = builder.inttoptr(addresses, ir.IntType(64).as_pointer())
+            address = builder.load(builder.gep(pointer, [ir.Constant(ir.IntType(64), k)]))
+            return builder.inttoptr(address, vector.as_pointer())
+
+        rows = [builder.load(place(arguments[0], k), align=8) for k in range(WIDE)]
+        for half in (4, 2, 1):  # swap the off-diagonal blocks, ever smaller
+            index = np.arange(WIDE)
+            low = np.where(index & half, index - half + WIDE, index)
+            masks = [ir.Constant(ir.VectorType(ir.IntType(32), WIDE), mask.tolist()) for mask in (low, low + half)]
+            for k in index[(index & half) == 0]:
+                pair = rows[k], rows[k + half]
+                rows[k], rows[k + half] = (builder.shuffle_vector(*pair, mask) for mask in masks)
+        for k, row in enumerate(rows):
+            builder.store(row, place(arguments[1], k), align=8)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), code
 
 
 @_intrinsic

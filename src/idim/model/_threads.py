@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 from idim.model._lanes import LANES
 
+_inside = threading.local()
 SHARE = 16 * LANES  # samples that are worth a thread
 
 
@@ -23,9 +25,10 @@ def threads() -> int:
 def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:
     """Call ``work(start, stop)`` for stretches of whole lanes that together are ``samples``.
 
-    In threads, where each gets at least ``worth`` samples; what is computed does not depend on their number.
+    In threads, where each gets at least ``worth`` samples; what is computed does not depend on their number. Work that
+    is itself done by one of them is not shared again.
     """
-    parts = min(threads(), samples // worth)
+    parts = 1 if hasattr(_inside, "pool") else min(threads(), samples // worth)
     if parts < 2:
         work(0, samples)
         return
@@ -37,4 +40,4 @@ def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) ->
 @cache
 def _pool(process: int, workers: int) -> ThreadPoolExecutor:
     """Threads, kept; a forked process needs its own."""
-    return ThreadPoolExecutor(workers, "idim")
+    return ThreadPoolExecutor(workers, "idim", lambda: setattr(_inside, "pool", True))

@@ -14,11 +14,11 @@ import casadi as ca
 import numpy as np
 
 from idim.model.coordinates import Coordinates
-from idim.model.kinematics import Frame, Twist, accelerations, constant, frames, twists
+from idim.model.kinematics import Frame, Twist, accelerations, configuration_rates, constant, frames, twists
 from idim.model.least_squares import solve
 from idim.model.program import Program, compile_program
 from idim.robots.geometry import characteristic_length
-from idim.robots.robot import ROTATIONS, TRANSLATIONS, Attachment
+from idim.robots.robot import Attachment
 
 
 @dataclass(frozen=True)
@@ -110,27 +110,12 @@ def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
     return ca.vertcat(*parts)
 
 
-def _moved(layout: Coordinates, c: ca.SX, step: ca.SX) -> ca.SX:
-    """Configuration ``c`` moved by a small ``step`` (n_y,); to first order that of :meth:`Coordinates.retract`."""
-    n_t = len(layout.robot.joints)
-    parts = [c[:n_t] + step[:n_t]]
-    for slots in layout.platforms:
-        displacement = dict(zip(slots.platform.dof, ca.vertsplit(step[slots.rates]), strict=True))
-        parts.append(c[slots.position] + ca.vertcat(*(displacement.get(dof, ca.SX(1, 1)) for dof in TRANSLATIONS)))
-        if slots.quaternion is not None:
-            turn = ca.vertcat(*(displacement.get(dof, ca.SX(1, 1)) for dof in ROTATIONS)) / 2
-            w, vector = c[slots.quaternion][0], c[slots.quaternion][1:]
-            quaternion = ca.vertcat(w - ca.dot(turn, vector), vector + w * turn + ca.cross(turn, vector))
-            parts.append(quaternion / ca.sqrt(ca.sumsqr(quaternion)))
-    return ca.vertcat(*parts)
-
-
 def closure_equations(layout: Coordinates) -> ClosureEquations:
     """Derive the closure equations of a robot from its geometry."""
     length = characteristic_length(layout.robot)
     given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
     c = _on_unit_quaternions(layout, given)
-    residual, velocity, gamma = _equations(layout, length, c, yd)
+    residual, velocity, gamma = closure_expressions(layout, c, yd)
     unit = np.where(layout.angular, 1.0, length)
     actuated, passive = layout.actuated.tolist(), layout.passive.tolist()
     G = ca.jacobian(velocity, yd)
@@ -139,7 +124,8 @@ def closure_equations(layout: Coordinates) -> ClosureEquations:
     correction, condition = solve(G_p, -residual, refine=False)
     step = ca.SX(layout.n_y, 1)
     step[passive] = correction * unit[passive]
-    moved, size = _moved(layout, c, step), _largest(correction)
+    moved = _on_unit_quaternions(layout, c + configuration_rates(layout, c, step))
+    size = _largest(correction)
     rounding = 1e-15 * _largest(c)  # of angles of many turns
 
     qd, qdd = ca.SX.sym("qd", len(actuated)), ca.SX.sym("qdd", len(actuated))
@@ -161,9 +147,26 @@ def closure_equations(layout: Coordinates) -> ClosureEquations:
     )
 
 
-def _equations(layout: Coordinates, length: float, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Residual, its velocity ``G yd``, and ``gamma``."""
-    robot = layout.robot
+def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The closures and couplings as symbolic expressions, from which all that is known of the loops is derived.
+
+    ``G = jacobian(velocity, yd)``, and accelerations obey ``G ydd + gamma = 0``. Where the loops are closed velocity
+    and gamma are the time derivatives of the residual, so that derivatives along the closed loops may be taken of any
+    of the three (``ca.gradient``, with :func:`idim.model.kinematics.configuration_rates` for those by c).
+
+    Parameters
+    ----------
+    layout : Coordinates
+        Of the robot.
+    c, yd : SX
+        Configuration (n_c,), its quaternions of unit length, and velocities (n_y,), rad or m, s.
+
+    Returns
+    -------
+    residual, velocity, gamma : SX
+        (rows,) each: rad or lengths over the characteristic length, and per s and s2.
+    """
+    robot, length = layout.robot, characteristic_length(layout.robot)
     frame = frames(layout, c)
     twist = twists(layout, frame, yd)
     still = accelerations(layout, frame, twist, yd, ca.SX(layout.n_y, 1), np.zeros(3))

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idim.robots.robot import ROTATIONS, TRANSLATIONS, Platform, Robot
 
@@ -47,6 +46,8 @@ class Coordinates:
         for slots in self.platforms:
             c[slots.position] = slots.platform.home.position
             if slots.quaternion is not None:
+                from scipy.spatial.transform import Rotation
+
                 c[slots.quaternion] = Rotation.from_matrix(slots.platform.home.rotation).as_quat(scalar_first=True)
         return c
 
@@ -61,6 +62,8 @@ class Coordinates:
                 if dof in displacement:
                     moved[slots.position.start + k] += displacement[dof]
             if slots.quaternion is not None:
+                from scipy.spatial.transform import Rotation
+
                 zero = np.zeros(c.shape[1])
                 turn = Rotation.from_rotvec(np.stack([displacement.get(dof, zero) for dof in ROTATIONS], axis=1))
                 before = Rotation.from_quat(c[slots.quaternion].T, scalar_first=True)

@@ -2,39 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
+from idim.errors import IdimError
+from idim.model._threads import share
 from idim.model.coordinates import Coordinates, coordinates
 from idim.model.dynamics import parameter_names, torques
 from idim.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
 from idim.model.program import Program, compile_program
+from idim.model.singularities import Singularities, singularities
 from idim.robots.robot import Robot
 
-PATH = 32768  # samples whose loops are closed together: parallel, at the cost of finding the way to each part
-BLOCK = 8192  # samples whose motion is made together: enough for threads, and few enough for the cache
+PATH = 65536  # samples whose loops are closed together: parallel, at the cost of finding the way to each part
+BLOCK = 2048  # samples whose motion is made together: enough to amortise Python, and few enough for the cache
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Regressor:
     """Chosen columns of ``IDM_st``: the entries that can be other than zero.
 
-    ``program`` maps (c, yd, ydd, passive rows of J) of a sample to its entries; entry k stands in
+    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J. Entry k stands in
     row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``).
     """
 
     names: tuple[str, ...]
-    program: Program
+    inputs: list[ca.SX]
+    matrix: ca.SX
     rows: np.ndarray
     columns: np.ndarray
 
+    @cached_property
+    def program(self) -> Program:
+        """From the inputs of a sample to its entries."""
+        return compile_program(self.inputs, [self.matrix.nz[:]])
+
+    @cached_property
+    def summed(self) -> Program:
+        """From the inputs to torques: every entry is made, and used at once."""
+        chi = ca.SX.sym("chi", len(self.names))
+        return compile_program(self.inputs, [self.matrix @ chi], [chi])
+
     def __call__(self, layout: Coordinates, motion: Motion) -> np.ndarray:
         """Entries (entries, N) for the samples of ``motion``."""
-        return self.program(*self._inputs(layout, motion))
+        return self.program(*self._sources(layout, motion))
 
     def torques(self, entries: np.ndarray, chi: np.ndarray, n: int) -> np.ndarray:
         """Torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
@@ -46,15 +62,14 @@ class Regressor:
 
     def torques_along(self, layout: Coordinates, motion: Motion, chi: np.ndarray) -> np.ndarray:
         """The same without the entries ever in memory, (n, N)."""
-        weights = np.asarray(chi, dtype=float)[self.columns]
-        return self.program.sums(self.rows, weights, len(layout.actuated), *self._inputs(layout, motion))
+        return self.summed(*self._sources(layout, motion), parameters=np.asarray(chi, dtype=float))
 
     def fill(self, layout: Coordinates, motion: Motion, W: np.ndarray) -> None:
         """Put the entries into ``W`` (N, n, columns), whose other entries are zero."""
         places = self.rows * W.shape[2] + self.columns
-        self.program.fill(W.reshape(len(W), -1), places, *self._inputs(layout, motion))
+        self.program.fill(W.reshape(len(W), -1), places, *self._sources(layout, motion))
 
-    def _inputs(self, layout: Coordinates, motion: Motion) -> tuple[np.ndarray, ...]:
+    def _sources(self, layout: Coordinates, motion: Motion) -> tuple[np.ndarray, ...]:
         passive = motion.J[layout.passive].reshape(layout.passive.size * len(layout.actuated), motion.c.shape[1])
         return motion.c, motion.yd, motion.ydd, passive
 
@@ -72,6 +87,10 @@ class InverseDynamics:
 
     Attributes
     ----------
+    robot : Robot
+        The robot.
+    layout : Coordinates
+        The virtual tree's coordinates c (configuration) and y (velocities), and which of them are actuated or passive.
     parameter_names : tuple of str
         Names of the n_st standard parameters, the order of the regressor's columns.
     actuated : tuple of str
@@ -80,18 +99,26 @@ class InverseDynamics:
 
     def __init__(self, robot: Robot, parameters: str = "all"):
         if parameters not in ("all", "inertial"):
-            raise ValueError(f"parameters must be 'all' or 'inertial', not {parameters!r}")
+            raise IdimError(f"parameters is {parameters!r}; write 'all' or 'inertial'.")
         self.robot = robot
         self.layout = coordinates(robot)
         self.parameter_names = parameter_names(robot, parameters)
         self.actuated = robot.actuated
         self._regressors: dict[tuple[str, ...], Regressor] = {}
 
+    def __repr__(self) -> str:
+        return f"InverseDynamics({self.robot!r}, {len(self.parameter_names)} standard parameters)"
+
     @cached_property
     def loops(self) -> Loops | None:
         """The solved closures; None for a robot without closures and couplings whose joints are all actuated."""
         layout = self.layout
         return close_loops(layout) if self.robot.closures or self.robot.couplings or layout.passive.size else None
+
+    @cached_property
+    def singularities(self) -> Singularities:
+        """What tells how far poses are from singularities of both types."""
+        return singularities(self)
 
     def motion(
         self,
@@ -128,7 +155,7 @@ class InverseDynamics:
             position = {name: k for k, name in enumerate(self.parameter_names)}
             W = whole[:, [position[name] for name in names]]
             rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
-            self._regressors[names] = Regressor(names, compile_program(inputs, [W.nz[:]]), rows, columns)
+            self._regressors[names] = Regressor(names, inputs, W, rows, columns)
         return self._regressors[names]
 
     @cached_property
@@ -163,9 +190,9 @@ class InverseDynamics:
         IdimError
             Where the loops cannot be closed, or a pose is too close to a singularity.
         """
-        W = np.zeros((len(q), len(self.actuated), len(self.parameter_names)))
-        for block, motion in self._blocks(q, qd, qdd):
-            self.full.fill(self.layout, motion, W[block])
+        W, full = np.zeros((len(q), len(self.actuated), len(self.parameter_names))), self.full
+        _ = full.program  # compiled before threads want it
+        self._for_blocks(q, qd, qdd, lambda block, motion: full.fill(self.layout, motion, W[block]))
         return W
 
     def torques(
@@ -179,41 +206,62 @@ class InverseDynamics:
 
         ``chi`` is a vector (n_st,) or a mapping by name, in which what is missing is zero.
         """
-        vector = self._vector(chi)
-        tau = np.zeros((len(q), len(self.actuated)))
-        for block, motion in self._blocks(q, qd, qdd):
-            tau[block] = self.full.torques_along(self.layout, motion, vector).T
+        vector, tau, full = self._vector(chi), np.zeros((len(q), len(self.actuated))), self.full
+        _ = full.summed
+
+        def work(block: slice, motion: Motion) -> None:
+            tau[block] = full.torques_along(self.layout, motion, vector).T
+
+        self._for_blocks(q, qd, qdd, work)
         return tau
 
-    def _blocks(self, *samples: np.ndarray) -> Iterator[tuple[slice, Motion]]:
-        """The motion along a path, by blocks of samples that stay in the cache."""
-        q, qd, qdd = self._samples(*samples)
+    def _for_blocks(
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, work: Callable[[slice, Motion], None]
+    ) -> None:
+        """Do some work, in threads, with the blocks of a path and their motion, which stays in the cache."""
+        q, qd, qdd = self._samples(q, qd, qdd)
         c: np.ndarray | None = None
         for start in range(0, q.shape[1], PATH):
             chunk = slice(start, min(start + PATH, q.shape[1]))
             c = self.path(q[:, chunk], Numbers(start), None if c is None else c[:, -1])
-            for first in range(0, c.shape[1], BLOCK):
-                part = slice(first, min(first + BLOCK, c.shape[1]))
-                block = slice(start + part.start, start + part.stop)
-                yield block, self.rates(c[:, part], qd[:, block], qdd[:, block], Numbers(block.start))
+            self._share_blocks(start, c, qd[:, chunk], qdd[:, chunk], work)
+
+    def _share_blocks(
+        self, offset: int, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, work: Callable[[slice, Motion], None]
+    ) -> None:
+        def stretch(first: int, last: int) -> None:
+            for begin in range(first, last, BLOCK):
+                part = slice(begin, min(begin + BLOCK, last))
+                block = slice(offset + part.start, offset + part.stop)
+                # blocks are copied, as fresh memory for whole paths would cost more than the copies
+                now, speed, push = (np.ascontiguousarray(each[:, part]) for each in (c, qd, qdd))
+                work(block, self.rates(now, speed, push, Numbers(block.start)))
+
+        share(stretch, c.shape[1])
 
     def _samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
         n = len(self.actuated)
         samples = [np.asarray(array, dtype=float) for array in arrays]
         if samples[0].ndim != 2 or samples[0].shape[1] != n or len({array.shape for array in samples}) > 1:
             shapes = ", ".join(str(array.shape) for array in samples)
-            raise ValueError(
-                f"q, qd and qdd must each be (N, {n}), one column for each of {self.actuated}; got {shapes}"
+            raise IdimError(
+                f"q, qd and qdd have the shapes {shapes}; give each as (N, {n}), a column for each of the joints "
+                f"{', '.join(self.actuated)}."
             )
-        return [np.ascontiguousarray(array.T) for array in samples]
+        return [array.T for array in samples]
 
     def _vector(self, chi: Mapping[str, float] | np.ndarray) -> np.ndarray:
         if not isinstance(chi, Mapping):
             vector = np.asarray(chi, dtype=float)
             if vector.shape != (len(self.parameter_names),):
-                raise ValueError(f"chi must have {len(self.parameter_names)} entries, got shape {vector.shape}")
+                raise IdimError(
+                    f"chi has the shape {vector.shape}; give a vector of {len(self.parameter_names)} entries, one for "
+                    "each of parameter_names, or a mapping by name."
+                )
             return vector
         unknown = [name for name in chi if name not in self.parameter_names]
         if unknown:
-            raise KeyError(f"the model has no standard parameter '{unknown[0]}'")
+            close = get_close_matches(unknown[0], self.parameter_names, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists those it has."
+            raise IdimError(f"the model of '{self.robot.name}' has no standard parameter '{unknown[0]}'; {hint}")
         return np.array([chi.get(name, 0.0) for name in self.parameter_names], dtype=float)

@@ -78,6 +78,20 @@ def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
     return found
 
 
+def configuration_rates(layout: Coordinates, c: ca.SX, yd: ca.SX) -> ca.SX:
+    """Time derivative of the configuration c (n_c,) for velocities ``yd`` (n_y,), eq. 9."""
+    n_t = len(layout.robot.joints)
+    rates = [yd[:n_t]]
+    for slots in layout.platforms:
+        v = dict(zip(slots.platform.dof, ca.vertsplit(yd[slots.rates]), strict=True))
+        rates.append(ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in TRANSLATIONS)))
+        if slots.quaternion is not None:
+            omega = ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in ROTATIONS))
+            w, vector = c[slots.quaternion][0], c[slots.quaternion][1:]
+            rates.append(ca.vertcat(-ca.dot(omega, vector), w * omega + ca.cross(omega, vector)) / 2)
+    return ca.vertcat(*rates)
+
+
 def platform_twist(layout: Coordinates, rates: ca.SX, frame: dict[str, Frame]) -> dict[str, Twist]:
     """Twists ``t = D v`` of the platforms (eq. 10), turned into their own axes."""
     twists = {}

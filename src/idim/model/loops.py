@@ -7,6 +7,7 @@ followed at once, each in a lane of its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -62,6 +63,16 @@ class Motion:
     J: np.ndarray
     condition: np.ndarray
 
+    def __getitem__(self, samples: slice) -> Motion:
+        """The motion at some of the samples."""
+        return Motion(*(each[..., samples] for each in (self.c, self.yd, self.ydd, self.J, self.condition)))
+
+
+def joined(parts: Sequence[Motion]) -> Motion:
+    """The motions of all ``parts``, one after the other."""
+    names = ("c", "yd", "ydd", "J", "condition")
+    return Motion(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names))
+
 
 @dataclass(frozen=True)
 class Loops:
@@ -111,8 +122,8 @@ def close_loops(layout: Coordinates) -> Loops:
         closure, (distance, angle) = robot.closures[worst], gap[worst]
         raise IdimError(
             f"robot '{robot.name}': the loops do not close near the home configuration, closure {worst + 1} "
-            f"('{closure.a.body}' to '{closure.b.body}') stays open by {1e3 * distance:.3g} mm and "
-            f"{np.degrees(angle):.3g} degrees; {CLOSER}."
+            f"('{closure.a.body}' to '{closure.b.body}') stays open by {_gap(distance, angle, equations.length)}; "
+            f"{CLOSER}."
         )
     joints = slice(len(robot.joints))
     moved = (c[joints, 0] - layout.home[joints]) / np.where(layout.angular[joints], 1.0, equations.length)
@@ -135,12 +146,23 @@ def close_loops(layout: Coordinates) -> Loops:
             "from a singular pose."
         )
     if total > rank:
+        free = np.linalg.svd(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]))[2][total:, n_passive:]
+        stuck = [
+            name for name, motion in zip(robot.actuated, free.T, strict=True) if np.abs(motion).max(initial=0.0) < 1e-9
+        ]
+        held = f", where the closures hold {', '.join(stuck)} fixed" if stuck else ""
         raise IdimError(
             f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints "
-            f"({', '.join(robot.actuated)}) for {layout.n_y - total} dof; mark {total - rank} of them passive, or "
-            "check the closures and the dof of platforms."
+            f"({', '.join(robot.actuated)}) for {layout.n_y - total} dof{held}; mark {total - rank} of them passive, "
+            "or check the closures and the dof of platforms."
         )
     return Loops(layout, equations, c[:, 0], rank)
+
+
+def _gap(distance: float, angle: float, length: float) -> str:
+    """A gap in mm and degrees, without the one of them that is nothing beside the other."""
+    parts = (distance / length, f"{1e3 * distance:.3g} mm"), (angle, f"{np.degrees(angle):.3g} degrees")
+    return " and ".join(text for size, text in parts if size > 1e-3 * max(distance / length, angle))
 
 
 def _assemble(loops: Loops) -> np.ndarray:
@@ -268,8 +290,8 @@ def _march(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, lengt
 def _unreachable(loops: Loops, q: np.ndarray, label: str) -> IdimError:
     return IdimError(
         f"robot '{loops.layout.robot.name}': at {label} ({_pose(loops, q)}) the loops cannot be closed, or only beyond "
-        "a singular pose, outside the assembly mode of home; check the units, signs and zeros of the positions and the "
-        "robot's geometry, or leave these samples out."
+        "a singular pose (type 2), outside the assembly mode of home; check the units, signs and zeros of the "
+        "positions and the robot's geometry, or leave these samples out."
     )
 
 
@@ -313,8 +335,8 @@ def differentiate(
         label = (labels or Numbers())[worst]
         raise IdimError(
             f"robot '{layout.robot.name}': at {label} ({_pose(loops, c[layout.actuated, worst])}) the pose is too "
-            f"close to a singularity (condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the "
-            f"worst of {int(singular.sum())} such among {samples} samples; leave them out or keep the motion away "
-            "from it."
+            "close to a singularity of type 2, where passive joints can move although the actuated ones stand still "
+            f"(condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the worst of "
+            f"{int(singular.sum())} such among {samples} samples; leave them out or keep the motion away from it."
         )
     return Motion(c, yd, ydd, J.reshape(layout.n_y, len(layout.actuated), samples), condition)

@@ -7,18 +7,19 @@ registers stay in the cache. One compiled loop (Numba, cached on disk) serves al
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from idim.model._instructions import instructions
-from idim.model._interpreter import MACHINE, contract, interpret, scatter
+from idim.model._interpreter import MACHINE, interpret, scatter
 from idim.model._lanes import LANES
 from idim.model._threads import share
 
 PAD = 8  # strides that are powers of two thrash the cache
+NONE = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,24 +27,27 @@ class Program:
     """Instructions of a function from a vector to a vector.
 
     ``code`` is (instructions, 5): operation, row of the result and rows of up to three operands. The rows
-    are first the ``constants``, then the registers, the inputs and the outputs. ``fixed`` are the
-    outputs that are constants, and their values: no instruction writes them.
+    are first the ``constants``, then the ``parameters``, the registers, the inputs and the outputs. ``fixed`` are
+    the outputs that are constants, and their values: no instruction writes them.
     """
 
     code: np.ndarray
     constants: np.ndarray
+    parameters: int
     registers: int
     inputs: int
     outputs: int
     fixed: tuple[np.ndarray, np.ndarray]
 
-    def __call__(self, *inputs: np.ndarray) -> np.ndarray:
+    def __call__(self, *inputs: np.ndarray, parameters: np.ndarray = NONE) -> np.ndarray:
         """Evaluate for samples along the last axis.
 
         Parameters
         ----------
         *inputs : ndarray
             Arrays (., N) that together have as many rows as the program has inputs.
+        parameters : ndarray
+            Values (parameters,) that are the same for all samples.
 
         Returns
         -------
@@ -55,38 +59,29 @@ class Program:
         result[outputs] = values[:, None]
 
         def run(start: int, stop: int) -> None:
-            bound = Bound(self, _rows(sources), addresses(result))
+            bound = Bound(self, _rows(sources), addresses(result), parameters)
             interpret(MACHINE, bound.code, bound.rows, bound.own, len(bound.rows), start, stop)
 
         share(run, result.shape[1])
         return result[:, :samples]
 
-    def sums(self, places: np.ndarray, weights: np.ndarray, count: int, *inputs: np.ndarray) -> np.ndarray:
-        """Sums (count, N) of the outputs, each times its weight and in its place; the outputs stay in the cache."""
-        sources, samples = self._sources(inputs)
-        found = np.empty((count, sources[0].shape[1]))
-        self._consumed(contract, sources, places, weights, found)
-        return found[:, :samples]
-
     def fill(self, table: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
         """Put the outputs of every sample at ``places`` (outputs,) of its row of ``table`` (N, columns)."""
         sources, samples = self._sources(inputs)
         whole = table if samples >= LANES else np.zeros((LANES, table.shape[1]))
-        self._consumed(scatter, sources, places, whole)
-        if whole is not table:
-            table[:, places] = whole[:samples, places]
-
-    def _consumed(self, kernel: Callable[..., None], sources: list[np.ndarray], *arguments: np.ndarray) -> None:
-        """Run a kernel that uses up the outputs lane by lane."""
+        order = np.argsort(places)
 
         def run(start: int, stop: int) -> None:
-            made = aligned(self.outputs)
+            made = aligned(self.outputs)  # it stays in the cache
             outputs, values = self.fixed
             made[outputs] = values[:, None]
             bound = Bound(self, _rows(sources), addresses(made))
-            kernel(MACHINE, bound.code, bound.rows, bound.own, bound.own + self.inputs, start, stop, made, *arguments)
+            long = bound.own + self.inputs
+            scatter(MACHINE, bound.code, bound.rows, bound.own, long, start, stop, made, order, places[order], whole)
 
-        share(run, sources[0].shape[1])
+        share(run, len(whole))
+        if whole is not table:
+            table[:, places] = whole[:samples, places]
 
     def _sources(self, inputs: tuple[np.ndarray, ...]) -> tuple[list[np.ndarray], int]:
         """The inputs, at least a lane of them, and the number of samples."""
@@ -106,14 +101,17 @@ class Program:
 class Bound:
     """A program with registers of its own and the addresses of its inputs and outputs.
 
-    ``own`` of the addresses ``rows`` are those of ``memory`` (own, LANES): constants and registers.
+    ``own`` of the addresses ``rows`` are those of ``memory`` (own, LANES): constants, parameters and registers.
     """
 
-    def __init__(self, program: Program, inputs: np.ndarray, outputs: np.ndarray):
+    def __init__(self, program: Program, inputs: np.ndarray, outputs: np.ndarray, parameters: np.ndarray = NONE):
+        if parameters.shape != (program.parameters,):
+            raise ValueError(f"expected {program.parameters} parameters, got shape {parameters.shape}")
+        values = np.concatenate([program.constants, parameters])
         self.code = program.code
-        self.own = len(program.constants) + program.registers
+        self.own = len(values) + program.registers
         self.memory = aligned(self.own)
-        self.memory[: len(program.constants)] = program.constants[:, None]
+        self.memory[: len(values)] = values[:, None]
         self.rows = np.concatenate([addresses(self.memory), inputs, outputs])
 
 
@@ -139,7 +137,7 @@ def _contiguous(array: np.ndarray) -> np.ndarray:
     return array if array.strides[-1] == array.itemsize else np.ascontiguousarray(array)
 
 
-def compile_program(inputs: list[ca.SX], outputs: list[ca.SX]) -> Program:
+def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Sequence[ca.SX] = ()) -> Program:
     """Instructions that compute the stacked dense ``outputs`` from the stacked ``inputs``.
 
     Parameters
@@ -148,7 +146,10 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX]) -> Program:
         Symbols, stacked column by column into one input vector.
     outputs : list of SX
         Expressions; their entries, structural zeros included, are stacked column by column.
+    parameters : sequence of SX
+        Symbols whose values are the same for all samples.
     """
-    x, y = ca.veccat(*inputs), ca.densify(ca.veccat(*outputs))
-    code, constants, registers, fixed = instructions(ca.Function("program", [x], [ca.cse(y)]))
-    return Program(code, constants, registers, x.numel(), y.numel(), fixed)
+    x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
+    function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])
+    code, constants, registers, fixed = instructions(function, p.numel())
+    return Program(code, constants, p.numel(), registers, x.numel(), y.numel(), fixed)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 
 from idim.errors import IdimError
 from idim.model.inverse_dynamics import InverseDynamics
-from idim.model.loops import CONDITION, Motion, advance, differentiate
+from idim.model.loops import CONDITION, Motion, advance, differentiate, joined
 from idim.robots.robot import Joint
+
+FEASIBLE = 0.02  # share of random poses: where fewer are, a robot is not described well enough to draw them
+ENOUGH = 500  # poses that show the share
 
 
 def _range(joint: Joint, length: float) -> tuple[float, float]:
@@ -22,12 +27,13 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) 
 
     Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and
     ten times that per second where there are none) as standard deviation. A pose that cannot be
-    reached in the assembly mode of home is replaced by the last one on the way to it.
+    reached in the assembly mode of home is replaced by the last one on the way to it; one that is nearly singular or
+    beyond the limits is drawn anew.
 
     Returns
     -------
     Motion
-        At most ``samples`` samples.
+        ``samples`` samples.
 
     Raises
     ------
@@ -39,20 +45,31 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) 
     bounds = np.array([_range(joint, length) for joint in joints])
     speed = np.array([joint.limits.velocity or 3.0 for joint in joints]) / 3
     push = np.array([joint.limits.acceleration or 30.0 for joint in joints]) / 3
-    q = rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), samples))
-    qd = rng.normal(size=q.shape) * speed[:, None]
-    qdd = rng.normal(size=q.shape) * push[:, None]
+    parts: list[Motion] = []
+    found, drawn, share = 0, 0, 1.0
+    while found < samples:
+        if drawn >= ENOUGH and share < FEASIBLE:
+            raise IdimError(
+                f"robot '{idm.robot.name}': only {found} of {drawn} random poses within the limits can be reached "
+                "away from singularities; narrow the joints' position limits to the workspace."
+            )
+        count = samples if not drawn else ceil(1.2 * (samples - found) / max(share, FEASIBLE))
+        q = rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), count))
+        qd = rng.normal(size=q.shape) * speed[:, None]
+        qdd = rng.normal(size=q.shape) * push[:, None]
+        parts.append(_regular(idm, bounds, q, qd, qdd))
+        found, drawn = found + parts[-1].c.shape[1], drawn + count
+        share = found / drawn
+    return joined(parts)[slice(samples)]
+
+
+def _regular(idm: InverseDynamics, bounds: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Motion:
+    """The states (n, N) whose poses are within ``bounds`` and regular."""
     if idm.loops is None:
         return idm.motion(q, qd, qdd)
     # no shorter steps: poses well before a singularity serve better than those as near to it as can be
-    c, _ = advance(idm.loops, np.repeat(idm.loops.home[:, None], samples, axis=1), q, shortest=2.0**-7)
+    c, _ = advance(idm.loops, np.repeat(idm.loops.home[:, None], q.shape[1], axis=1), q, shortest=2.0**-7)
     arrived = c[idm.layout.actuated]
     inside = ((bounds[:, :1] <= arrived) & (arrived <= bounds[:, 1:])).all(axis=0)  # home may lie outside
     regular = inside & (idm.loops.condition(c) < CONDITION / 10)
-    if regular.sum() < samples // 10:
-        raise IdimError(
-            f"robot '{idm.robot.name}': only {regular.sum()} of {samples} random poses within the limits can be "
-            "reached away from "
-            "singularities; narrow the joints' position limits to the workspace."
-        )
     return differentiate(idm.loops, c[:, regular], qd[:, regular], qdd[:, regular])

@@ -1,42 +1,57 @@
-"""A robot at home as a skeleton in space: links, joints, rails, closures and platforms."""
+"""A robot at home as a skeleton, seen in parallel projection: base, rails, links, joints, closures and payload."""
 
 from __future__ import annotations
 
-from importlib.util import find_spec
+from math import cos, floor, log10, radians, sin
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from idim.errors import IdimError
-from idim.report.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, new_figure, styled
+from idim.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, new_figure, require_matplotlib, styled
 from idim.robots.assembly import assemble
 from idim.robots.geometry import Frame, attached, frames, home_configuration
 from idim.robots.robot import GROUND, Joint, Robot
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from mpl_toolkits.mplot3d import Axes3D
+    from matplotlib.lines import Line2D
 
 FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
-PALE = "#D0D0D0"
-DRIVEN: dict[str, Any] = {"color": VERMILION, "edgecolor": BLACK}
-PASSIVE: dict[str, Any] = {"color": "white", "edgecolor": BLACK}
+CLOSE = 0.18  # share of its size: names of joints as near as that to each other stand apart
+WIDTH, LOWEST, HIGHEST, KEY = 4.2, 1.3, 3.8, 1.05  # inches, of the page, of the drawing and of the key below it
+LETTERS = 16  # of a name in the legend
+PALE = "#BDBDBD"
+SHAPES = {"revolute": "o", "prismatic": "s"}
+DRIVEN: dict[str, Any] = {"color": VERMILION, "markeredgecolor": BLACK, "markersize": 7.2}
+PASSIVE: dict[str, Any] = {"color": "white", "markeredgecolor": BLACK, "markersize": 5.1}
+BASE: dict[str, Any] = {"color": PALE, "linewidth": 2.4, "zorder": 0}
+RAIL: dict[str, Any] = {"color": GREY, "linewidth": 5.0, "solid_capstyle": "butt", "zorder": 1}
+LINK: dict[str, Any] = {"linewidth": 2.4, "solid_capstyle": "round", "zorder": 2}
+RING: dict[str, Any] = {
+    "color": "none",
+    "markeredgecolor": GREEN,
+    "markersize": 13,
+    "markeredgewidth": 2.4,
+    "zorder": 4,
+}
+CLOSING: dict[str, Any] = {"color": ORANGE, "markeredgecolor": BLACK, "markersize": 5.5, "zorder": 7}
 
 
 def robot_figure(robot: Robot) -> Figure:
     """Draw a robot at home, gravity pointing down the page.
 
-    Blue lines are links, from a joint to the next, and filled faces platforms; pale lines are the base. Discs are
-    revolute joints, with their axis through them, and squares prismatic ones, red where a motor moves them; diamonds
-    close loops.
+    Pale lines are the base, grey ones the travel of prismatic joints, blue ones links, from a joint to the next, and
+    filled faces platforms; the body that carries the payload is green, with the axes of its frame. Discs are revolute
+    joints, with their axis through them, and squares prismatic ones, red and named where a motor moves them; diamonds
+    close loops. Below are the axes of the base, and a scale.
 
     Raises
     ------
     IdimError
         The loops close nowhere, or matplotlib is not installed.
     """
-    if find_spec("matplotlib") is None:
-        raise IdimError("pictures need matplotlib; install it with 'pip install idim[plot]'.")
+    require_matplotlib()
     robot = assemble(robot)
     upright = _upright(np.array(robot.gravity))
     found = {
@@ -45,26 +60,40 @@ def robot_figure(robot: Robot) -> Figure:
     shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
     joints = [joint for joint in robot.joints if joint.name not in shafts]
     lines = _links(robot, joints, found)
-    rails = {joint.name: _rail(joint, found) for joint in joints if joint.kind == "prismatic"}
-    points = np.vstack([*lines, *rails.values(), *(frame[1][None] for frame in found.values())])
-    low, high = points.min(axis=0), points.max(axis=0)
+    rails = [_rail(joint, found) for joint in joints if joint.kind == "prismatic"]
+    feet = [_foot(joint, found) for joint in joints if joint.antecedent == GROUND]
+    points = np.vstack([*(line for _, line in lines), *rails, *feet, *(frame[1] for frame in found.values())])
+    view = _view(np.ptp(points, axis=0))
+    corners = points @ view.T
+    low, high = corners.min(axis=0), corners.max(axis=0)
     size = float((high - low).max()) or 1.0
+    height = float(np.clip(WIDTH * (high[1] - low[1] + 0.2 * size) / (1.2 * size), LOWEST, HIGHEST))
     with styled():
-        figure = new_figure(4.2, 4.2)
-        axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)
-        for foot in (_foot(joint, found) for joint in joints if joint.antecedent == GROUND):
-            axes.plot(*np.array([found[GROUND][1], foot]).T, color=PALE, linewidth=2.4, zorder=0)
-        for line in lines:
-            axes.plot(*line.T, color=BLUE, linewidth=2.4, solid_capstyle="round", zorder=2)
-        for rail in rails.values():
-            axes.plot(*rail.T, color=GREY, linewidth=5.0, solid_capstyle="butt", zorder=1)
-        _platforms(axes, robot, found)
-        _joints(axes, robot, joints, found, size)
-        _closures(axes, robot, found)
-        _triad(axes, found[GROUND][1], upright, 0.16 * size)
-        _look(axes, low, high, size)
-        _legend(figure, robot, joints)
-        axes.set_title(robot.name)
+        figure = new_figure(WIDTH, height + KEY)
+        rows = figure.add_gridspec(2, 1, height_ratios=(height, KEY))
+        drawing, key = figure.add_subfigure(rows[0]), figure.add_subfigure(rows[1])
+        axes = drawing.add_subplot(aspect="equal")
+        drawing.suptitle(robot.name, x=0.03, ha="left", fontsize=9.5, fontweight="bold")
+        for foot in feet:
+            _line(axes, view, found[GROUND][1], foot, **BASE)
+            _stand(axes, view @ foot, 0.06 * size)
+        for rail in rails:
+            _line(axes, view, *rail, **RAIL)
+        for body, line in lines:
+            _line(axes, view, *line, color=GREEN if body == robot.tool else BLUE, **LINK)
+        _platforms(axes, view, robot, found)
+        if robot.tool not in {body for body, _ in lines} | {platform.name for platform in robot.platforms}:
+            axes.plot(*(view @ found[robot.tool][1]), marker="o", **RING)
+        _triad(axes, view @ found[robot.tool][1], 0.13 * size * view @ found[robot.tool][0], GREEN, zorder=8)
+        _joints(axes, view, robot, joints, found, size)
+        for closure in robot.closures:
+            axes.plot(*(view @ attached(closure.a, found)[1]), marker="D", **CLOSING)
+        axes.margins(0.08)
+        _scale(axes, low - [0.0, 0.15 * size], size)
+        axes.set_axis_off()
+        left, right = key.subplots(1, 2, width_ratios=(1, 2.6))
+        _compass(left, view @ upright, bool(np.any(robot.gravity)))
+        _legend(right, robot, joints)
     return figure
 
 
@@ -78,20 +107,30 @@ def _upright(gravity: np.ndarray) -> np.ndarray:
     return np.array([x, np.cross(up, x), up])
 
 
-def _links(robot: Robot, joints: list[Joint], found: dict[str, Frame]) -> list[np.ndarray]:
-    """Lines (2, 3) from every joint to what its link carries."""
+def _view(extent: np.ndarray) -> np.ndarray:
+    """The plane of the page, to the right and up, (2, 3), for a robot of that extent (3,)."""
+    elevation, azimuth = 24.0, -58.0
+    thin = int(np.argmin(extent))
+    if extent[thin] < FLAT * extent.max():
+        elevation, azimuth = ((18.0, -20.0), (18.0, -72.0), (62.0, -72.0))[thin]
+    e, a = radians(elevation), radians(azimuth)
+    return np.array([[-sin(a), cos(a), 0.0], [-cos(a) * sin(e), -sin(a) * sin(e), cos(e)]])
+
+
+def _links(robot: Robot, joints: list[Joint], found: dict[str, Frame]) -> list[tuple[str, np.ndarray]]:
+    """Bodies and lines (2, 3) from every joint to what its link carries."""
     lines = []
     for joint in joints:
         foot = _foot(joint, found)
         if joint.antecedent != GROUND:
-            lines.append(np.array([found[joint.antecedent][1], foot]))
+            lines.append((joint.antecedent, np.array([found[joint.antecedent][1], foot])))
         if joint.kind == "prismatic":
-            lines.append(np.array([foot, found[joint.name][1]]))
+            lines.append((joint.name, np.array([foot, found[joint.name][1]])))
     platforms = {platform.name for platform in robot.platforms}
     for end in (end for closure in robot.closures for end in (closure.a, closure.b)):
         if end.body not in platforms | {GROUND}:
-            lines.append(np.array([found[end.body][1], attached(end, found)[1]]))
-    return [line for line in lines if np.linalg.norm(line[1] - line[0]) > 1e-6] or [np.zeros((2, 3))]
+            lines.append((end.body, np.array([found[end.body][1], attached(end, found)[1]])))
+    return [(body, line) for body, line in lines if np.linalg.norm(line[1] - line[0]) > 1e-6]
 
 
 def _foot(joint: Joint, found: dict[str, Frame]) -> np.ndarray:
@@ -108,83 +147,113 @@ def _rail(joint: Joint, found: dict[str, Frame]) -> np.ndarray:
     return np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in (low, high)])
 
 
-def _platforms(axes: Axes3D, robot: Robot, found: dict[str, Frame]) -> None:
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+def _line(axes: Axes, view: np.ndarray, start: np.ndarray, end: np.ndarray, **style: Any) -> None:
+    axes.plot(*(view @ np.array([start, end]).T), **style)
 
+
+def _stand(axes: Axes, point: np.ndarray, length: float) -> None:
+    """The foot of a joint on the base."""
+    x, y = point
+    axes.plot([x, x], [y, y - length], **(BASE | {"linewidth": 1.2}))
+    axes.plot([x - length / 2, x + length / 2], [y - length, y - length], **BASE)
+
+
+def _platforms(axes: Axes, view: np.ndarray, robot: Robot, found: dict[str, Frame]) -> None:
     for platform in robot.platforms:
+        color = GREEN if platform.name == robot.tool else SKY
         ends = [end for closure in robot.closures for end in (closure.a, closure.b) if end.body == platform.name]
         corners = np.array([attached(end, found)[1] for end in ends])
         centre = corners.mean(axis=0)
         if np.linalg.norm(corners - centre, axis=1).max() < 1e-6:
-            axes.scatter(*centre, marker="h", s=130, color=SKY, edgecolor=BLACK, zorder=3)
+            axes.plot(*(view @ centre), marker="h", markersize=11, color=color, markeredgecolor=BLACK, zorder=3)
             continue
         normal = np.linalg.svd(corners - centre)[2]
         angle = np.arctan2((corners - centre) @ normal[1], (corners - centre) @ normal[0])
-        face = Poly3DCollection([corners[np.argsort(angle)]], facecolor=SKY, edgecolor=BLACK, alpha=0.6, zorder=3)
-        axes.add_collection3d(face)
+        axes.fill(*(view @ corners[np.argsort(angle)].T), facecolor=color, edgecolor=BLACK, alpha=0.6, zorder=3)
 
 
-def _joints(axes: Axes3D, robot: Robot, joints: list[Joint], found: dict[str, Frame], size: float) -> None:
+def _joints(
+    axes: Axes, view: np.ndarray, robot: Robot, joints: list[Joint], found: dict[str, Frame], size: float
+) -> None:
+    named: dict[tuple[float, ...], list[str]] = {}
     for joint in joints:
         R, p = found[joint.name]
-        driven = _driven(robot, joint)
-        half = (0.075 if driven else 0.045) * size * (R @ np.array(joint.axis))
-        if joint.kind == "revolute":
-            axes.plot(*np.array([p - half, p + half]).T, color=BLACK, linewidth=1.0, zorder=4)
-        style = DRIVEN if driven else PASSIVE
-        marker = "o" if joint.kind == "revolute" else "s"
+        driven = joint.name in robot.driven
         if joint.kind == "prismatic":
             p = (p + _foot(joint, found)) / 2
-        axes.scatter(*p, marker=marker, s=52 if driven else 26, linewidth=0.9, zorder=6 if driven else 5, **style)
-        if joint.antecedent == GROUND:
-            axes.plot(*np.array([p, p - [0, 0, 0.07 * size]]).T, color=GREY, linewidth=1.0, zorder=1)
-            axes.scatter(*(p - [0, 0, 0.07 * size]), marker="_", s=120, color=GREY, linewidth=2.5, zorder=1)
+        else:
+            half = (0.06 if driven else 0.04) * size * (R @ np.array(joint.axis))
+            _line(axes, view, p - half, p + half, color=BLACK, linewidth=1.0, zorder=4)
+        style = DRIVEN if driven else PASSIVE
+        axes.plot(*(view @ p), marker=SHAPES[joint.kind], zorder=6 if driven else 5, **style)
+        if driven:
+            named.setdefault(tuple(np.round(view @ p / size, 2)), []).append(joint.name)
+    places = np.array(list(named))
+    for place, names in zip(places, named.values(), strict=True):
+        others = places[np.hypot(*(places - place).T) < CLOSE] - place
+        left, below = others.mean(axis=0) > 0.01  # away from the names close by
+        text = axes.annotate(
+            ", ".join(names), size * place, (-6 if left else 6, -12 if below else 6), textcoords="offset points",
+            ha="right" if left else "left", fontsize=7.5, zorder=4.5,
+        )  # fmt: skip
+        text.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6})
 
 
-def _driven(robot: Robot, joint: Joint) -> bool:
-    return joint.actuated or any(
-        joint.name == coupling.joint or joint.name in dict(coupling.ratios) for coupling in robot.couplings
-    )
+def _triad(axes: Axes, origin: np.ndarray, ends: np.ndarray, color: str, zorder: int = 1) -> None:
+    """Three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
+    for end, name in zip(ends.T, "xyz", strict=True):
+        axes.annotate(
+            name, tuple(origin), tuple(origin + end), color=color, fontsize=7.5, zorder=zorder,
+            ha="center", va="center",
+            arrowprops={"arrowstyle": "-", "color": color, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
 
 
-def _closures(axes: Axes3D, robot: Robot, found: dict[str, Frame]) -> None:
-    for closure in robot.closures:
-        axes.scatter(*attached(closure.a, found)[1], marker="D", s=30, color=ORANGE, edgecolor=BLACK, zorder=7)
-
-
-def _triad(axes: Axes3D, origin: np.ndarray, upright: np.ndarray, length: float) -> None:
-    for direction, name in zip(upright.T, "xyz", strict=True):
-        end = origin + length * direction
-        axes.plot(*np.array([origin, end]).T, color=GREY, linewidth=1.0, zorder=1)
-        axes.text(*(origin + 1.2 * length * direction), name, color=GREY, ha="center", va="center", zorder=1)
-
-
-def _look(axes: Axes3D, low: np.ndarray, high: np.ndarray, size: float) -> None:
-    middle, half = (low + high) / 2, 0.56 * size
-    for k, limits in enumerate((axes.set_xlim, axes.set_ylim, axes.set_zlim)):
-        limits(middle[k] - half, middle[k] + half)
-    axes.set_box_aspect((1, 1, 1), zoom=1.12)
+def _compass(axes: Axes, base: np.ndarray, gravity: bool) -> None:
+    """The axes of the base (2, 3), and which way gravity points."""
+    _triad(axes, np.zeros(2), base, GREY)
+    axes.text(0.0, -1.75, "base", ha="center", va="center", color=GREY, fontsize=7.5)
+    if gravity:
+        axes.annotate("", (2.0, -1.0), (2.0, 0.9), arrowprops={"arrowstyle": "-|>", "color": BLACK, "linewidth": 1.3})
+        axes.text(2.0, -1.75, "gravity", ha="center", va="center", fontsize=7.5)
+    axes.set(xlim=(-1.2, 2.8), ylim=(-2.0, 1.2), aspect="equal")
     axes.set_axis_off()
-    thin = int(np.argmin(high - low))
-    elevation, azimuth = 24.0, -58.0
-    if (high - low)[thin] < FLAT * size:
-        elevation, azimuth = ((18.0, -20.0), (18.0, -72.0), (62.0, -72.0))[thin]
-    axes.view_init(elev=elevation, azim=azimuth)
 
 
-def _legend(figure: Figure, robot: Robot, joints: list[Joint]) -> None:
+def _scale(axes: Axes, start: np.ndarray, size: float) -> None:
+    """A bar of a round length, about a fifth of the drawing."""
+    decade = 10.0 ** floor(log10(0.25 * size))
+    length = max(step * decade for step in (1, 2, 5) if step * decade <= 0.25 * size)
+    x, y = start
+    axes.plot([x, x + length], [y, y], color=BLACK, linewidth=1.2, marker="|", markersize=5, markeredgewidth=1.2)
+    label = f"{length:g} m" if length >= 0.1 else f"{1e3 * length:g} mm"
+    axes.annotate(label, (x + length, y), (6, 0), textcoords="offset points", va="center", fontsize=7.5)
+
+
+def _legend(axes: Axes, robot: Robot, joints: list[Joint]) -> None:
     from matplotlib.lines import Line2D
 
-    def mark(marker: str, style: dict[str, Any]) -> Line2D:
-        return Line2D([], [], marker=marker, linestyle="none", color=style["color"], markeredgecolor=style["edgecolor"])
+    def mark(marker: str, **style: Any) -> Line2D:
+        return Line2D([], [], marker=marker, linestyle="none", **style)
 
-    entries = {}
+    entries: dict[str, Line2D] = {}
     for joint in joints:
-        driven = _driven(robot, joint)
+        driven = joint.name in robot.driven
         what = ("motor, " if driven else "passive, ") + ("turns" if joint.kind == "revolute" else "slides")
-        entries[what] = mark("o" if joint.kind == "revolute" else "s", DRIVEN if driven else PASSIVE)
-    if robot.platforms:
-        entries["platform"] = mark("h", {"color": SKY, "edgecolor": BLACK})
+        entries[what] = mark(SHAPES[joint.kind], **(DRIVEN if driven else PASSIVE))
     if robot.closures:
-        entries["closes a loop"] = mark("D", {"color": ORANGE, "edgecolor": BLACK})
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=2, handletextpad=0.2)
+        entries["closes a loop"] = mark("D", **CLOSING)
+    if any(joint.limits.position for joint in joints if joint.kind == "prismatic"):
+        entries["travel"] = Line2D([], [], **RAIL)
+    entries["link"] = Line2D([], [], color=BLUE, **LINK)
+    entries["base"] = Line2D([], [], **BASE)
+    hexagon: dict[str, Any] = {"markeredgecolor": BLACK, "markersize": 9}
+    if any(platform.name != robot.tool for platform in robot.platforms):
+        entries["platform"] = mark("h", color=SKY, **hexagon)
+    carrier = any(platform.name == robot.tool for platform in robot.platforms)
+    tool = robot.tool if len(robot.tool) <= LETTERS else robot.tool[: LETTERS - 1] + "\u2026"
+    entries[f"payload on {tool}"] = (
+        mark("h", color=GREEN, **hexagon) if carrier else Line2D([], [], color=GREEN, **LINK)
+    )
+    axes.legend(list(entries.values()), list(entries), loc="center", ncols=2, handlelength=1.6, fontsize=7.5)
+    axes.set_axis_off()

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import textwrap
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from idim.estimation.base_parameters import base_parameters
 from idim.model.inverse_dynamics import InverseDynamics
+from idim.model.singularities import TYPES
+from idim.robots.oddities import oddities, tool_note
 from idim.robots.robot import Robot
 
 
 def describe(robot: Robot) -> dict[str, Any]:
-    """Joints, loops, degrees of freedom and base parameters of ``robot`` as a JSON document.
+    """Joints with their limits, loops, gravity, payload's body and base parameters of ``robot`` as a JSON document.
+
+    Lengths in m, angles in rad, gravity in m/s2 in base axes; a limit that is not known is null.
 
     Raises
     ------
@@ -24,10 +29,12 @@ def describe(robot: Robot) -> dict[str, Any]:
     loops = model.loops
     base, inertial = base_parameters(model), base_parameters(InverseDynamics(robot, "inertial"))
     home = model.layout.home if loops is None else loops.home
+    still = np.zeros((len(model.actuated), 1))
+    near = model.singularities.distances(model.rates(home[:, None], still, still))[:, 0]
     return {
         "robot": robot.name,
         "source": robot.source,
-        "notes": list(robot.notes),
+        "notes": [*robot.notes, *oddities(robot), *tool_note(robot)],
         "degrees_of_freedom": len(model.actuated),
         "joints": [
             {
@@ -38,6 +45,7 @@ def describe(robot: Robot) -> dict[str, Any]:
                 "parameters": joint.parameters,
                 "home": float(home[k]),
                 "unit": "rad" if joint.kind == "revolute" else "m",
+                "limits": asdict(joint.limits),
             }
             for k, joint in enumerate(robot.joints)
         ],
@@ -52,9 +60,12 @@ def describe(robot: Robot) -> dict[str, Any]:
             ],
             "rows": 0 if loops is None else loops.equations.rows,
             "rank": 0 if loops is None else loops.rank,
-            "condition_at_home": None if loops is None else float(loops.condition(loops.home[:, None])[0]),
+        },
+        "distances_at_home": {
+            f"type_{kind}": None if np.isnan(d) else float(d) for kind, d in zip(TYPES, near, strict=True)
         },
         "gravity": np.array(robot.gravity).tolist(),
+        "payload_on": robot.tool,
         "base_parameters": {
             "count": base.count,
             "count_inertial_only": inertial.count,
@@ -72,17 +83,21 @@ def robot_page(description: dict[str, Any]) -> str:
         f"{description['robot']}: {description['degrees_of_freedom']} degrees of freedom, "
         f"{len(description['joints'])} joints" + (f" ({description['source']})" if description["source"] else ""),
         "",
-        f"  {'joint':<22}{'antecedent':<22}{'kind':<11}{'':<10}{'home':>9}",
     ]
+    bodies = [*description["joints"], *description["platforms"]]
+    wide = 2 + max(len("antecedent"), *(len(body["name"]) for body in bodies))
+    lines.append(f"  {'joint':<{wide}}{'antecedent':<{wide}}{'kind':<11}{'':<10}{'home':>9}      limits")
     for joint in description["joints"]:
         role = "actuated" if joint["actuated"] else "passive"
         lines.append(
             "  "
-            f"{joint['name']:<22}{joint['antecedent']:<22}{joint['kind']:<11}{role:<10}"
-            f"{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']}"
+            f"{joint['name']:<{wide}}{joint['antecedent']:<{wide}}{joint['kind']:<11}{role:<10}"
+            f"{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']:<5}{_limits(joint)}".rstrip()
         )
     for platform in description["platforms"]:
-        lines.append(f"  {platform['name']:<22}platform, free in {' '.join(platform['dof'])}")
+        lines.append(f"  {platform['name']:<{wide}}platform, free in {' '.join(platform['dof'])}")
+    gravity = ", ".join(f"{round(component, 10) + 0.0:.6g}" for component in description["gravity"])
+    lines += ["", f"  gravity: [{gravity}] m/s2 in base axes", f"  payload on: {description['payload_on']}"]
     if loops["rows"]:
         counts = [
             f"{count} {kind}{'s' if count > 1 else ''}"
@@ -92,6 +107,9 @@ def robot_page(description: dict[str, Any]) -> str:
         lines += ["", f"  {' and '.join(counts)}, {loops['rows']} equations of rank {loops['rank']}:"]
         lines += [f"    {closure['kind']} {' - '.join(closure['between'])}" for closure in loops["closures"]]
         lines += [f"    {_equation(coupling)}" for coupling in loops["couplings"]]
+    near = description["distances_at_home"]
+    lines += ["", f"  distance to singularities at home (1 at best, 0 at one): type 1 (serial) {near['type_1']:.2g}"]
+    lines[-1] += "" if near["type_2"] is None else f", type 2 (parallel) {near['type_2']:.2g}"
     for note in description["notes"]:
         lines += ["", *textwrap.wrap(f"note: {note}", 100, initial_indent="  ", subsequent_indent="        ")]
     lines += [
@@ -105,6 +123,14 @@ def robot_page(description: dict[str, Any]) -> str:
             f"{name} = {formula}" if formula != name else name, 96, initial_indent="    ", subsequent_indent="        "
         )
     return "\n".join(lines)
+
+
+def _limits(joint: dict[str, Any]) -> str:
+    limits, unit = joint["limits"], joint["unit"]
+    low, high = limits["position"] or (None, None)
+    parts = [] if low is None else [f"{low:.4g} to {high:.4g} {unit}"]
+    units = {"velocity": f"{unit}/s", "acceleration": f"{unit}/s2", "effort": "N m" if unit == "rad" else "N"}
+    return ", ".join(parts + [f"{limits[key]:.4g} {what}" for key, what in units.items() if limits[key] is not None])
 
 
 def _equation(coupling: dict[str, Any]) -> str:

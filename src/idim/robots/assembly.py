@@ -70,19 +70,26 @@ def assemble(robot: Robot) -> Robot:
             "closures and of the joints in the loops, and their units."
         )
     (_, distance), found = best
-    if distance > NEAR or _condition(robot, loop_errors(robot, found, length)[1]) > SINGULAR:
+    nearest, condition = found, _condition(robot, loop_errors(robot, found, length)[1])
+    if distance > NEAR or condition > SINGULAR:
         found = _conditioned(robot, found, length)
     solved = at_home(robot, found)
     if _distance(robot, given, found, length) < NEAR:
         return solved
-    names = [joint.name for joint in robot.joints if joint.actuated]
-    values = [joint.home for joint in solved.joints if joint.actuated]
-    actuated = ", ".join(f"{name} = {value:.4g}" for name, value in zip(names, values, strict=True))
-    note = (
-        f"home was solved so that the loops close, with {actuated}; where the robot is assembled in another way, "
-        "save it as a robot file and write another 'home' there"
-    )
+    note = f"home was solved so that the loops close, with {_actuated(robot, found)}"
+    if found is not nearest:
+        better = _condition(robot, loop_errors(robot, found, length)[1])
+        note += (
+            f" (the nearest pose that closes, with {_actuated(robot, nearest)}, is closer to a singularity: condition "
+            f"number {condition:.3g} instead of {better:.3g})"
+        )
+    note += "; where the robot is assembled in another way, save it as a robot file and write another 'home' there"
     return replace(solved, notes=(*solved.notes, note))
+
+
+def _actuated(robot: Robot, configuration: Configuration) -> str:
+    pairs = zip(robot.joints, configuration.q, strict=True)
+    return ", ".join(f"{joint.name} = {value:.4g}" for joint, value in pairs if joint.actuated)
 
 
 def _closed(robot: Robot, configuration: Configuration, length: float) -> Configuration | None:

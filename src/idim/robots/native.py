@@ -14,6 +14,7 @@ from idim.errors import IdimError
 from idim.files import write_atomically
 from idim.robots.arithmetic import RESERVED, Linear, evaluate, linear
 from idim.robots.robot import (
+    INERTIAL,
     STANDARD_GRAVITY,
     Attachment,
     Closure,
@@ -42,8 +43,16 @@ Coordinate = Annotated[Linear, BeforeValidator(_coordinate)]
 """A number that may hold the joint coordinate ``q``."""
 Triple = tuple[Number, Number, Number]
 
+
+def _gravity(value: Any) -> Any:
+    if isinstance(value, str):
+        raise ValueError(f"write three numbers, m/s2 in base axes, such as [0, 0, -9.81], not '{value}'")
+    return value
+
+
 MDH_KEYS = ("gamma", "b", "alpha", "d", "theta", "r")
 POSE_KEYS = ("xyz", "rpy")
+INERTIAL_KEYS = {"mass", "masses", "inertia", "inertial", "com", "cog", *INERTIAL}
 
 
 class _Entry(BaseModel):
@@ -51,6 +60,18 @@ class _Entry(BaseModel):
 
     def written(self, *keys: str) -> bool:
         return not self.model_fields_set.isdisjoint(keys)
+
+
+class _BodyEntry(_Entry):
+    @model_validator(mode="before")
+    @classmethod
+    def _no_masses(cls, written: Any) -> Any:
+        for key in INERTIAL_KEYS.intersection(written if isinstance(written, dict) else ()):
+            raise ValueError(
+                f"masses and inertias are identified, so leave '{key}' out; values known beforehand, of CAD, are "
+                "'priors' in the experiment file"
+            )
+        return written
 
 
 class _PoseEntry(_Entry):
@@ -84,7 +105,7 @@ class _LimitsEntry(_Entry):
     effort: Number | None = None
 
 
-class _JointEntry(_PlacedEntry):
+class _JointEntry(_PlacedEntry, _BodyEntry):
     antecedent: str
     theta: Coordinate = (0.0, 0.0)
     r: Coordinate = (0.0, 0.0)
@@ -121,7 +142,7 @@ class _JointEntry(_PlacedEntry):
         return self
 
 
-class _PlatformEntry(_Entry):
+class _PlatformEntry(_BodyEntry):
     dof: list[str]
     home: _PoseEntry = _PoseEntry()
 
@@ -148,11 +169,12 @@ class _RobotEntry(_Entry):
     source: str = ""
     notes: list[str] = []
     constants: dict[str, Any] = {}  # evaluated before all else, see _constants
-    gravity: Triple = (0.0, 0.0, -STANDARD_GRAVITY)
+    gravity: Annotated[Triple, BeforeValidator(_gravity)] = (0.0, 0.0, -STANDARD_GRAVITY)
     joints: dict[str, _JointEntry]
     platforms: dict[str, _PlatformEntry] = {}
     closures: list[_ClosureEntry] = []
     couplings: list[_CouplingEntry] = []
+    tool: str = Field("", min_length=1)
 
 
 def read_native(path: str | Path) -> Robot:
@@ -199,6 +221,7 @@ def _robot(document: Document) -> Robot:
             ),
             gravity=entry.gravity,
             source=entry.source,
+            named_tool=entry.tool,
             notes=tuple(entry.notes),
         )
     except IdimError as error:
@@ -294,6 +317,8 @@ def native_text(robot: Robot) -> str:
     if robot.couplings:
         lines.append("couplings:")
         lines += [f"  - {_flow_item(_coupling_data(coupling))}" for coupling in robot.couplings]
+    if robot.named_tool:
+        lines.append(_flow({"tool": robot.named_tool}))
     return "\n".join(lines) + "\n"
 
 

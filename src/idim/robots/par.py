@@ -35,8 +35,8 @@ def read_par(path: str | Path) -> Robot:
     Returns
     -------
     Robot
-        Joints with ``mu = 1`` are actuated. Gravity that is not given as numbers is 9.80665 m/s2 along -z, and a note
-        says so.
+        Joints with ``mu = 1`` are actuated, all of an open chain where no ``mu`` is 1. Gravity that is not given as
+        numbers is 9.80665 m/s2 along -z. Notes say so.
 
     Raises
     ------
@@ -79,6 +79,9 @@ def _robot(text: str, path: Path) -> Robot:
         Closure("weld", Attachment(str(cut)), frames[str(cut + joints - links)]) for cut in range(links + 1, joints + 1)
     )
     gravity, notes = _gravity(entries, constants)
+    if not any(joint.actuated for joint in tree) and links == joints:
+        tree = tuple(replace(joint, actuated=True) for joint in tree)
+        notes += ("no joint has mu = 1, so all were taken as driven by motors",)
     robot = Robot(
         name[1] if name and name[1] else path.stem, tree, closures=closures, gravity=gravity, source=path.name,
         notes=notes,

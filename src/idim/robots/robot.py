@@ -117,6 +117,11 @@ class Joint:
     limits: Limits = Limits()
     parameters: Literal["all", "inertial", "drive", "none"] = "all"
 
+    @property
+    def has_mass(self) -> bool:
+        """Whether its link has inertial parameters."""
+        return self.parameters in ("all", "inertial")
+
 
 @dataclass(frozen=True)
 class Coupling:
@@ -165,13 +170,14 @@ class Closure:
     b: Attachment
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Robot:
     """A spanning tree of joints, platforms and closures.
 
     Joints stand in an order in which every antecedent precedes its followers. ``gravity`` is the
-    acceleration of gravity in base axes, m/s2. ``notes`` say what a reader found odd in the robot's file
-    or decided for the user, a sentence each.
+    acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
+    file names it, see :attr:`tool`. ``notes`` say what a reader found odd in the robot's file or decided for the user,
+    a sentence each.
     """
 
     name: str
@@ -182,9 +188,16 @@ class Robot:
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
     source: str = ""
     notes: tuple[str, ...] = field(default=(), compare=False)
+    named_tool: str = ""
 
     def __post_init__(self) -> None:
         _check(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"Robot({self.name!r}, {len(self.joints)} joints, actuated: "
+            f"{', '.join(self.actuated)}, platforms: {len(self.platforms)}, closures: {len(self.closures)})"
+        )
 
     @property
     def actuated(self) -> tuple[str, ...]:
@@ -198,13 +211,25 @@ class Robot:
 
     @property
     def tool(self) -> str:
-        """The body that carries a payload: the last platform, or without one the last link that has a mass."""
-        links = [joint for joint in self.joints if joint.parameters in ("all", "inertial")]
+        """The body that carries a payload: the one named, else the last platform, else the last link with a mass."""
+        if self.named_tool:
+            return self.named_tool
+        links = [joint for joint in self.joints if joint.has_mass]
         return (self.platforms or links or self.joints)[-1].name
 
+    @property
+    def driven(self) -> frozenset[str]:
+        """Names of the joints that a motor moves itself, or that are coupled to one."""
+        coupled = {name for coupling in self.couplings for name in (coupling.joint, *dict(coupling.ratios))}
+        return frozenset(coupled.union(self.actuated))
+
     def joint(self, name: str) -> Joint:
-        """The joint of that name; raises KeyError."""
-        return {joint.name: joint for joint in self.joints}[name]
+        """The joint of that name; raises IdimError where there is none."""
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        names = ", ".join(joint.name for joint in self.joints)
+        raise IdimError(f"robot '{self.name}' has no joint '{name}'; choose from {names}.")
 
 
 def _problems(robot: Robot) -> Iterator[str]:
@@ -258,6 +283,10 @@ def _problems(robot: Robot) -> Iterator[str]:
             yield f"coupling {number} must give '{coupling.joint}' from one or more other joints, each named once"
         if not all(ratio for _, ratio in coupling.ratios):
             yield f"coupling {number} of '{coupling.joint}' has a ratio of zero; leave that joint out"
+    carriers = [joint.name for joint in robot.joints if joint.has_mass]
+    carriers += [platform.name for platform in robot.platforms]
+    if robot.named_tool and robot.named_tool not in carriers:
+        yield f"the tool '{robot.named_tool}' is no body that has a mass; choose from {', '.join(carriers)}"
     if not robot.actuated:
         yield "no joint is actuated; mark the motors' joints with 'actuated: true'"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from idim.errors import IdimError
-from idim.estimation.data import read_runs
+from idim.estimation.data import Progress, read_runs
 from idim.estimation.identify import identify
 from idim.estimation.result import Result
 from idim.model.inverse_dynamics import InverseDynamics
@@ -18,7 +18,7 @@ from idim.signals.experiment import Payload, check_robot, read_experiment
 from idim.simulation.closed_loop import Simulated, simulate
 from idim.simulation.controllers import Controller, Reference, computed_torque, pid_with_velocity, sample, simple_pid
 from idim.simulation.description import Simulation, check_joints, read_simulation
-from idim.simulation.experiment_files import Progress, apparatus
+from idim.simulation.experiment_files import apparatus
 from idim.simulation.motions import make_trajectory
 
 ERROR_ON_GAINS = 1.25  # the paper's 25 % on the manufacturer's gains

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, 
 from idim.errors import IdimError
 from idim.robots.robot import Robot
 from idim.robots.yaml_document import read_yaml, validate
-from idim.signals.experiment import Payload, Positive
+from idim.signals.experiment import Payload, Positive, file_or_name
 from idim.simulation.controllers import BANDWIDTH
 from idim.simulation.drive import Drive, Sensors
 from idim.simulation.plant import WIDTH
@@ -86,7 +86,7 @@ class Fourier(_Keys):
 
 
 class Motion(_Keys):
-    """A trajectory, of one kind."""
+    """A trajectory, of one kind; ``csv`` holds the columns ``t`` and ``q_<joint>``, as 'idim excite' writes them."""
 
     sines: RandomMotion | None = None
     moves: RandomMotion | None = None
@@ -162,8 +162,7 @@ class Simulation(_Keys):
     @field_validator("robot")
     @classmethod
     def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
-        file = None if info.context is None else info.context / robot
-        return str(file) if file is not None and file.is_file() else robot
+        return robot if info.context is None else file_or_name(robot, info.context)
 
     @model_validator(mode="after")
     def _names_once(self) -> Simulation:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from idim.files import write_atomically
+from idim.estimation.data import Progress, silent
+from idim.files import folder_of, write_atomically
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
 from idim.robots.robot import Robot
@@ -23,7 +24,6 @@ from idim.simulation.motions import make_trajectory
 from idim.simulation.mujoco_plant import MujocoPlant
 from idim.simulation.plant import Plant
 
-Progress = Callable[[str, int, int], None]
 HELD = 10  # samples over which the controller keeps an inertia matrix
 
 
@@ -75,16 +75,16 @@ def make_run(
     )  # fmt: skip
 
 
-def simulate_experiment(path: str | Path, out: Path, progress: Progress) -> tuple[Path, ...]:
+def simulate_experiment(path: str | Path, out: str | Path, progress: Progress = silent) -> tuple[Path, ...]:
     """Make the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.
 
     Parameters
     ----------
     path : path
         The simulation file.
-    out : Path
-        An existing folder.
-    progress : callable
+    out : path
+        A folder; it is made where there is none.
+    progress : callable, optional
         Called as the work goes on.
 
     Returns
@@ -99,7 +99,7 @@ def simulate_experiment(path: str | Path, out: Path, progress: Progress) -> tupl
     KeyboardInterrupt
         Where it is interrupted; the text says which logs are finished.
     """
-    simulation = read_simulation(path)
+    simulation, out = read_simulation(path), folder_of(out)
     robot = load_robot(simulation.robot)
     check_joints(simulation, robot, path)
     model = InverseDynamics(robot)

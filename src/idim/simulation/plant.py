@@ -21,9 +21,9 @@ import numpy as np
 from idim.errors import IdimError
 from idim.model.dynamics import torques
 from idim.model.inverse_dynamics import InverseDynamics
-from idim.model.kinematics import frames
+from idim.model.kinematics import configuration_rates, frames
 from idim.model.loops import follow
-from idim.simulation.constraints import Constraints, configuration_rates, constraints
+from idim.simulation.constraints import Constraints, constraints
 
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: Coulomb friction is fs tanh(v / width)
 TOLERANCE = 1e-6  # of a step: error of the velocities, in rad/s or m/s
