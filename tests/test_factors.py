@@ -65,7 +65,7 @@ def all_rows(data: Data, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Evaluated, filtered and decimated as one block, standard column by standard column.
     """
     model, decimator = data.model, data.preparation.decimator
-    prepared = prepare(run, data.preparation)
+    prepared = prepare(run, data.preparation).samples()
     W = model.regressor(prepared.q, prepared.qd, prepared.qdd)  # (N, n, n_st)
     columns = [model.parameter_names.index(name) for name in data.base.standard]
     terms = np.stack([prepared.qd**3, np.abs(prepared.command) * np.sign(prepared.qd)], axis=-1)
@@ -83,7 +83,7 @@ def unreduced(data: Data, run: Run) -> Factors:
     for s in range(STRETCHES):
         chosen = np.where(keep[:, stretch == s, None], rows[:, stretch == s], 0.0)
         blocks[s, :, : chosen.shape[1]] = chosen
-    return Factors(blocks, np.array([keep[:, stretch == s].sum(axis=1) for s in range(STRETCHES)]), 1.0)
+    return Factors(blocks, np.array([keep[:, stretch == s].sum(axis=1) for s in range(STRETCHES)]))
 
 
 METHODS: dict[str, Callable[[Problem], Solution]] = {
@@ -146,7 +146,7 @@ def test_payload_columns_are_those_of_a_body_on_the_tool(data: Data) -> None:
     assembly, n_b = data.assembly(), data.base.count
     rows, keep, _ = all_rows(data, data.runs[1])
     names = [f"{kind}_{TOOL}" for kind in ("m", "zz", "mx", "my")]
-    prepared = prepare(data.runs[1], data.preparation)
+    prepared = prepare(data.runs[1], data.preparation).samples()
     W = data.model.regressor(prepared.q, prepared.qd, prepared.qdd)[
         ..., [data.model.parameter_names.index(name) for name in names]
     ]

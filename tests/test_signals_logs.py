@@ -127,7 +127,7 @@ def test_a_missing_row_is_interpolated_and_masked(log: Path) -> None:
     run = read_run(write(log, lines), SIGNALS)
     assert run.notes[0] == "dropped 2 rows with missing or non-numeric values (lines 499, 699)"
     assert run.notes[1] == "interpolated and masked 5 missing samples"
-    assert np.flatnonzero(~run.valid).tolist() == [300, 301, 302, 500, 700]
+    assert np.flatnonzero(~run.valid.any(axis=1)).tolist() == [300, 301, 302, 500, 700]
     np.testing.assert_allclose(run.position, motion(run.time)[:, :2], atol=1e-8)
     np.testing.assert_allclose(run.command, motion(run.time)[:, 2:], atol=1e-3)
 
@@ -279,7 +279,7 @@ def test_wrong_mappings(log: Path, arguments: dict, sentence: str) -> None:
 
 
 def test_a_run_from_arrays_has_one_shape() -> None:
-    with pytest.raises(IdimError, match=r"must both have the shape \(5, 2\)"):
+    with pytest.raises(IdimError, match=r"must all have the shape \(5, 2\)"):
         Run("r", ("a", "b"), np.arange(5.0), np.zeros((5, 2)), np.zeros((5, 3)))
 
 

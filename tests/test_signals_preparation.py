@@ -33,8 +33,8 @@ def test_preparation_of_a_run() -> None:
     assert 1.2 <= preparation.bandwidth < 3
     assert preparation.cutoff == pytest.approx(10 * preparation.bandwidth)
     assert preparation.decimator.factor == 20
-    prepared = prepare(run, preparation)
-    assert prepared.notes == ("joint 'c' hardly moves: its rows are left out",)
+    prepared = prepare(run, preparation).samples()
+    assert prepare(run, preparation).notes == ("joint 'c' hardly moves: its rows are left out",)
     # Rest is cut off, the motion is not.
     assert 2.0 < prepared.time[0] < 2.4
     assert 9.6 < prepared.time[-1] < 10.0
@@ -50,7 +50,7 @@ def test_preparation_of_a_run() -> None:
 
 def test_rows_are_masked_on_their_own_joints_reversals() -> None:
     run = run_with_rest()
-    prepared = prepare(run, choose_preparation([run]))
+    prepared = prepare(run, choose_preparation([run])).samples()
     rms = np.sqrt(np.mean(prepared.qd**2, axis=0))
     expected = np.abs(prepared.qd[:, :2]) >= 0.05 * rms[:2]
     np.testing.assert_array_equal(prepared.usable[:, :2], expected)
@@ -64,11 +64,11 @@ def test_rows_are_masked_on_their_own_joints_reversals() -> None:
 
 def test_gaps_and_edges_are_masked() -> None:
     run = run_with_rest()
-    valid = np.ones(len(run.time), dtype=bool)
+    valid = np.ones(run.position.shape, dtype=bool)
     valid[5000:5003] = False
     cut = slice(4000, 8000)  # begins and ends in motion
     parts = {name: getattr(run, name)[cut] for name in ("time", "position", "command")}
-    prepared = prepare(replace(run, valid=valid[cut], **parts), choose_preparation([run]))
+    prepared = prepare(replace(run, valid=valid[cut], **parts), choose_preparation([run])).samples()
     masked = np.flatnonzero(~prepared.usable[:, 0] & (np.abs(prepared.qd[:, 0]) > 1.0))
     assert np.round(prepared.time[masked] * RATE).astype(int).tolist() == list(range(4998, 5005))
     edge = 3 / choose_preparation([run]).cutoff  # type: ignore[operator]
@@ -106,7 +106,7 @@ UR10E = {
 def test_ur10e_speeds_are_those_of_its_controller(shared: Path) -> None:
     path = shared / "ur10e" / "ur-20_02_19_14harm50sec.csv"
     run = read_run(path, UR10E)
-    prepared = prepare(run, choose_preparation([run]))
+    prepared = prepare(run, choose_preparation([run])).samples()
     logged = np.loadtxt(path, delimiter=",", usecols=(0, *range(7, 13)))
     reported = np.column_stack([np.interp(prepared.time, logged[:, 0], each) for each in logged[:, 1:].T])
     inner = slice(50, -50)
@@ -119,5 +119,5 @@ def test_ur10e_at_rest_and_one_joint_at_a_time(shared: Path) -> None:
     with pytest.raises(IdimError, match="no joint's motion stands out"):
         choose_preparation([read_run(shared / "ur10e" / "ur-20_01_17-p1.csv", UR10E)])
     run = read_run(shared / "ur10e" / "jointwise" / "ur-20_01_22-joint_2.csv", UR10E)
-    prepared = prepare(run, choose_preparation([run]))
+    prepared = prepare(run, choose_preparation([run])).samples()
     assert prepared.usable.any(axis=0).tolist() == [False, True, False, False, False, False]

@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly, assemble
 from idim.estimation.base_parameters import BaseParameters, base_parameters
-from idim.estimation.factors import Factors, Weigh, reduce_run
+from idim.estimation.factors import STRETCHES, Factors, Weigh, joined, reduce_run
 from idim.estimation.friction import PAPER, Friction
+from idim.estimation.plausibility import within_limits
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
+from idim.robots.oddities import oddities, tool_note
 from idim.robots.robot import Robot
-from idim.signals.decimation import decimation_factor
+from idim.signals.decimation import Decimator, decimation_factor
 from idim.signals.experiment import Experiment, LoggedRun, Payload, check_robot, read_experiment
 from idim.signals.filters import cutoff_frequency
-from idim.signals.preparation import Preparation, Prepared, choose_preparation, faster, prepare
+from idim.signals.preparation import Preparation, Prepared, choose_preparation, prepare
 from idim.signals.run import Run, arrange, read_run
 
 if TYPE_CHECKING:
     from idim.estimation.result import Result
+
+PART = 1 << 19  # samples of a run that are worth a part of their own
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
@@ -32,6 +39,58 @@ Progress = Callable[[str, int, int], None]
 
 def silent(what: str, done: int, total: int) -> None:
     """Progress that nobody watches."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some stretches of a run, with all that is needed to reduce them.
+
+    It can be sent to another process: a run that was read from logs is pickled as their paths, its signals and units,
+    and read again (once) where it arrives. What is found does not depend on how a run is cut into parts.
+
+    Attributes
+    ----------
+    robot : Robot
+        Its model is made once in a process.
+    columns : tuple of str
+        Standard parameters wanted, the columns of the factors.
+    prepared, decimator : Prepared, Decimator
+        The run, and the filter of its rows.
+    stretches : range
+        Which of the run's ``STRETCHES`` jackknife stretches.
+    load : ndarray, optional
+        Values of the columns that give the torques transmitted by the joints; see :func:`stream_rows`.
+    weigh : Weigh, optional
+        Weights of the rows; see :func:`reduce_run`.
+    """
+
+    robot: Robot
+    columns: tuple[str, ...]
+    prepared: Prepared
+    decimator: Decimator
+    stretches: range
+    load: np.ndarray | None = None
+    weigh: Weigh | None = None
+
+
+Mapper = Callable[[Callable[[Part], Factors], Sequence[Part]], Iterable[Factors]]
+"""Applies a function to parts and gives what it returns in their order, each as soon as it is there, as ``map`` does.
+
+The builtin ``map`` is the one that computes here and now; others may compute elsewhere or remember.
+"""
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+def reduce_part(part: Part) -> Factors:
+    """Factors of the stretches of a part, in any process; parts of a run are put together by :func:`joined`."""
+    model = model_of(part.robot)
+    return reduce_run(model, part.columns, part.prepared, part.decimator, part.load, part.weigh, part.stretches)
+
+
+@lru_cache(maxsize=8)
+def model_of(robot: Robot) -> InverseDynamics:
+    """The model of a robot, made once."""
+    return InverseDynamics(robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +103,7 @@ class Data:
     preparation: Preparation
     prepared: tuple[Prepared, ...]
     factors: tuple[Factors, ...]
+    mapper: Mapper = map
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -52,8 +112,10 @@ class Data:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was repaired or left out of each run."""
-        return tuple(f"{each.run.name}: {note}" for each in self.prepared for note in (*each.run.notes, *each.notes))
+        """What is odd in the robot, and what was repaired or left out of each run."""
+        robot = oddities(self.robot) + (tool_note(self.robot) if any(run.payload for run in self.runs) else ())
+        runs = (f"{each.run.name}: {note}" for each in self.prepared for note in (*each.run.notes, *each.notes))
+        return (*(f"robot '{self.robot.name}': {note}" for note in robot), *runs)
 
     def assembly(
         self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None
@@ -62,6 +124,26 @@ class Data:
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
         slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
         return assemble(self.model, self.base, self.factors, payloads, slowest, friction)
+
+    def parts(
+        self, loads: Sequence[np.ndarray] | None = None, weigh: Sequence[Weigh] | None = None
+    ) -> list[list[Part]]:
+        """What is to be reduced, the parts of every run."""
+        return [
+            [
+                Part(
+                    self.robot,
+                    self.base.standard,
+                    each,
+                    self.preparation.decimator,
+                    stretches,
+                    None if loads is None else loads[k],
+                    None if weigh is None else weigh[k],
+                )
+                for stretches in cut(len(each))
+            ]
+            for k, each in enumerate(self.prepared)
+        ]
 
     def reduced(
         self,
@@ -73,33 +155,36 @@ class Data:
 
         ``weigh`` (one a run) gives the rows weights; see :func:`reduce_run`.
         """
-        decimator = self.preparation.decimator
-        total = sum(len(decimator.instants(len(each.time))) for each in self.prepared)
-        done = 0
-
-        def advance(outputs: int) -> None:
-            nonlocal done
-            done += outputs
+        parts = self.parts(loads, weigh)
+        sizes = [len(part.prepared) * len(part.stretches) // STRETCHES for run in parts for part in run]
+        done, total, factors = 0, sum(sizes), []
+        progress("model along the runs", done, total)
+        for found, size in zip(self.mapper(reduce_part, [part for run in parts for part in run]), sizes, strict=True):
+            factors.append(found)
+            done += size
             progress("model along the runs", done, total)
-
-        factors = [
-            reduce_run(
-                self.model,
-                self.base.standard,
-                each,
-                decimator,
-                None if loads is None else loads[k],
-                advance,
-                None if weigh is None else weigh[k],
-            )
-            for k, each in enumerate(self.prepared)
-        ]
-        return replace(self, factors=tuple(factors))
+        of_run = iter(factors)
+        return replace(self, factors=tuple(joined([next(of_run) for _ in run]) for run in parts))
 
 
-def read_runs(experiment: Experiment, runs: Sequence[LoggedRun]) -> tuple[Run, ...]:
+def cut(samples: int) -> list[range]:
+    """Stretches of a run of so many samples, in parts that are worth the while."""
+    parts = min(max(samples // PART, 1), STRETCHES)
+    edges = [STRETCHES * k // parts for k in range(parts + 1)]
+    return [range(*pair) for pair in pairwise(edges)]
+
+
+def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
     """Read logged runs of an experiment file; raises IdimError."""
-    return tuple(read_run(run.log, experiment.signals, run.payload, experiment.units) for run in runs)
+    whole = 1000  # of a run
+
+    def read(k: int, run: LoggedRun) -> Run:
+        def advance(done: float) -> None:
+            progress("reading logs", round(whole * (k + done)), whole * len(runs))
+
+        return read_run(run.log, experiment.signals, run.payload, experiment.units, advance)
+
+    return tuple(read(k, run) for k, run in enumerate(runs))
 
 
 def experiment_of(model: Result, path: str | Path) -> Experiment:
@@ -143,35 +228,47 @@ def reduce_runs(
     preparation: Preparation | None = None,
     decimator: Literal["fir", "chebyshev"] = "fir",
     progress: Progress = silent,
+    mapper: Mapper = map,
 ) -> Data:
     """Prepare all runs and reduce them to triangular factors.
+
+    ``mapper`` says where that is done.
 
     Raises
     ------
     IdimError
         Where a run does not suit the robot, or the robot's loops cannot be closed along it.
     """
-    model = InverseDynamics(robot)
+    model = model_of(robot)
     runs = tuple(arrange(run, model.actuated) for run in runs)
     if len({run.kind for run in runs}) > 1:
         raise IdimError("some runs hold currents and others torques; identify them apart.")
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
     base = base_parameters(model)
-    prepared = tuple(_coupled(model, prepare(run, preparation), preparation) for run in runs)
-    return Data(robot, model, base, preparation, prepared, ()).reduced(progress=progress)
+    prepared = prepare_runs(model, runs, preparation)
+    return Data(robot, model, base, preparation, prepared, (), mapper).reduced(progress=progress)
 
 
-def _coupled(model: InverseDynamics, prepared: Prepared, preparation: Preparation) -> Prepared:
-    """Leave out the rows of a motor near reversals of the joints that it drives through couplings too.
+def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[Prepared, ...]:
+    """Prepare runs whose joints stand in the model's order.
 
-    Their Coulomb friction acts in the motor's row; the ratios do not change along a run.
+    Raises
+    ------
+    IdimError
+        Where nothing moves in a run, or its log is shorter than its filters.
     """
-    robot = model.robot
+    rubbing = _rubbing(model)
+    return tuple(within_limits(model.robot, prepare(run, preparation, rubbing)) for run in runs)
+
+
+def _rubbing(model: InverseDynamics) -> np.ndarray:
+    """Speeds of the joints (n_y, n) that a motor drives through couplings too: their friction acts in its row.
+
+    The ratios do not change along a run. Where closures drive the joints, a motor's own joint is all.
+    """
+    n, robot = len(model.actuated), model.robot
     if not robot.couplings or robot.closures:
-        return prepared
-    still = np.zeros((len(model.actuated), 1))
-    J = model.motion(still, still, still).J[:, :, 0]
-    slow = ~faster(prepared.qd @ J.T, preparation.speed_fraction)  # (N, n_y)
-    near = slow.astype(float) @ (np.abs(J) > 1e-9) > 0
-    return replace(prepared, usable=prepared.usable & ~near)
+        return np.eye(n)
+    still = np.zeros((n, 1))
+    return model.motion(still, still, still).J[:, :, 0]

@@ -10,7 +10,7 @@ import numpy as np
 from idim.estimation.friction import term_columns
 from idim.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from idim.signals.decimation import Block, Decimator
-from idim.signals.preparation import Prepared
+from idim.signals.preparation import Held, Prepared, Sampled
 
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
@@ -21,8 +21,8 @@ class Rows:
 
     ``time`` (K,) in s; ``keep`` (n, K); ``entries`` of the regressor (entries, K); ``currents``
     (3, n, K): the command and its first two time derivatives; ``terms`` (2, n, K), the columns of further
-    friction; ``outputs`` their numbers in the run.
-    ``condition`` is the largest condition number of the closures among the block's samples.
+    friction; ``outputs`` their numbers in the run; ``distances`` (2, K) to singularities of type 1
+    and 2, the latter NaN without closures.
     """
 
     time: np.ndarray
@@ -31,15 +31,16 @@ class Rows:
     currents: np.ndarray
     terms: np.ndarray
     outputs: slice
-    condition: float
+    distances: np.ndarray
 
 
 def stream_rows(
     idm: InverseDynamics,
     regressor: Regressor,
-    prepared: Prepared,
+    prepared: Prepared | Held,
     decimator: Decimator,
     load: np.ndarray | None = None,
+    outputs: range | None = None,
 ) -> Iterator[Rows]:
     """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (section 3.1).
 
@@ -47,52 +48,57 @@ def stream_rows(
     ----------
     idm, regressor : InverseDynamics, Regressor
         The model, and the columns wanted of it.
-    prepared, decimator : Prepared, Decimator
+    prepared, decimator : Prepared or Held, Decimator
         The run, and its filter.
     load : ndarray, optional
         Values of the columns (columns,) that give the torques transmitted by the joints, for friction
         that depends on them; without it the command stands in for the torque, up to the drive gain.
+    outputs : range, optional
+        The rows wanted, by their numbers in the run; all if left out.
 
     Raises
     ------
     IdimError
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
-    n = len(prepared.time)
+    n = len(prepared)
     size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
-    for block, c in _paths(idm, prepared, decimator.blocks(n, size)):
-        at = block.samples
-        first = at.start + block.first
-        last = first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
-        seen = slice(first - decimator.support, last + decimator.support + 1)
-        qd, qdd = prepared.qd[at].T.copy(), prepared.qdd[at].T.copy()
-        motion = idm.rates(c, qd, qdd, Labels(prepared.run.name, prepared.time[at]))
-        currents = np.stack([prepared.command[at].T, prepared.command_d[at].T, prepared.command_dd[at].T])
+    for block, of, c in _along(idm, prepared, decimator.blocks(n, size, outputs)):
+        last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
+        seen = slice(block.first - decimator.support, last + decimator.support + 1)
+        kept = slice(block.first, last + 1, decimator.factor)
+        qd = of.qd.T.copy()
+        motion = idm.rates(c, qd, of.qdd.T.copy(), Labels(prepared.run.name, of.time))
+        currents = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
         entries = regressor(idm.layout, motion)
         effort = currents[0] if load is None else regressor.torques(entries, load, len(idm.actuated))
         yield Rows(
-            prepared.time[first : last + 1 : decimator.factor],
-            decimator.keep(prepared.usable[seen]).T,
+            of.time[kept],
+            decimator.keep(of.usable[seen]).T,
             decimator.apply(entries, block),
             decimator.apply(currents, block),
             decimator.apply(term_columns(qd, effort), block),
             block.outputs,
-            float(motion.condition.max(initial=0.0)),
+            idm.singularities.distances(motion[kept]),
         )
 
 
-def _paths(idm: InverseDynamics, prepared: Prepared, blocks: Iterable[Block]) -> Iterator[tuple[Block, np.ndarray]]:
-    """The blocks, each with its configurations; loops are closed along longer stretches, which is faster."""
-    begin, end = 0, 0  # the stretch that ``c`` is for
+def _along(
+    idm: InverseDynamics, prepared: Prepared | Held, blocks: Iterable[Block]
+) -> Iterator[tuple[Block, Sampled, np.ndarray]]:
+    """The blocks, each with its samples and configurations; these are made for longer stretches, which is faster."""
+    begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     for block in blocks:
         at = block.samples
         if at.stop > end:
-            more = slice(end, min(max(end + PATH, at.stop), len(prepared.time)))
-            labels = Labels(prepared.run.name, prepared.time[more])
-            path = idm.path(prepared.q[more].T.copy(), labels, c[:, -1] if end else None)
-            c, begin, end = np.hstack([c[:, at.start - begin :], path]), min(at.start, end), more.stop
-        yield block, c[:, at.start - begin : at.stop - begin]
+            known = max(end - at.start, 0) if c.size else 0
+            stop = min(max(at.start + PATH, at.stop), len(prepared))
+            of = prepared.samples(at.start, stop)
+            labels = Labels(prepared.run.name, of.time[known:])
+            path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)
+            c, begin, end = np.hstack([c[:, c.shape[1] - known :], path]), at.start, stop
+        yield block, of[at.start - begin : at.stop - begin], c[:, at.start - begin : at.stop - begin]
 
 
 @dataclass(frozen=True)

@@ -56,14 +56,18 @@ class Decimator:
         """Samples (outputs,) of a log of `n` at which the outputs stand."""
         return np.arange(self.support, n - self.support, self.factor)
 
-    def blocks(self, n: int, size: int) -> Iterator[Block]:
-        """Cut a log of `n` samples into blocks of at most `size` outputs, in order."""
-        instants = self.instants(n)
-        for start in range(0, len(instants), size):
-            stop = min(start + size, len(instants))
-            begin = max(0, int(instants[start]) - self.warm_up)
-            end = min(n, int(instants[stop - 1]) + self.warm_up + 1)
-            yield Block(slice(begin, end), slice(start, stop), int(instants[start]) - begin)
+    def outputs(self, n: int) -> int:
+        """Number of outputs of a log of `n` samples."""
+        return max(0, -(-(n - 2 * self.support) // self.factor))
+
+    def blocks(self, n: int, size: int, outputs: range | None = None) -> Iterator[Block]:
+        """Cut a log of `n` samples into blocks of at most `size` outputs, in order; of all ``outputs`` or of these."""
+        outputs = range(self.outputs(n)) if outputs is None else outputs
+        for start in range(outputs.start, outputs.stop, size):
+            stop = min(start + size, outputs.stop)
+            first, last = (self.support + self.factor * k for k in (start, stop - 1))
+            begin = max(0, first - self.warm_up)
+            yield Block(slice(begin, min(n, last + self.warm_up + 1)), slice(start, stop), first - begin)
 
     def apply(self, columns: np.ndarray, block: Block | None = None) -> np.ndarray:
         """Outputs of a block.

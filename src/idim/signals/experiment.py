@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from difflib import get_close_matches
+from glob import escape, has_magic
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
     BaseModel,
@@ -21,6 +22,7 @@ from pydantic import (
 )
 
 from idim.errors import IdimError
+from idim.files import matching
 from idim.robots.robot import INERTIAL, Robot
 from idim.robots.yaml_document import Document, read_yaml, validate
 
@@ -83,9 +85,14 @@ class Signals(_Keys):
         if (self.current is None) == (self.torque is None):
             raise ValueError("give the columns of either 'current' or 'torque', one of the two")
         missing = [joint for joint in self.position if joint not in self.command]
+        extra = [joint for joint in self.command if joint not in self.position]
+        if missing and extra:
+            raise ValueError(
+                f"joint '{missing[0]}' has a position but no {self.kind}, and '{extra[0]}' a {self.kind} but no "
+                "position; give both the same joints, those of the robot's motors"
+            )
         if missing:
             raise ValueError(f"joint '{missing[0]}' has a position but no {self.kind}; add its {self.kind} column")
-        extra = [joint for joint in self.command if joint not in self.position]
         if extra:
             raise ValueError(f"joint '{extra[0]}' has a {self.kind} but no position; add its position column")
         return self
@@ -111,7 +118,7 @@ class Units(_Keys):
 
 
 class Payload(_Keys):
-    """A load on the last link or platform; without ``mass`` it is unknown and to be weighed.
+    """A load on the robot's tool; without ``mass`` it is unknown and to be weighed.
 
     ``mass`` and its standard deviation in kg; ``parameters`` are further known inertial parameters
     (``xx xy xz yy yz zz`` in kg m2, ``mx my mz`` in kg m) in the frame of the body that carries it.
@@ -156,8 +163,35 @@ class Prior(_Keys):
         return self
 
 
+class Folders(NamedTuple):
+    """What the paths in an experiment file are relative to."""
+
+    robot: Path
+    logs: Path
+
+
+def file_or_name(robot: str, folder: Path) -> str:
+    """The path of a robot file beside an experiment file in ``folder``, or a name of the catalog.
+
+    Raises
+    ------
+    ValueError
+        What is written is the path of a file that is not there.
+    """
+    file = folder / robot
+    if file.is_file() or (file / "robot.urdf").is_file():
+        return str(file)
+    if file.suffix or "/" in robot:
+        raise ValueError(f"there is no file '{file}'{_close_file(file)}")
+    return robot
+
+
 class LoggedRun(_Keys):
-    """One run: its log, or two logs with positions and commands, and the payload carried, if any."""
+    """One run: its log, or two logs with positions and commands, and the payload carried, if any.
+
+    In a file the logs may be patterns (``free_*.csv``): so many runs, of two patterns the first match of one with
+    the first of the other. A folder of ``.parquet`` files is one log.
+    """
 
     log: Annotated[
         tuple[Path, ...],
@@ -171,11 +205,35 @@ class LoggedRun(_Keys):
     def _existing(cls, log: tuple[Path, ...], info: ValidationInfo) -> tuple[Path, ...]:
         if info.context is None:
             return log
-        log = tuple(info.context / path for path in log)
-        for path in log:
-            if not path.is_file():
-                raise ValueError(f"there is no file '{path}'{_close_file(path)}")
-        return log
+        placed = tuple(_placed(info.context.logs, path) for path in log)
+        matches = [matching(path) for path in placed]
+        for written, found in zip(log, matches, strict=True):
+            path = info.context.logs / written
+            if not found and has_magic(str(written)):
+                raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
+            for each in found or [path]:
+                if not each.is_file() and not any(each.glob("*.parquet")):
+                    if each.is_dir():
+                        raise ValueError(
+                            f"the folder '{each}' holds no .parquet files; give a file, or a folder of these"
+                        )
+                    raise ValueError(f"there is no file '{each}'{_close_file(each)}")
+        if len({len(found) for found in matches}) > 1:
+            raise ValueError(
+                f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are taken in "
+                "pairs, so let both match as many"
+            )
+        return placed
+
+    def each(self) -> list[LoggedRun]:
+        """The runs, one for each match of the patterns."""
+        pairs = zip(*(matching(path) for path in self.log), strict=True)
+        return [self.model_copy(update={"log": logs}) for logs in pairs]
+
+
+def _placed(folder: Path, path: Path) -> Path:
+    """A path in a folder, whose own name is no pattern."""
+    return folder / path if (folder / path).exists() else Path(escape(str(folder))) / path
 
 
 def _close_file(path: Path) -> str:
@@ -183,7 +241,7 @@ def _close_file(path: Path) -> str:
     close = get_close_matches(path.name, names, n=1)
     if close:
         return f"; did you mean '{close[0]}'?"
-    return "; paths are relative to the experiment file"
+    return "; paths are relative to the file that names them"
 
 
 class Experiment(_Keys):
@@ -203,8 +261,7 @@ class Experiment(_Keys):
     @field_validator("robot")
     @classmethod
     def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
-        file = None if info.context is None else info.context / robot
-        return str(file) if file is not None and file.is_file() else robot
+        return robot if info.context is None else file_or_name(robot, info.context.robot)
 
     @field_validator("units")
     @classmethod
@@ -240,7 +297,9 @@ class Experiment(_Keys):
 
     @field_validator("runs", "validation")
     @classmethod
-    def _each_log_once(cls, runs: tuple[LoggedRun, ...]) -> tuple[LoggedRun, ...]:
+    def _each_log_once(cls, runs: tuple[LoggedRun, ...], info: ValidationInfo) -> tuple[LoggedRun, ...]:
+        if info.context is not None:
+            runs = tuple(each for run in runs for each in run.each())
         seen: set[tuple[Path, ...]] = set()
         for run in runs:
             if run.log in seen:
@@ -266,7 +325,7 @@ def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
             raise ValueError(f"the signals have no joint '{joint}'; choose from {', '.join(signals.joints)}")
 
 
-def read_experiment(path: str | Path) -> Experiment:
+def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     """Read an experiment file.
 
     Parameters
@@ -274,6 +333,8 @@ def read_experiment(path: str | Path) -> Experiment:
     path : str or Path
         A YAML file; the paths in it are relative to its folder. ``robot`` stays a text: the path of
         a robot file where there is such a file, otherwise a name of the catalog.
+    logs : Path, optional
+        The folder to which the paths of the logs are relative, where it is another one.
 
     Returns
     -------
@@ -285,7 +346,8 @@ def read_experiment(path: str | Path) -> Experiment:
     IdimError
         The file cannot be read, or something in it is missing, misspelt or contradictory.
     """
-    return validate(Experiment, read_yaml(path), context=Path(path).parent)
+    folder = Path(path).parent
+    return validate(Experiment, read_yaml(path), context=Folders(folder, folder if logs is None else logs))
 
 
 def as_signals(signals: Signals | Mapping[str, Any]) -> Signals:

@@ -8,11 +8,14 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.signals.run import Run
+from idim.signals.storage import block
 
 SPEED_POWER = 0.999  # part of a joint's speed power below its bandwidth
 SIGNIFICANT = 15.0  # ratio to the mean that a spectral line of noise exceeds once in three million
 LEAST_SIGNAL = 100.0  # least ratio of a motion's power to the noise's in its band; logs have 1e7, rest has 1
 STENCIL = 2  # samples that a central difference reaches to either side
+SEGMENT = 1 << 17  # samples of a periodogram, at most: those of a longer log are averaged
+FORGOTTEN = 18.0  # periods of the cut-off after which a filter has forgotten where it began, to 1e-18
 
 
 def joint_bandwidths(position: np.ndarray, rate: float) -> np.ndarray:
@@ -36,10 +39,17 @@ def joint_bandwidths(position: np.ndarray, rate: float) -> np.ndarray:
     """
     from scipy.signal.windows import tukey
 
-    speed = (position[2:] - position[:-2]) * (rate / 2)
+    speeds = len(position) - 2
+    segments = -(-speeds // SEGMENT)
+    length = min(speeds, SEGMENT)
     # The window keeps a log that begins or ends in motion from looking like a jump.
-    power = np.abs(np.fft.rfft(speed * tukey(len(speed), 0.1)[:, None], axis=0)) ** 2
-    frequency = np.fft.rfftfreq(len(speed), 1 / rate)
+    window = tukey(length, 0.1)[:, None]
+    power = np.zeros((length // 2 + 1, position.shape[1]))
+    for start in np.linspace(0, speeds - length, segments).astype(int):
+        part = block(position, start, start + length + 2)
+        power += np.abs(np.fft.rfft((part[2:] - part[:-2]) * (rate / 2) * window, axis=0)) ** 2
+    power /= segments
+    frequency = np.fft.rfftfreq(length, 1 / rate)
     shape = np.sin(2 * np.pi * frequency / rate)[:, None] ** 2  # of white noise after the difference
     high = (frequency > 0.25 * rate) & (frequency < 0.45 * rate)
     # The mean of an exponential distribution is its median over ln 2; the median ignores single lines.
@@ -109,9 +119,11 @@ def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def position_filter(
-    position: np.ndarray, rate: float, cutoff: float | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    position: np.ndarray, rate: float, cutoff: float | None, start: int = 0, stop: int | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Filtered positions, speeds and accelerations.
+
+    Those of some samples are the same as those of the whole log, of which only what acts on them is read.
 
     Parameters
     ----------
@@ -121,14 +133,19 @@ def position_filter(
         Sampling rate, Hz.
     cutoff : float or None
         Cut-off of the low-pass, Hz; None for no filter.
+    start, stop : int
+        First sample wanted, and the one after the last; all of the log if left out.
 
     Returns
     -------
-    q, qd, qdd : ndarray (N, n)
+    q, qd, qdd : ndarray (stop - start, n)
         In the position's unit, per s and per s2.
-    edge : int
-        So many samples at either end are not to be used.
     """
-    q = position if cutoff is None else low_pass(position, rate, cutoff)
+    stop = len(position) if stop is None else stop
+    margin = STENCIL + (0 if cutoff is None else ceil(FORGOTTEN * rate / cutoff))
+    begin = max(0, start - margin)
+    x = block(position, begin, min(len(position), stop + margin))
+    q = x if cutoff is None else low_pass(x, rate, cutoff)
+    wanted = slice(start - begin, stop - begin)
     qd, qdd = differentiate(q, rate)
-    return q, qd, qdd, filter_edge(rate, cutoff)
+    return q[wanted], qd[wanted], qdd[wanted]

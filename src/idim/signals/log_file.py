@@ -1,8 +1,9 @@
-"""One log file, CSV or Parquet: the columns asked for, as numbers."""
+"""One log file, CSV or Parquet: the columns asked for, as numbers, block by block."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,34 +12,63 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from idim.errors import IdimError
+from idim.files import in_order
+from idim.signals.storage import spans, store
 
 if TYPE_CHECKING:
     import polars as pl
 
 SEPARATORS = ";\t, "  # a semicolon or tab first: their files may hold decimal commas
 MISSING = ("", "na", "n/a", "null", "none")
+BYTES = 1 << 22  # of a CSV file that are read at once
+ROWS = 1 << 16  # of a Parquet file
 
 
 @dataclass(frozen=True)
 class LogFile:
-    """Columns of a log.
+    """Columns ``names`` of a log, found but not yet read.
 
-    ``columns`` are float arrays (N,), nan where a value is missing or no number; ``texts`` holds,
-    for every column that has such a value, the first one as written. Row 0 stands in ``first_line``
-    of a text file; a Parquet file has rows, counted from 1.
+    ``texts`` holds, as far as the log has been read, for every column with a value that is missing or no
+    number, the first one as written. Row 0 stands in ``first_line`` of a text file; a Parquet file has rows,
+    counted from 1. ``frames`` gives tables of all these columns with the part of the log that is then done.
     """
 
     path: Path
-    columns: dict[str, np.ndarray]
+    names: tuple[str, ...]
     texts: dict[str, str]
+    frames: Callable[[], Iterator[tuple[pl.DataFrame, float]]]
     first_line: int = 1
     line_word: str = "line"
 
+    def blocks(self) -> Iterator[tuple[np.ndarray, float]]:
+        """Numbers (M, columns), nan where a value is missing or no number, with the part of the log then done.
+
+        Raises
+        ------
+        IdimError
+            Where the file cannot be read on.
+        """
+        with _refusals(self.path):
+            for frame, done in self.frames():
+                values = np.empty((len(frame), len(self.names)))
+                for k, name in enumerate(self.names):
+                    values[:, k], text = _numbers(frame[:, k])
+                    if text is not None:
+                        self.texts.setdefault(name, text)
+                yield values, done
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Whole columns (N,) by name; raises IdimError where the file cannot be read on."""
+        table = store((values for values, _ in self.blocks()), (len(self.names),))
+        return {name: table[:, k] for k, name in enumerate(self.names)}
+
 
 def read_log(path: str | Path, names: Iterable[str]) -> LogFile:
-    """Read columns of a log by name.
+    """Find columns of a log by name, to be read as :class:`LogFile` says.
 
-    A ``.parquet`` file is read as such, anything else as CSV: columns separated by commas, semicolons,
+    A ``.parquet`` file is read as such, a folder as the ``.parquet`` files in it one after the other (``part_2``
+    before ``part_10``), anything else as CSV: columns separated by commas, semicolons,
     tabs or single spaces, decimal commas allowed except between comma separated columns. A first line
     that consists of numbers is data, and the columns are then named by their number from 1.
 
@@ -59,18 +89,24 @@ def read_log(path: str | Path, names: Iterable[str]) -> LogFile:
     IdimError
         The file cannot be read, or a column is not in it.
     """
-    path = Path(path)
+    path, names = Path(path), tuple(dict.fromkeys(names))
+    with _refusals(path):
+        if path.is_dir() or path.suffix.lower() == ".parquet":
+            return _of_parquet(path, names)
+        return _of_csv(path, names)
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
     try:
-        return _read_parquet(path, names) if path.suffix.lower() == ".parquet" else _read_csv(path, names)
+        yield
     except OSError as error:
         raise IdimError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check the path.") from None
     except UnicodeDecodeError:
         raise IdimError(f"{path} is not a text file; give a log as CSV or as .parquet.") from None
 
 
-def _read_csv(path: Path, names: Iterable[str]) -> LogFile:
-    import polars as pl
-
+def _of_csv(path: Path, names: tuple[str, ...]) -> LogFile:
     with path.open(encoding="utf-8-sig") as file:
         first = file.readline().lstrip("# ").rstrip("\r\n")
     if not first:
@@ -79,42 +115,86 @@ def _read_csv(path: Path, names: Iterable[str]) -> LogFile:
     fields = [field.strip().strip('"').strip() for field in first.split(separator)]
     header = not all(_is_number(field) or field.lower() in MISSING for field in fields)
     index = _find(path, names, fields if header else [str(i + 1) for i in range(len(fields))], header)
-    stored = {name: f"column_{i + 1}" for name, i in index.items()}
-    try:
-        table = pl.read_csv(
-            path,
-            has_header=False,
-            skip_rows=int(header),
-            separator=separator,
-            schema={f"column_{i + 1}": pl.String for i in range(len(fields))},
-            columns=list(stored.values()),
-        )
-    except pl.exceptions.PolarsError as error:
-        raise IdimError(_unreadable_line(path, separator, len(fields), str(error))) from None
-    columns, texts = {}, {}
-    for name, column in stored.items():
-        text = table[column].str.strip_chars()
-        if separator != ",":
-            text = text.str.replace(",", ".", literal=True)
-        columns[name], texts[name] = _numbers(text)
-    return LogFile(path, columns, texts, first_line=1 + header)
+
+    def frames() -> Iterator[tuple[pl.DataFrame, float]]:
+        return _csv_frames(path, separator, len(fields), [index[name] for name in names], header)
+
+    return LogFile(path, names, {}, frames, first_line=1 + header)
 
 
-def _read_parquet(path: Path, names: Iterable[str]) -> LogFile:
+def _csv_frames(
+    path: Path, separator: str, count: int, wanted: list[int], header: bool
+) -> Iterator[tuple[pl.DataFrame, float]]:
     import polars as pl
 
+    columns = [f"column_{i + 1}" for i in range(count)]
+    for text, done in _whole_lines(path, header):
+        try:
+            frame = pl.read_csv(
+                text,
+                has_header=False,
+                separator=separator,
+                schema=dict.fromkeys(columns, pl.String),
+                columns=sorted(columns[i] for i in wanted),
+                raise_if_empty=False,
+            )
+        except pl.exceptions.PolarsError as error:
+            raise IdimError(_unreadable_line(path, separator, count, str(error))) from None
+        entries = pl.col(pl.String).str.strip_chars()
+        if separator != ",":
+            entries = entries.str.replace(",", ".", literal=True)
+        yield frame.select(columns[i] for i in wanted).select(entries), done
+
+
+def _whole_lines(path: Path, header: bool) -> Iterator[tuple[bytes, float]]:
+    """Lines of a text file, many at once and each of them whole, with the part of the file that is then done."""
+    size, torn = path.stat().st_size, b""
+    with path.open("rb") as file:
+        if header:
+            file.readline()
+        elif file.read(3) != b"\xef\xbb\xbf":  # a byte-order mark
+            file.seek(0)
+        while read := file.read(BYTES):
+            end = read.rfind(b"\n") + 1
+            if end:
+                yield torn + read[:end], file.tell() / size
+                torn = b""
+            torn += read[end:]
+    if torn:
+        yield torn, 1.0
+
+
+def _of_parquet(path: Path, names: tuple[str, ...]) -> LogFile:
+    import polars as pl
+
+    parts = in_order(path.glob("*.parquet")) if path.is_dir() else [path]
+    if not parts:
+        raise IdimError(f"the folder {path} holds no .parquet files; give a log as CSV or as .parquet.")
     try:
-        schema = pl.read_parquet_schema(path)
-        wanted = list(_find(path, names, list(schema), header=True))
-        table = pl.read_parquet(path, columns=wanted)
+        schema = pl.read_parquet_schema(parts[0])
+        lengths = [pl.scan_parquet(part).select(pl.len()).collect().item() for part in parts]
     except pl.exceptions.PolarsError as error:
-        raise IdimError(f"{path} is not a readable Parquet file ({str(error).splitlines()[0]}).") from None
-    columns, texts = {}, {}
-    for name in wanted:
+        raise _no_parquet(path, error) from None
+    for name in _find(path, names, list(schema), header=True):
         if not (schema[name].is_numeric() or schema[name] == pl.String):
             raise IdimError(f"{path}, column '{name}' holds {schema[name]} values; write it as numbers.")
-        columns[name], texts[name] = _numbers(table[name])
-    return LogFile(path, columns, texts, line_word="row")
+
+    def frames() -> Iterator[tuple[pl.DataFrame, float]]:
+        done = 0
+        for part, length in zip(parts, lengths, strict=True):
+            for start, stop in spans(length, ROWS):
+                try:
+                    frame = pl.scan_parquet(part).select(names).slice(start, stop - start).collect()
+                except pl.exceptions.PolarsError as error:
+                    raise _no_parquet(path, error) from None
+                done += stop - start
+                yield frame, done / sum(lengths)
+
+    return LogFile(path, names, {}, frames, line_word="row")
+
+
+def _no_parquet(path: Path, error: Exception) -> IdimError:
+    return IdimError(f"{path} is not a readable Parquet file ({str(error).splitlines()[0]}).")
 
 
 def _is_number(text: str) -> bool:
@@ -125,14 +205,16 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _numbers(series: pl.Series) -> tuple[np.ndarray, str]:
-    """Numbers of a column, nan where there is none, and the first entry that is none."""
+def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
+    """Numbers of a column, nan where there is none, and the first entry that is none, if any."""
     import polars as pl
 
     numbers = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
     bad = np.flatnonzero(~np.isfinite(numbers))
-    text = "" if not bad.size or series[int(bad[0])] is None else str(series[int(bad[0])])
-    return numbers, text
+    if not bad.size:
+        return numbers, None
+    entry = series[int(bad[0])]
+    return numbers, "" if entry is None else str(entry)
 
 
 def _find(path: Path, names: Iterable[str], columns: list[str], header: bool) -> dict[str, int]:

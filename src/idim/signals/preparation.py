@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
 
 from idim.errors import IdimError
 from idim.signals.decimation import Decimator, decimation_factor
-from idim.signals.filters import STENCIL, bandwidth, cutoff_frequency, differentiate, joint_bandwidths, position_filter
+from idim.signals.filters import (
+    STENCIL,
+    bandwidth,
+    cutoff_frequency,
+    differentiate,
+    filter_edge,
+    joint_bandwidths,
+    position_filter,
+)
 from idim.signals.run import Run
+from idim.signals.storage import block, spans
 
 
 @dataclass(frozen=True)
@@ -29,16 +38,15 @@ class Preparation:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """A run ready for the model; all arrays share the sample axis N and the joints' axis n.
+class Sampled:
+    """Consecutive samples of a run, ready for the model; arrays share the sample axis M and the joints' axis n.
 
-    ``q``, ``qd``, ``qdd`` (N, n) in rad or m, s; ``command`` (N, n) and its time derivatives
-    ``command_d``, ``command_dd``, the columns of a delay. ``usable`` (N, n) is False where a joint's row
+    ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, n) and its time derivatives
+    ``command_d``, ``command_dd``, the columns of a delay. ``usable`` (M, n) is False where a joint's row
     must not be used: around the joint's reversals and rests, at gaps, at the ends of the filter, and
-    always for a joint that does not move. ``time`` (N,) in s, ``rate`` in Hz.
+    always for a joint that does not move. ``time`` (M,) in s.
     """
 
-    run: Run
     time: np.ndarray
     q: np.ndarray
     qd: np.ndarray
@@ -47,8 +55,77 @@ class Prepared:
     command_d: np.ndarray
     command_dd: np.ndarray
     usable: np.ndarray
-    rate: float
+
+    def __getitem__(self, samples: slice) -> Sampled:
+        return Sampled(*(getattr(self, field.name)[samples] for field in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A run of which any stretch can be had ready for the model, by :meth:`samples`.
+
+    Attributes
+    ----------
+    run, preparation : Run, Preparation
+        The run, and how it is prepared.
+    kept : range
+        Samples of the run that are used: those from the first motion to the last.
+    moves : ndarray
+        (n,) Whether a joint moves at all.
+    speeds : ndarray
+        (n, n) Mean of ``qd qd^T`` over these samples: what the joints' thresholds of speed refer to.
+    rubbing : ndarray
+        (n_y, n) Speeds of joints whose friction acts in the rows of the motors for which the entry is not zero, from
+        the motors' speeds; of each motor's own joint, and of others in coupled chains.
+    notes : tuple of str
+        What was left out.
+    """
+
+    run: Run
+    preparation: Preparation
+    kept: range
+    moves: np.ndarray
+    speeds: np.ndarray
+    rubbing: np.ndarray
     notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.kept)
+
+    @property
+    def time(self) -> np.ndarray:
+        """Instants of the samples that are used, (N,) in s."""
+        return self.run.time[self.kept.start : self.kept.stop]
+
+    def samples(self, start: int = 0, stop: int | None = None) -> Sampled:
+        """Samples from ``start`` to before ``stop`` of those that are used; what stands around them is seen to."""
+        at = self.kept[start:stop]
+        run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
+        q, qd, qdd = position_filter(run.position, run.rate, preparation.cutoff, at.start, at.stop)
+        command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
+        mine = slice(at.start - begin, at.stop - begin)
+        command_d, command_dd = (each[mine] for each in differentiate(command, run.rate))
+        limit = preparation.speed_fraction * np.sqrt(np.einsum("yi,ij,yj->y", self.rubbing, self.speeds, self.rubbing))
+        slow = np.abs(qd @ self.rubbing.T) < limit
+        usable = ~(slow @ (np.abs(self.rubbing) > 1e-9)) & self.moves & _valid(run, preparation, at.start, at.stop)
+        return Sampled(
+            block(run.time, at.start, at.stop), q, qd, qdd, command[mine], command_d, command_dd, usable
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A run ready for the model along a motion that was made, all of it in memory; to be used as :class:`Prepared`."""
+
+    run: Run
+    all: Sampled
+
+    def __len__(self) -> int:
+        return len(self.all.time)
+
+    def samples(self, start: int = 0, stop: int | None = None) -> Sampled:
+        """Samples from ``start`` to before ``stop``."""
+        return self.all[start:stop]
 
 
 def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:
@@ -87,8 +164,8 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     )
 
 
-def prepare(run: Run, preparation: Preparation) -> Prepared:
-    """Filter, differentiate, mask and trim a run.
+def prepare(run: Run, preparation: Preparation, rubbing: np.ndarray | None = None) -> Prepared:
+    """Find where in a run its joints move.
 
     The rest at the beginning and the end, where no joint exceeds its speed threshold, is cut off.
 
@@ -98,6 +175,8 @@ def prepare(run: Run, preparation: Preparation) -> Prepared:
         One run.
     preparation : Preparation
         Of its experiment.
+    rubbing : ndarray, optional
+        See :class:`Prepared`; a joint of its own for each motor if left out.
 
     Returns
     -------
@@ -109,31 +188,47 @@ def prepare(run: Run, preparation: Preparation) -> Prepared:
     IdimError
         No joint moves, or the log is shorter than its filters.
     """
-    q, qd, qdd, edge = position_filter(run.position, run.rate, preparation.cutoff)
+    samples, n = len(run.time), len(run.joints)
     moves = np.isfinite(joint_bandwidths(run.position, run.rate))
-    valid = _shrink(run.valid, STENCIL)
-    valid[:edge] = valid[len(valid) - edge :] = False
-    moving = faster(qd, preparation.speed_fraction) & moves & valid[:, None]
-    if not moving.any():
+
+    def speed(start: int, stop: int) -> np.ndarray:
+        return position_filter(run.position, run.rate, preparation.cutoff, start, stop)[1]
+
+    def gram(start: int, stop: int) -> np.ndarray:
+        qd = speed(start, stop)
+        return qd.T @ qd
+
+    pieces = list(spans(samples))
+    squares = [gram(*piece) for piece in pieces]
+    limit = preparation.speed_fraction * np.sqrt(np.diag(np.sum(squares, axis=0)) / samples)
+
+    def awake(start: int, stop: int) -> np.ndarray:
+        moving = (np.abs(speed(start, stop)) >= limit) & moves & _valid(run, preparation, start, stop)
+        return start + np.flatnonzero(moving.any(axis=1))
+
+    first = next((int(found[0]) for found in (awake(*piece) for piece in pieces) if found.size), None)
+    last = next((int(found[-1]) for found in (awake(*piece) for piece in reversed(pieces)) if found.size), None)
+    if first is None or last is None:
+        edge = filter_edge(run.rate, preparation.cutoff)
         raise IdimError(
-            f"run '{run.name}': no joint moves between its filters' ends ({edge} of {len(valid)} samples at either "
+            f"run '{run.name}': no joint moves between its filters' ends ({edge} of {samples} samples at either "
             "side); give a longer log of a moving robot."
         )
-    awake = np.flatnonzero(moving.any(axis=1))
-    kept = slice(int(awake[0]), int(awake[-1]) + 1)
-    command_d, command_dd = differentiate(run.command, run.rate)
+    kept = range(first, last + 1)
+    # Of the moving part alone, as rest lowers the rms speed that the threshold refers to.
+    within = [(max(start, kept.start), min(stop, kept.stop)) for start, stop in pieces]
+    moved = [
+        known if part == piece else gram(*part)
+        for piece, part, known in zip(pieces, within, squares, strict=True)
+        if part[0] < part[1]
+    ]
     return Prepared(
         run=run,
-        time=run.time[kept],
-        q=q[kept],
-        qd=qd[kept],
-        qdd=qdd[kept],
-        command=run.command[kept],
-        command_d=command_d[kept],
-        command_dd=command_dd[kept],
-        # Once more, as rest lowers the rms speed that the threshold refers to.
-        usable=faster(qd[kept], preparation.speed_fraction) & moves & valid[kept, None],
-        rate=run.rate,
+        preparation=preparation,
+        kept=kept,
+        moves=moves,
+        speeds=np.sum(moved, axis=0) / len(kept),
+        rubbing=np.eye(n) if rubbing is None else rubbing,
         notes=tuple(
             f"joint '{joint}' hardly moves: its rows are left out"
             for joint, moving in zip(run.joints, moves, strict=True)
@@ -142,12 +237,12 @@ def prepare(run: Run, preparation: Preparation) -> Prepared:
     )
 
 
-def faster(qd: np.ndarray, fraction: float) -> np.ndarray:
-    """Where each joint is faster than a fraction of its rms speed (N, n)."""
-    return np.abs(qd) >= fraction * np.sqrt(np.mean(qd**2, axis=0))
-
-
-def _shrink(valid: np.ndarray, margin: int) -> np.ndarray:
-    """A mask with its false parts widened by `margin` samples to either side."""
-    bad = np.convolve(~valid, np.ones(2 * margin + 1), mode="same") > 0.5
-    return ~bad
+def _valid(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
+    """Where speeds and accelerations rest on good samples only (stop - start, n)."""
+    samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
+    begin, end = max(0, start - STENCIL), min(samples, stop + STENCIL)
+    bad = ~block(run.valid, begin, end)
+    bad = np.pad(bad, ((STENCIL - start + begin, STENCIL - end + stop), (0, 0)))
+    near = np.any([bad[k : k + stop - start] for k in range(2 * STENCIL + 1)], axis=0)
+    number = np.arange(start, stop)
+    return ~near & ((number >= edge) & (number < samples - edge))[:, None]

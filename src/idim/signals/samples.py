@@ -1,0 +1,121 @@
+"""The samples of a log as they stand in it, those that are complete."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from idim.errors import IdimError
+from idim.signals.storage import Store, block, spans
+
+MIN_SAMPLES = 100
+MAX_MISSING = 0.05  # part of a log that may be bad or missing
+
+
+@dataclass(frozen=True)
+class Source:
+    """What messages about a log say of it.
+
+    ``columns`` are the names of the position columns, the command columns and the time column; ``texts`` their
+    first entries that are no numbers, as far as they have been read. Row 0 stands in ``first_line``.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    columns: tuple[str, ...]
+    texts: Mapping[str, str]
+    first_line: int = 1
+    line_word: str = "line"
+
+    def places(self, rows: Sequence[int], count: int) -> str:
+        """Where ``count`` rows stand in the file, of which ``rows`` are the first."""
+        listed = ", ".join(str(int(row) + self.first_line) for row in rows[:5])
+        return f"{self.line_word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Complete samples of a log, SI units: ``time`` and ``rows`` (N,), ``position`` and ``command`` (N, n)."""
+
+    source: Source
+    rows: np.ndarray
+    time: np.ndarray
+    position: np.ndarray
+    command: np.ndarray
+
+    def place(self, sample: int) -> str:
+        """Where a sample stands in the file."""
+        return self.source.places([self.rows[sample]], 1)
+
+
+def refuse_short(source: Source, count: int) -> None:
+    """Refuse a log of so few samples."""
+    if count < MIN_SAMPLES:
+        raise IdimError(
+            f"{source.name} has {count} samples; an identification needs a log of some seconds "
+            f"(at least {MIN_SAMPLES} samples)."
+        )
+
+
+def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str]) -> Samples:
+    """The samples none of whose values is missing."""
+    n, count = len(source.joints), 0
+    stores = Store(dtype=int), Store(), Store((n,)), Store((n,))
+    numbers = np.zeros(2 * n + 1, dtype=int)  # in each column
+    bad: list[int] = []
+    bad_count, bad_column = 0, 0
+    for values in blocks:
+        finite = np.isfinite(values)
+        whole = bool(finite.all())
+        kept = np.ones(len(values), dtype=bool) if whole else finite.all(axis=1)
+        numbers += len(values) if whole else finite.sum(axis=0)
+        found = np.flatnonzero(~kept)
+        if found.size and not bad_count:
+            bad_column = int(np.argmin(finite[found[0]]))
+        bad += (count + found[: 5 - len(bad)]).tolist()
+        bad_count += found.size
+        parts = count + np.flatnonzero(kept), values[kept, 2 * n], values[kept, :n], values[kept, n : 2 * n]
+        for each, part in zip(stores, parts, strict=True):
+            each.append(part)
+        count += len(values)
+    refuse_short(source, count)
+    for column, number in zip(source.columns, numbers, strict=True):
+        if not number:
+            entry = source.texts.get(column, "")
+            raise IdimError(
+                f"{source.name}, column '{column}' holds no number"
+                + (f" (it begins with '{entry}')" if entry else "")
+                + "; give the column that holds them."
+            )
+    if bad_count > MAX_MISSING * count:
+        column = source.columns[bad_column]
+        entry = source.texts.get(column, "")
+        raise IdimError(
+            f"{source.name} has {bad_count} of {count} rows with missing or non-numeric values (first in "
+            f"{source.places(bad[:1], 1)}, column '{column}'"
+            + (f": '{entry}'" if entry else "")
+            + "); record it again."
+        )
+    if bad_count:
+        places = source.places(bad, bad_count)
+        notes.append(f"dropped {counted(bad_count, 'row')} with missing or non-numeric values ({places})")
+    return Samples(source, *(each.array() for each in stores))
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 row``, ``2 rows``."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest value of every column."""
+    columns = (np.ascontiguousarray(block(array, *span).T) for span in spans(len(array)))
+    found = [(each.min(axis=1), each.max(axis=1)) for each in columns]
+    return np.min([low for low, _ in found], axis=0), np.max([high for _, high in found], axis=0)
+
+
+def ahead(samples: int) -> Iterator[tuple[int, int]]:
+    """Spans for what needs the sample before too: each begins with the last one of the span before."""
+    return ((max(start - 1, 0), stop) for start, stop in spans(samples))
