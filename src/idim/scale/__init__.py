@@ -1,0 +1,1 @@
+"""Many logs, many machines: factors from Dask workers and from a cache, and fleets of robots."""

@@ -1,0 +1,190 @@
+"""Work spread over the workers of a Dask scheduler, or over a cluster of processes made for it."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from idim.errors import IdimError
+from idim.scale.processes import LIMITS, deaf_children
+from idim.scale.spread import Spread, here
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+PATIENCE = 15.0  # s to wait for a scheduler, and for its first worker
+RETRIES = 2  # after an error that is not idim's own: a network drive that was away, a full disk
+_ONE_AT_A_TIME = threading.Lock()  # in a process: symbolic expressions are not made for threads
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Client]:
+    """A client of the scheduler at ``address``, or of processes of this machine where that is ``local``.
+
+    On leaving, work that is still going on is cancelled.
+
+    Raises
+    ------
+    IdimError
+        Dask is missing, the scheduler cannot be reached or has no workers, or they have another idim.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise IdimError("Dask is not installed; pip install 'idim[dask]' adds it.") from None
+    if address == "local":
+        with deaf_children():
+            cluster = LocalCluster(
+                n_workers=os.cpu_count(),
+                threads_per_worker=1,
+                dashboard_address=None,
+                env=LIMITS,
+                silence_logs="CRITICAL",
+            )
+        with cluster, Client(cluster) as client:
+            yield client
+        return
+    _check_scheduler(address)
+    with Client(address, timeout=PATIENCE) as client:
+        _check_workers(client, address)
+        yield client
+
+
+@contextmanager
+def where_to_work(address: str | None) -> Iterator[Spread]:
+    """The spread over the workers at ``address``, or the one that works here; raises as :func:`connected`."""
+    if address is None:
+        yield here
+        return
+    with connected(address) as client:
+        yield partial(on_workers, client=client)
+
+
+def _check_scheduler(address: str) -> None:
+    """Ask for its name: a client that cannot be made leaves threads behind."""
+    import asyncio
+
+    from distributed import rpc
+
+    async def identity() -> dict[str, Any]:
+        async with rpc(address) as scheduler:
+            return await asyncio.wait_for(scheduler.identity(), PATIENCE)
+
+    try:
+        found = asyncio.run(identity())["type"]
+        reason = "" if found == "Scheduler" else f"this is a {found.lower()}"
+    except OSError:
+        reason = "it does not answer"
+    except ValueError as error:
+        reason = str(error)
+    if reason:
+        raise IdimError(
+            f"the Dask scheduler '{address}' cannot be reached ({reason}); give an address such as tcp://host:8786, or "
+            "'local'."
+        )
+
+
+def _check_workers(client: Client, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except TimeoutError:
+        raise IdimError(
+            f"the Dask scheduler '{address}' has no workers; start some with 'dask worker {address} --nthreads 1'."
+        ) from None
+    found = client.run(version, "idim", on_error="return")
+    for worker, theirs in found.items():
+        if isinstance(theirs, PackageNotFoundError):
+            raise IdimError(f"the Dask worker {worker} has no idim; install idim {installed()} there.")
+        if theirs != installed():
+            raise _other_version(worker, theirs, installed())
+
+
+def installed() -> str:
+    """The version of idim in this process."""
+    return version("idim")
+
+
+def _other_version(worker: str, theirs: str, ours: str) -> IdimError:
+    return IdimError(
+        f"the Dask worker {worker} has idim {theirs} and this machine {ours}; install the same version everywhere."
+    )
+
+
+def on_workers(
+    function: Callable[[Item], Made], items: Sequence[Item], client: Client
+) -> Iterator[tuple[int, Made | IdimError]]:
+    """Call a function for every item on the workers; what a worker that dies was at is done by another one.
+
+    Yields
+    ------
+    int, object
+        Number of an item and what became of it, in the order in which they are finished; an IdimError for an item
+        that idim refused, or that one worker after the other died of.
+    """
+    died = []
+    for k, result in _on_workers(function, items, client):
+        if isinstance(result, Lost):
+            died.append(k)  # perhaps of what another item did to its worker
+        else:
+            yield k, result
+    for k in died:
+        yield from ((k, result) for _, result in _on_workers(function, [items[k]], client))
+
+
+class Lost(IdimError):
+    """Workers died at an item."""
+
+
+def _on_workers(
+    function: Callable[[Item], Made], items: Sequence[Item], client: Client
+) -> Iterator[tuple[int, Made | IdimError]]:
+    from distributed import as_completed
+
+    sent = [pickle.dumps(item) for item in items]  # to be opened by a worker, and not by the scheduler on the way
+    begun = client.map(partial(_work, function, installed()), sent, pure=False, retries=RETRIES)
+    number = {future.key: k for k, future in enumerate(begun)}
+    try:
+        for future in as_completed(begun):
+            yield number[future.key], _result(future)
+            future.release()
+    finally:
+        if client.status == "running":
+            client.cancel([future for future in begun if not future.done()])
+
+
+def _work(function: Callable[[Item], Made], expected: str, sent: bytes) -> Made | IdimError:
+    """What a worker does; a refusal is a result, as there is no use in trying again."""
+    if installed() != expected:
+        from distributed import get_worker
+
+        return _other_version(get_worker().address, installed(), expected)
+    with _ONE_AT_A_TIME:
+        try:
+            return function(pickle.loads(sent))
+        except IdimError as error:
+            return error
+
+
+def _result(future: Future[Any]) -> Any:
+    from distributed import CancelledError, KilledWorker
+    from distributed.comm.core import CommClosedError
+
+    try:
+        return future.result()
+    except KilledWorker as killed:
+        return Lost(
+            f"Dask workers died at it, one after the other, the last one {killed.last_worker.address}, most often for "
+            "want of memory; give them more."
+        )
+    except (CancelledError, CommClosedError):
+        raise IdimError(
+            "the Dask scheduler went away or cancelled the work; start it, and the same command again."
+        ) from None

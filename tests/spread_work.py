@@ -1,0 +1,43 @@
+"""Work for other processes, in a module that is quick to import."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from idim.errors import IdimError
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+def fragile(x: int) -> int:
+    """Kills its process at 3."""
+    if x == 3:
+        os._exit(1)
+    return x * x
+
+
+def refusing(x: int) -> int:
+    if x == 3:
+        raise IdimError("no three.")
+    return x * x
+
+
+def away(folder: Path) -> str:
+    """Fails the first time, as a network drive may."""
+    if not (folder / "there").exists():
+        (folder / "there").touch()
+        raise OSError("not mounted")
+    return "read"
+
+
+def limits(_: int) -> str:
+    return os.environ["IDIM_THREADS"]
+
+
+def slow(path: Path) -> None:
+    path.touch()
+    time.sleep(60)
