@@ -97,7 +97,7 @@ BAD = [
     ("gain infinite", "{11: 2001,", "{11: inf,", "prior_gains.11: 'inf' is not a number"),
     ("gains of torques", ", current:", ", torque:", "the signals hold torques, which need no gains"),
     ("log missing", "log: free.csv", "log: fre.csv", "fre.csv'; did you mean 'free.csv'?"),
-    ("log missing, no match", "log: free.csv", "log: a/b.csv", "paths are relative to the experiment file"),
+    ("log missing, no match", "log: free.csv", "log: a/b.csv", "paths are relative to the file that names them"),
     ("three logs", "log: free.csv", "log: [a, b, c]", "runs.1.log: 3 values are written; write at most 2"),
     ("log twice", "log: loaded.csv", "log: free.csv", "is listed twice; remove one of them"),
     ("payload unnamed", "{name: steel, mass: 1.983}}\nval", "{mass: 1.983}}\nval", "the key 'name' is missing"),

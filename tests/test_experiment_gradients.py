@@ -24,7 +24,7 @@ from robots_for_tests import CLOSED, four_bar, hexapod, palletizer, random_sampl
 DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
 
 
-def make_task(robot: Robot, platform: bool = False) -> Task:
+def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> Task:
     """Two runs of a robot of arbitrary parameters, every kind of limit given."""
     model = InverseDynamics(robot)
     base, n = base_parameters(model), len(model.actuated)
@@ -44,7 +44,19 @@ def make_task(robot: Robot, platform: bool = False) -> Task:
     series = FourierSeries(center, np.full(len(center), half), 0.2, 4)
     chi = base.matrix @ rng.uniform(0.2, 1.0, len(model.parameter_names))
     return Task(
-        model, base, series, platform, 500.0, 1, None, (None, DISC), limits, chi, np.full(n, 9.0), np.full(n, 0.02)
+        model,
+        base,
+        series,
+        platform,
+        500.0,
+        1,
+        None,
+        (None, DISC),
+        one_motion,
+        limits,
+        chi,
+        np.full(n, 9.0),
+        np.full(n, 0.02),
     )
 
 
@@ -54,32 +66,36 @@ def slope(function, x: np.ndarray, way: np.ndarray, h: float = 1e-5) -> float:
     return float((4 * near - far) / 3)
 
 
-@pytest.fixture(scope="module", params=["orthoglide", "orthoglide platform", "ur10e"])
+def random_x(task: Task, rng: np.random.Generator) -> np.ndarray:
+    return np.concatenate([task.series.random(rng) for _ in task.motions])
+
+
+@pytest.fixture(scope="module", params=["orthoglide", "orthoglide platform", "ur10e", "orthoglide each"])
 def task(request) -> Task:
-    return make_task(load_robot(request.param.split()[0]), "platform" in request.param)
+    return make_task(load_robot(request.param.split()[0]), "platform" in request.param, "each" not in request.param)
 
 
 @pytest.mark.parametrize("name", [*NAMED, "gain"])
 def test_gradients_of_criteria_agree_with_differences(task: Task, name: str, rng: np.random.Generator) -> None:
     called = f"gain_{task.model.actuated[0]}" if name == "gain" else name
     chosen, grid = criterion(called, task.unknowns), design_grid(task)
-    x = 0.3 * task.series.random(rng)
-    point = evaluate(task, x, grid)
-    gradient = objective(point, chosen, name == "condition")[1]
+    x = 0.3 * random_x(task, rng)
+    points = evaluate(task, x, grid)
+    gradient = objective(points, chosen, name == "condition")[1]
     for _ in range(3):
         way = rng.normal(size=x.size)
-        found = slope(lambda x: objective(evaluate(task, x, grid, point), chosen, name == "condition")[0], x, way)
+        found = slope(lambda x: objective(evaluate(task, x, grid, points), chosen, name == "condition")[0], x, way)
         # the condition number of the Orthoglide's 61 columns is 1e9, and its logarithm known to 1e-6 of a unit
         precision = 1e-2 if name == "condition" and task.pullback else 1e-6
         assert gradient @ way == pytest.approx(found, rel=precision, abs=precision * np.linalg.norm(gradient))
 
 
 def test_slopes_of_loads_agree_with_differences(task: Task, rng: np.random.Generator) -> None:
-    grid, x = design_grid(task), 0.3 * task.series.random(rng)
-    point, way, h = evaluate(task, x, grid), rng.normal(size=task.series.size), 1e-6
-    ahead, behind = (list(loads(evaluate(task, x + s * h * way, grid, point))) for s in (1, -1))
+    grid, x = design_grid(task), 0.3 * random_x(task, rng)
+    points, way, h = evaluate(task, x, grid), rng.normal(size=task.size), 1e-6
+    ahead, behind = (list(loads(evaluate(task, x + s * h * way, grid, points))) for s in (1, -1))
     kinds = set()
-    for load, after, before in zip(loads(point), ahead, behind, strict=True):
+    for load, after, before in zip(loads(points), ahead, behind, strict=True):
         expected = (after.values - before.values) / (2 * h)
         found = load.rows() @ way
         assert np.abs(found - expected).max() <= 3e-5 * (np.abs(expected).max() + 1e-3), load.what
@@ -149,13 +165,15 @@ def test_platform_space_is_the_inverse_of_joint_space(robot: Robot, rng: np.rand
 
 
 def test_weights_fall_at_reversals_and_their_slopes_agree_with_differences(rng: np.random.Generator) -> None:
-    window = Window(step=0.05, reach=0.12, fraction=0.05)
+    window = Window(step=0.05, reach=0.12, fraction=0.05, floor=np.array([0.0, 0.3]))
     time = 0.05 * np.arange(80)
     qd = np.stack([np.sin(2 * np.pi * (time + 0.01) / 4), np.cos(2 * np.pi * 3 * time / 4) + 0.3])
     weights = window.weights(qd)
     crossing = np.sign(qd) != np.sign(np.roll(qd, -1, axis=1))
     assert weights[crossing].max() < 0.3
     assert weights[0, 20] == pytest.approx(1.0, abs=0.02)
+    # what hardly moves beside its approach and return is lost, as identification loses it
+    assert window.weights(0.01 * qd).mean(axis=1)[1] < 0.1 < window.weights(0.01 * qd).mean(axis=1)[0]
     seed, way = rng.normal(size=(2, *qd.shape))
     found = np.sum(window.back(qd, seed) * way)
     assert found == pytest.approx(slope(lambda x: np.sum(seed * window.weights(x)), qd, way), rel=1e-6)

@@ -40,8 +40,9 @@ def weak_unknowns(design: Design) -> tuple[Weak, ...]:
     they are carried out with every payload of the experiment.
     """
     task = design.task
-    point = evaluate(task, design.x, design_grid(task))
-    unknowns, R = task.unknowns, information(point)
+    points = evaluate(task, design.x, design_grid(task))
+    unknowns, R = task.unknowns, information(points)
+    middle = np.mean([point.joints[0].mean(axis=1) for point in points], axis=0)
     before = _relative(task, R)
     names = [k for k, name in enumerate(unknowns.names) if not name.startswith("delay_") and "@" not in name]
     weak = [k for k in names if before[k] > WEAK]
@@ -51,7 +52,7 @@ def weak_unknowns(design: Design) -> tuple[Weak, ...]:
         (joint, how): _relative(task, triangle(R, more))
         for j, joint in enumerate(task.model.actuated)
         for how, (span, speed) in SPANS.items()
-        for more in [_alone(task, point, j, span, speed)]
+        for more in [_alone(task, middle, j, span, speed)]
         if more is not None
     }
     found = []
@@ -66,9 +67,9 @@ def _relative(task: Task, R: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(root_covariance(R, task.unknowns.precision), axis=1) / task.unknowns.scale)
 
 
-def _alone(task: Task, point: Point, j: int, span: float, speed: float) -> np.ndarray | None:
-    """Factor of the information from joint j moving alone about the middle of the design; None where it cannot."""
-    limits, middle = task.limits, point.joints[0].mean(axis=1)
+def _alone(task: Task, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
+    """Factor of the information from joint j moving alone about the pose ``middle`` (n,); None where it cannot."""
+    limits, every = task.limits, tuple(range(len(task.payloads)))
     low, high = limits.position[j] if np.isfinite(limits.position[j]).all() else middle[j] + np.array([-np.pi, np.pi])
     center = (low + high) / 2
     for _ in range(4):
@@ -89,9 +90,8 @@ def _alone(task: Task, point: Point, j: int, span: float, speed: float) -> np.nd
             center = (center + middle[j]) / 2
             continue
         step = period / samples
-        alone = Point(
-            task, Grid(time, step, np.empty((4, 0, 0))), point.x, joints, motion, None, task.regressor(motion)
-        )
+        grid = Grid(time, step, np.empty((4, 0, 0)))
+        alone = Point(task, grid, every, joints, motion, None, task.regressor(motion))
         # as long as a run: the rows of one cycle count for all of its cycles
-        return information(alone) * np.sqrt(task.series.period / period)
+        return information([alone]) * np.sqrt(task.series.period / period)
     return None

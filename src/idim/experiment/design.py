@@ -12,11 +12,14 @@ from idim.errors import IdimError
 from idim.experiment.evaluation import Grid, Point, design_grid, evaluate
 from idim.experiment.limits import Load, loads, whole_run
 from idim.experiment.nlp import Programme, solve
+from idim.experiment.starts import promising_start
 from idim.experiment.task import SPEED_FRACTION, Task, close
 
+START = 0.6  # part of the limits that a start uses, so that it lies inside
 FINER = 10
 MARGIN = 0.99  # part of every limit that a first design may use
 ROUNDS = 6  # of designing, checking and tightening
+WORTH = 0.97  # another round from where the last one ended has paid if it comes below this part of the criterion
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,7 @@ def never() -> bool:
 def design(
     task: Task,
     criterion: str = "gains",
-    starts: int = 5,
+    starts: int = 2,
     seed: int = 0,
     progress: Callable[[Design | None, int, int], None] = nothing,
     stop: Callable[[], bool] = never,
@@ -78,10 +81,10 @@ def design(
         progress(best, done, starts)
         if stop():
             break
-        found, worst = _from_one(task, criterion, task.series.random(rng), start, stop)
+        found, worst = _from_one(task, criterion, promising_start(task, criterion, rng, START), start, stop)
         if found is not None and (best is None or found.value < best.value):
             best = found
-        if worst is not None and (failure is None or worst.excess < failure.excess):
+        if worst is not None and (failure is None or worst.shortfall < failure.shortfall):
             failure = worst
         done = start + 1
     progress(best, done, starts)
@@ -102,36 +105,42 @@ def design(
 
 
 def _from_one(
-    task: Task, criterion: str, x: np.ndarray, start: int, stop: Callable[[], bool]
+    task: Task, criterion: str, x: np.ndarray | None, start: int, stop: Callable[[], bool]
 ) -> tuple[Design | None, Load | None]:
     """Design from one start; else the limit that is exceeded most where IPOPT ends."""
-    programme = Programme(task, criterion, {})
-    inside = programme.inside(x)
-    if inside is None:
+    if x is None:
         return None, None
-    tightness = {load.what: MARGIN for load in programme.loads(inside)}
-    x, worst = inside, None
+    tightness = {load.what: MARGIN for load in Programme(task, criterion, {}).loads(x)}
+    kept, worst = None, None
     for _ in range(ROUNDS):
         programme = Programme(task, criterion, tightness)
         ended = solve(programme, x, stop)
         best = programme.best
+        if best is None and kept is not None:
+            break
         if best is None:
-            over = sorted(programme.loads(ended), key=lambda load: load.excess / tightness[load.what])
-            return None, over[-1] if over and over[-1].excess > 1 else worst
+            over = max(programme.loads(ended), key=lambda load: load.shortfall, default=None)
+            return None, over if over is not None and over.shortfall > 0 else worst
         found = check(task, best)
         exceeded = [load for load in found if load.excess > 1.0]
-        if not exceeded:
-            return Design(task, criterion, best, float(np.exp(programme.best_value)), found, start), None
-        worst = max(exceeded, key=lambda load: load.excess)
+        if exceeded:
+            worst = max(exceeded, key=lambda load: load.shortfall)
+            tightness = tightness | {load.what: 0.998 * tightness[load.what] / load.excess for load in exceeded}
+        else:
+            before = np.inf if kept is None else kept.value
+            value = float(np.exp(programme.best_value))
+            if value < before:
+                kept = Design(task, criterion, best, value, found, start)
+            if value > WORTH * before:
+                break
         if stop():
             break
-        tightness = tightness | {load.what: 0.998 * tightness[load.what] / load.excess for load in exceeded}
         x = best
-    return None, worst
+    return kept, None if kept is not None else worst
 
 
 def check(task: Task, x: np.ndarray, finer: int = FINER) -> tuple[Load, ...]:
-    """Loads of the whole run, approach and return included, on a grid ``finer`` times finer than the design's.
+    """Loads of all whole runs, approach and return included, on a grid ``finer`` times finer than the design's.
 
     Raises
     ------
@@ -139,17 +148,23 @@ def check(task: Task, x: np.ndarray, finer: int = FINER) -> tuple[Load, ...]:
         Where the robot cannot go there.
     """
     grid = design_grid(task, finer)
-    period = evaluate(task, x, grid)
-    joints = whole_run(task, period.joints, 1 / grid.step)
-    motion = close(task.model, joints[0], joints[1], joints[2], None)
-    run = Grid(np.arange(joints.shape[2]) * grid.step, grid.step, np.empty((4, 0, 0)))
-    point = Point(task, run, x, joints, motion, None, task.regressor(motion))
-    return tuple(loads(point, share_away(task, period.joints[1], grid.step)))
+    points, shares = [], []
+    for period in evaluate(task, x, grid):
+        joints = whole_run(task, period.joints, 1 / grid.step)
+        motion = close(task.model, joints[0], joints[1], joints[2], None)
+        run = Grid(np.arange(joints.shape[2]) * grid.step, grid.step, np.empty((4, 0, 0)))
+        points.append(Point(task, run, period.runs, joints, motion, None, task.regressor(motion)))
+        rms = np.sqrt(np.mean(joints[1] ** 2, axis=1))
+        shares.append(share_away(task, period.joints[1], grid.step, rms))
+    return tuple(loads(points, shares))
 
 
-def share_away(task: Task, qd: np.ndarray, step: float) -> np.ndarray:
-    """Share (n,) of the instants of a period, ``step`` apart, whose rows identification will keep."""
-    slow = np.abs(qd) < SPEED_FRACTION * np.sqrt(np.mean(qd**2, axis=1, keepdims=True))
+def share_away(task: Task, qd: np.ndarray, step: float, rms: np.ndarray) -> np.ndarray:
+    """Share (n,) of the instants of a period, ``step`` apart, whose rows identification will keep.
+
+    ``rms`` (n,) are the joints' rms speeds in the whole run.
+    """
+    slow = np.abs(qd) < SPEED_FRACTION * rms[:, None]
     slow |= np.sign(qd) != np.sign(np.roll(qd, 1, axis=1))
     reach = round(task.decimator.support / task.rate / step)
     lost = slow.copy()

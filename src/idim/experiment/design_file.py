@@ -21,7 +21,7 @@ from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
 from idim.robots.robot import Robot
 from idim.robots.yaml_document import read_yaml, validate
-from idim.signals.experiment import Payload
+from idim.signals.experiment import Payload, file_or_name
 
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 Interval = tuple[FiniteFloat, FiniteFloat]
@@ -93,14 +93,14 @@ class DesignFile(_Keys):
     approach: bool = True
     rest: dict[str, FiniteFloat] = {}
     runs: tuple[PlannedRun, ...] = Field(min_length=1)
+    motions: Literal["one", "each run"] = "one"
     limits: LimitsEntry = LimitsEntry()
     prior: Prior = Prior()
 
     @field_validator("robot")
     @classmethod
     def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
-        file = None if info.context is None else info.context / robot
-        return str(file) if file is not None and file.exists() else robot
+        return robot if info.context is None else file_or_name(robot, info.context)
 
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:
@@ -163,8 +163,8 @@ def make_task(file: DesignFile) -> tuple[Task, tuple[str, ...]]:
         series = FourierSeries(np.where(free, home, center), np.where(free, TURN, half), 1 / period, file.harmonics)
     return (
         Task(
-            model, base, series, file.space == "platform", file.rate, file.repetitions, rest, payloads, limits,
-            chi, gains, sigma,
+            model, base, series, file.space == "platform", file.rate, file.repetitions, rest, payloads,
+            file.motions == "one", limits, chi, gains, sigma,
         ),
         tuple(assumed),
     )  # fmt: skip

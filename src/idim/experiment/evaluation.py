@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,14 +36,14 @@ def design_grid(task: Task, finer: int = 1) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """The motion for one x: joints (4, n, N) with q, qd, qdd and jerk, the whole robot, the base regressor (n, N, n_b).
+    """One motion: joints (4, n, N) with q, qd, qdd and jerk, the whole robot, the base regressor (n, N, n_b).
 
-    In platform space ``platform`` is the motion of the robot driven by its platform.
+    ``runs`` follow it. In platform space ``platform`` is the motion of the robot driven by its platform.
     """
 
     task: Task
     grid: Grid
-    x: np.ndarray
+    runs: tuple[int, ...]
     joints: np.ndarray
     motion: Motion
     platform: Motion | None
@@ -55,7 +56,7 @@ class Point:
         return np.stack(self.task.pullback(self.motion, slopes))
 
     def to_rows(self, by_joints: np.ndarray) -> np.ndarray:
-        """Slopes (N, size) by x, sample by sample, from those (3, n, N) by q, qd, qdd."""
+        """Slopes (N, series.size) by its numbers, sample by sample, from those (3, n, N) by q, qd, qdd."""
         series, by = self.task.series, by_joints
         if self.platform is not None:
             assert self.task.platform_pullback is not None
@@ -69,7 +70,7 @@ class Point:
         return np.asarray(rows.reshape(len(self.grid.time), series.size))
 
     def jerk_rows(self, joint: int) -> np.ndarray:
-        """Slopes (N, size) of a joint's jerk by x."""
+        """Slopes (N, series.size) of a joint's jerk by its numbers."""
         series = self.task.series
         if self.platform is None:
             rows = np.zeros((len(self.grid.time), len(series.center), series.free))
@@ -80,14 +81,23 @@ class Point:
         return derivative(self.to_rows(by).T, self.grid.step).T
 
 
-def evaluate(task: Task, x: np.ndarray, grid: Grid, near: Point | None = None) -> Point:
-    """The motion for ``x``; the loops are closed from the configurations of the point ``near`` if there is one.
+def evaluate(task: Task, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
+    """All motions for ``x`` (task.size,); the loops are closed from the configurations of ``near`` if given.
 
     Raises
     ------
     IdimError
         Where the trajectory leaves what the robot can reach, or comes too close to a singular pose.
     """
+    before: Sequence[Point | None] = near or [None] * len(task.motions)
+    parts = np.split(x, len(task.motions))
+    return tuple(
+        evaluate_one(task, part, grid, runs, each) for part, runs, each in zip(parts, task.motions, before, strict=True)
+    )
+
+
+def evaluate_one(task: Task, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None) -> Point:
+    """The motion of the ``runs``, for the numbers x (series.size,) of its series; see :func:`evaluate`."""
     series, platform = task.series, None
     table = np.einsum("dtf,mf->dmt", grid.basis, x.reshape(-1, series.free) * series.half[:, None], optimize=True)
     table[0] += series.center[:, None]
@@ -98,33 +108,57 @@ def evaluate(task: Task, x: np.ndarray, grid: Grid, near: Point | None = None) -
         qdd = platform.ydd[motors]
         table = np.stack([platform.c[motors], platform.yd[motors], qdd, derivative(qdd, grid.step)])
     motion = close(task.model, table[0], table[1], table[2], None if near is None else near.motion.c)
-    return Point(task, grid, x, table, motion, platform, task.regressor(motion))
+    return Point(task, grid, runs, table, motion, platform, task.regressor(motion))
 
 
-def information(point: Point) -> np.ndarray:
-    """Triangular factor (P, P) of the information of all runs."""
-    task, step, info = point.task, point.grid.step, point.task.information
-    counts = info.counts(task.window(step).weights(point.joints[1]), step)
-    return info.factor([info.jacobians(point.W, run, step) for run in range(len(task.payloads))], counts)
+def information(points: Sequence[Point]) -> np.ndarray:
+    """Triangular factor (P, P) of the information of all runs of all motions."""
+    return triangle(*(each.factor for each in map(_informed, points)))
 
 
-def objective(point: Point, criterion: Criterion, of_regressor: bool) -> tuple[float, np.ndarray]:
-    """Logarithm of a criterion and its gradient (size,) by x; ``of_regressor`` for one of the regressor's factor."""
-    task, step, info = point.task, point.grid.step, point.task.information
+@dataclass(frozen=True, eq=False)
+class _Informed:
+    """Rows of a motion's runs, (n, N, P) each, how much they count (n, N), and the factor of their information."""
+
+    rows: list[np.ndarray]
+    counts: np.ndarray
+    factor: np.ndarray
+
+
+def _informed(point: Point) -> _Informed:
+    info, step = point.task.information, point.grid.step
+    counts = info.counts(point.task.window(step).weights(point.joints[1]), step)
+    rows = [info.jacobians(point.W, run, step) for run in point.runs]
+    return _Informed(rows, counts, info.factor(rows, counts))
+
+
+def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool) -> tuple[float, np.ndarray]:
+    """Logarithm of a criterion and its gradient (task.size,) by x.
+
+    ``of_regressor`` for a criterion of the regressor's factor, in place of that of the information.
+    """
     if of_regressor:
-        value, F, f = criterion(triangle(point.W.reshape(-1, point.W.shape[2])))
-        by_W = 2 * (point.W @ F * f) @ F.T
-        return value, point.to_rows(point.to_joints(task.regressor.slopes(point.motion, by_W))).sum(axis=0)
-    window = task.window(step)
-    weights = window.weights(point.joints[1])
-    counts = info.counts(weights, step)
-    rows = [info.jacobians(point.W, run, step) for run in range(len(task.payloads))]
-    value, F, f = criterion(info.factor(rows, counts))
-    by_W, by_counts = np.zeros_like(point.W), np.zeros_like(counts)
-    for run, A in enumerate(rows):
+        value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
+        return value, np.concatenate([_slope_of_regressor(point, F, f) for point in points])
+    informed = [_informed(point) for point in points]
+    value, F, f = criterion(triangle(*(each.factor for each in informed)))
+    return value, np.concatenate(
+        [_slope_of_information(point, each, F, f) for point, each in zip(points, informed, strict=True)]
+    )
+
+
+def _slope_of_regressor(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarray:
+    by_W = 2 * (point.W @ F * f) @ F.T
+    return point.to_rows(point.to_joints(point.task.regressor.slopes(point.motion, by_W))).sum(axis=0)
+
+
+def _slope_of_information(point: Point, informed: _Informed, F: np.ndarray, f: np.ndarray) -> np.ndarray:
+    info, step = point.task.information, point.grid.step
+    by_W, by_counts = np.zeros_like(point.W), np.zeros_like(informed.counts)
+    for run, A in zip(point.runs, informed.rows, strict=True):
         along = A @ F
-        by_W += info.back(2 * counts[:, :, None] * ((along * f) @ F.T), run, step)
+        by_W += info.back(2 * informed.counts[:, :, None] * ((along * f) @ F.T), run, step)
         by_counts += along**2 @ f
-    by_joints = point.to_joints(task.regressor.slopes(point.motion, by_W))
-    by_joints[1] += window.back(point.joints[1], info.counts(by_counts, step))
-    return value, point.to_rows(by_joints).sum(axis=0)
+    by_joints = point.to_joints(point.task.regressor.slopes(point.motion, by_W))
+    by_joints[1] += point.task.window(step).back(point.joints[1], info.counts(by_counts, step))
+    return point.to_rows(by_joints).sum(axis=0)

@@ -42,32 +42,27 @@ class Forecast:
     kept: np.ndarray
 
 
-def sampled_run(task: Task, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Instants (N,) in s of a whole run at the controller's rate, and q, qd, qdd and jerk there, (4, n, N)."""
+def sampled_motions(task: Task, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Of every motion: instants (N,) in s of a whole run at the controller's rate; q, qd, qdd and jerk, (4, n, N)."""
     samples = round(task.series.period * task.rate)
     time = np.arange(samples) / task.rate
-    period = evaluate(task, x, Grid(time, 1 / task.rate, task.series.basis(time)))
-    joints = whole_run(task, period.joints, task.rate)
-    return np.arange(joints.shape[2]) / task.rate, joints
+    periods = evaluate(task, x, Grid(time, 1 / task.rate, task.series.basis(time)))
+    wholes = [whole_run(task, period.joints, task.rate) for period in periods]
+    return tuple((np.arange(joints.shape[2]) / task.rate, joints) for joints in wholes)
 
 
 def expected_runs(task: Task, x: np.ndarray) -> tuple[Run, ...]:
     """The runs as they would be logged without any noise, at the prior values."""
-    time, joints = sampled_run(task, x)
-    motion = task.model.motion(joints[0], joints[1], joints[2])
     regressor = task.model.columns(task.base.standard)
-    entries = regressor(task.model.layout, motion)
-    return tuple(
-        Run(
-            f"run{k + 1}",
-            task.model.actuated,
-            time,
-            joints[0].T,
-            (regressor.torques(entries, task.unknowns.load[k], len(task.gains)) / task.gains[:, None]).T,
-            payload=payload,
-        )
-        for k, payload in enumerate(task.payloads)
-    )
+    runs = []
+    for (time, joints), followed in zip(sampled_motions(task, x), task.motions, strict=True):
+        entries = regressor(task.model.layout, task.model.motion(joints[0], joints[1], joints[2]))
+        for k in followed:
+            torques = regressor.torques(entries, task.unknowns.load[k], len(task.gains))
+            currents = (torques / task.gains[:, None]).T
+            name, payload = f"run{k + 1}", task.payloads[k]
+            runs.append(Run(name, task.model.actuated, time, joints[0].T, currents, payload=payload))
+    return tuple(runs)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other

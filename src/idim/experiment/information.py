@@ -64,7 +64,7 @@ def unknowns(
     n, n_b, runs = len(model.actuated), base.count, len(payloads)
     p = n_b + EXTRA
     # factors that are the identity bring out the matrices with which identification joins its runs
-    whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000), 1.0)
+    whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
     problem = assemble(model, base, [whole] * runs, payloads, 0.0, Friction((), runs > 1)).problem
     n_theta = problem.n_theta
     M = problem.units[:, 0, :n_b]  # (runs, n_b, n_theta + 4), the same for all joints
@@ -102,14 +102,17 @@ class Window:
     """How rows near a joint's reversals are lost on a periodic grid of instants ``step`` s apart.
 
     A row is lost where the joint is slower than ``fraction`` of its rms speed anywhere within ``reach`` s, the
-    support of the decimation filter. Here the loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the speed
-    over its rms value, a row counts ``s^2`` times the product over the cells of the grid within reach of
-    ``1 - share * (1 - s s') / 2``, where a cell's two ends have s and s', and ``share`` of it is within reach.
+    support of the decimation filter. The rms speed is that of a whole run, so ``floor`` (n,), rad/s or m/s, stands for
+    approach and return in the root of the mean square: without it a joint that hardly moves would lose nothing.
+    Here the loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the speed over its rms value, a row counts
+    ``s^2`` times the product over the cells of the grid within reach of ``1 - share * (1 - s s') / 2``, where a cell's
+    two ends have s and s', and ``share`` of it is within reach.
     """
 
     step: float
     reach: float
     fraction: float
+    floor: np.ndarray
 
     def weights(self, qd: np.ndarray) -> np.ndarray:
         """Weight of each joint's rows, (n, N), from speeds (n, N) over a period."""
@@ -127,12 +130,15 @@ class Window:
         # a cell's loss is (1 - s s') / 2
         ahead = np.roll(s, -1, axis=1)
         by_s += -by_cell / 2 * ahead + np.roll(-by_cell / 2 * s, 1, axis=1)
-        rms = np.sqrt(np.mean(qd**2, axis=1, keepdims=True))
+        rms = self._rms(qd)
         by_u = by_s * self.fraction**2 / root**3
         return by_u / rms - qd * np.sum(by_u * qd, axis=1, keepdims=True) / rms**3 / qd.shape[1]
 
+    def _rms(self, qd: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sqrt(np.mean(qd**2, axis=1, keepdims=True) + self.floor[:, None] ** 2 + 1e-300))
+
     def _parts(self, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[tuple[int, float]], np.ndarray]:
-        u = qd / np.sqrt(np.mean(qd**2, axis=1, keepdims=True) + 1e-300)
+        u = qd / self._rms(qd)
         root = np.sqrt(u**2 + self.fraction**2)
         s = np.where(u == 0, 1e-12, u) / root
         lost = (1 - s * np.roll(s, -1, axis=1)) / 2

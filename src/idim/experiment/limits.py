@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from idim.experiment.evaluation import Point
 from idim.experiment.motion import Slopes
 from idim.experiment.task import Task
-from idim.experiment.trajectory import move_duration, quintic
+from idim.experiment.trajectory import approach_duration, quintic
+from idim.signals.experiment import Payload
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 SINGULAR = "condition number of the closures"
-SHORTEST_APPROACH = 1.0  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +23,7 @@ class Load:
     """How much of a limit is used: ``values`` (N,), within -1 and 1, but at least 1 where the limit is a ``least`` one.
 
     ``what`` names the limit, ``limit`` is its value in ``unit``, counted from ``middle`` where it is an interval;
-    ``rows`` gives the slopes (N, size) by x.
+    ``rows`` gives the slopes by x, a row a value.
     """
 
     what: str
@@ -49,17 +50,37 @@ class Load:
         return float(np.abs(self.values).max(initial=0.0))
 
     @property
+    def shortfall(self) -> float:
+        """How far the limit is from holding, in parts of it; at most 1 for a least one, however little there is."""
+        return 1 - float(self.values.min()) if self.least else self.excess - 1
+
+    @property
     def reached(self) -> float:
         """The extreme value itself, in ``unit``."""
         if self.middle is not None:
             return float(self.middle + self.limit * self.values[np.argmax(np.abs(self.values))])
-        if self.what == SINGULAR:
+        if self.what.startswith(SINGULAR):
             return float(np.exp(self.excess * np.log(self.limit)))
         return self.limit / self.excess if self.least else self.limit * self.excess
 
 
-def loads(point: Point, share: np.ndarray | None = None) -> Iterator[Load]:
-    """Loads of all limits along a motion.
+def loads(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[Load]:
+    """Loads of all limits along all motions, with slopes (N, task.size); see :func:`loads_of_one`."""
+    for k, point in enumerate(points):
+        padding = (0, 0), (k * point.task.series.size, (len(points) - 1 - k) * point.task.series.size)
+        for load in loads_of_one(point, shares[k] if shares else None):
+            if len(points) == 1:
+                yield load
+                continue
+
+            def rows(own: Callable[[], np.ndarray] = load.rows, padding: tuple[tuple[int, int], ...] = padding) -> Any:
+                return np.pad(own(), padding)
+
+            yield replace(load, what=f"{load.what} in run {k + 1}", rows=rows)
+
+
+def loads_of_one(point: Point, share: np.ndarray | None = None) -> Iterator[Load]:
+    """Loads of all limits along one motion, with slopes (N, series.size) by its numbers.
 
     ``share`` (n,) is the part of each joint's samples that lies away from its reversals, where it has been counted;
     left out it is the smooth estimate of a design grid.
@@ -108,9 +129,12 @@ def _kinematic(point: Point) -> Iterator[Load]:
 
 def _currents(point: Point) -> Iterator[Load]:
     task = point.task
-    for run, payload in enumerate(task.payloads):
-        if payload in task.payloads[:run]:
+    carried_before: list[Payload | None] = []
+    for run in point.runs:
+        payload = task.payloads[run]
+        if payload in carried_before:
             continue
+        carried_before.append(payload)
         carried = "" if payload is None else f" with payload '{payload.name}'"
         for j, joint in enumerate(task.model.actuated):
             limit = float(task.limits.current[j])
@@ -167,8 +191,8 @@ def whole_run(task: Task, period: np.ndarray, rate: float) -> np.ndarray:
     if task.rest is None:
         return periods
     home, start, limits = task.rest, period[0, :, 0], task.limits
-    span = max(move_duration(start - home, limits.velocity, limits.acceleration, limits.jerk), SHORTEST_APPROACH)
-    count = int(np.ceil(1.05 * span * rate))
+    span = approach_duration(start - home, limits.velocity, limits.acceleration, limits.jerk)
+    count = int(np.ceil(span * rate))
     time = np.arange(count) / rate
     there = np.stack(quintic(home, start, count / rate, time))
     back = np.stack(quintic(start, home, count / rate, time + 1 / rate))

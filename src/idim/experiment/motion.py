@@ -18,9 +18,10 @@ import numpy as np
 import scipy.linalg
 
 from idim.errors import IdimError
+from idim.model.closures import closure_expressions
 from idim.model.coordinates import Coordinates
 from idim.model.inverse_dynamics import InverseDynamics
-from idim.model.kinematics import constant, frames
+from idim.model.kinematics import configuration_rates, constant
 from idim.model.loops import Motion
 from idim.model.program import Program, compile_program
 from idim.robots.geometry import characteristic_length
@@ -106,65 +107,27 @@ class Pullback:
         return np.log(size * spread) / 2, Slopes(by_c, zero, zero, np.zeros_like(motion.J[self.layout.passive]))
 
 
-def configuration_rates(layout: Coordinates, c: ca.SX, yd: ca.SX) -> ca.SX:
-    """Time derivative of c (n_c,) for velocities ``yd`` (n_y,), eq. 9."""
-    n_t = len(layout.robot.joints)
-    rates = [yd[:n_t]]
-    for slots in layout.platforms:
-        v = dict(zip(slots.platform.dof, ca.vertsplit(yd[slots.rates]), strict=True))
-        rates.append(ca.vertcat(*(v.get(dof, ca.SX(0)) for dof in TRANSLATIONS)))
-        if slots.quaternion is not None:
-            omega = ca.vertcat(*(v.get(dof, ca.SX(0)) for dof in ROTATIONS))
-            w, vector = c[slots.quaternion.start], c[slots.quaternion][1:]
-            rates.append(ca.vertcat(-ca.dot(omega, vector), w * omega + ca.cross(omega, vector)) / 2)
-    return ca.vertcat(*rates)
-
-
-def residual(layout: Coordinates, c: ca.SX) -> ca.SX:
-    """How far the closures and couplings are from holding: rad, or lengths over the characteristic length."""
-    robot, frame, length = layout.robot, frames(layout, c), characteristic_length(layout.robot)
-
-    def attached(end: Attachment) -> tuple[ca.SX, ca.SX]:
-        body = frame[end.body]
-        return body.R_0 @ constant(end.placement.rotation), body.p_0 + body.R_0 @ constant(end.placement.position)
-
-    parts = []
-    for closure in robot.closures:
-        (R_a, p_a), (R_b, p_b) = attached(closure.a), attached(closure.b)
-        parts.append((p_a - p_b) / length)
-        if closure.kind == "weld":
-            parts.append(sum((ca.cross(R_b[:, k], R_a[:, k]) for k in range(3)), ca.SX(3, 1)) / 2)
-    index = {joint.name: k for k, joint in enumerate(robot.joints)}
-    for coupling in robot.couplings:
-        row = {index[coupling.joint]: 1.0} | {index[name]: -ratio for name, ratio in coupling.ratios}
-        size = float(np.linalg.norm([factor * (1.0 if layout.angular[k] else length) for k, factor in row.items()]))
-        moved = sum((factor * c[k] for k, factor in row.items()), ca.SX(-coupling.offset))
-        parts.append(moved / size)
-    return ca.densify(ca.vertcat(*parts))
-
-
 def pullback(model: InverseDynamics) -> Pullback | None:
     """Compile the way back of derivatives; None for a robot without closures, where y = q."""
     loops, layout = model.loops, model.layout
     if loops is None:
         return None
     n, passive = len(layout.actuated), layout.passive.tolist()
-    c, yd, ydd, v = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), *((s, layout.n_y) for s in ("yd", "ydd", "v"))))
-    phi = residual(layout, c)
+    c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
+    _, velocity, gamma = closure_expressions(layout, c, yd)
     unit = np.where(layout.angular, 1.0, characteristic_length(layout.robot))
-    G = ca.jacobian(ca.jtimes(phi, c, configuration_rates(layout, c, v)), v)
+    G = ca.jacobian(velocity, yd)
     G_program = compile_program([c], [ca.densify(G @ constant(np.diag(unit))).T])
     at_home = G_program(loops.home[:, None]).reshape(-1, layout.n_y)
     _, _, order = scipy.linalg.qr(at_home[:, passive].T, pivoting=True, mode="economic")
     rows = np.sort(order[: len(passive)])
 
     G_own = G[rows.tolist(), :]
-    velocity = G_own @ yd
-    acceleration = G_own @ ydd + ca.jtimes(velocity, c, configuration_rates(layout, c, yd))
+    acceleration = G_own @ ydd + gamma[rows.tolist()]
     on_a, on_v = ca.SX.sym("on_a", len(rows)), ca.SX.sym("on_v", len(rows))
     on_J, J = ca.SX.sym("on_J", len(passive), n), ca.SX.sym("J", len(passive), n)
     slope_c = ca.SX.sym("slope_c", layout.n_c)
-    weighted = ca.dot(on_a, acceleration) + ca.dot(on_v, velocity) + ca.dot(slope_c, c)
+    weighted = ca.dot(on_a, acceleration) + ca.dot(on_v, velocity[rows.tolist()]) + ca.dot(slope_c, c)
     for k in range(n):
         column = ca.SX(layout.n_y, 1)
         column[int(layout.actuated[k])] = 1

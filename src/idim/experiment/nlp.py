@@ -17,11 +17,13 @@ from idim.experiment.task import Task
 
 ITERATIONS = 100
 TOLERANCE = 1e-3  # of the logarithm of the criterion: a tenth of a per cent
-START = 0.6  # largest load of a start, so that it lies inside the limits
 
 
 class Programme:
     """Criterion and limits of a task as functions of x, evaluated once for each x.
+
+    ``Programme(task, criterion, {}).value(x)`` is the criterion's logarithm and its gradient by x (task.size,). Six
+    axes with 5 harmonics have 60 Fourier coefficients, of which rest at the ends leaves 48, and 6 centers.
 
     ``tightness`` maps what a limit is of to the part of it that may be used; ``best`` is the best x so far whose loads
     are within that, and ``best_value`` the logarithm of its criterion.
@@ -34,37 +36,38 @@ class Programme:
         self.criterion = criterion(criterion_name, task.unknowns)
         self.best: np.ndarray | None = None
         self.best_value = np.inf
-        self._last: Point | None = None
-        self._closed: Point | None = None  # the last point whose loops could be closed
+        self._x = np.array([])
+        self._last: tuple[Point, ...] = ()
+        self._closed: tuple[Point, ...] = ()  # the last motions whose loops could be closed
         self._loads: tuple[Load, ...] = ()
 
-    def point(self, x: np.ndarray) -> Point | None:
-        """The motion for x; None where it leaves what the robot can reach."""
-        if self._last is None or not np.array_equal(self._last.x, x):
+    def points(self, x: np.ndarray) -> tuple[Point, ...]:
+        """The motions for x; none where they leave what the robot can reach."""
+        if not np.array_equal(self._x, x):
+            self._x = x.copy()
             try:
                 self._last = self._closed = evaluate(self.task, x, self.grid, self._closed)
             except IdimError:
-                self._last = None
-                return None
+                self._last = ()
             self._loads = tuple(loads(self._last))
         return self._last
 
     def loads(self, x: np.ndarray) -> tuple[Load, ...]:
-        """Loads of all limits at a point that the robot can reach."""
-        return self._loads if self.point(x) is not None else ()
+        """Loads of all limits; none where the robot cannot go."""
+        return self._loads if self.points(x) else ()
 
     def excess(self, x: np.ndarray) -> float:
         """Largest load over what the tightness allows; infinite where the robot cannot go."""
-        if self.point(x) is None:
+        if not self.points(x):
             return float("inf")
         return max((load.excess / self.tightness[load.what] for load in self._loads), default=0.0)
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Logarithm of the criterion and its gradient; nan where the robot cannot go."""
-        point = self.point(x)
-        if point is None:
+        points = self.points(x)
+        if not points:
             return float("nan"), np.full(len(x), np.nan)
-        value, slope = objective(point, self.criterion, self.of_regressor)
+        value, slope = objective(points, self.criterion, self.of_regressor)
         if self.tightness and value < self.best_value and self.excess(x) <= 1.0 + 1e-6:
             self.best, self.best_value = x.copy(), value
         return value, slope
@@ -77,33 +80,6 @@ class Programme:
             low.append(np.full(len(load.values), 1 / allowed if load.least else -allowed))
             high.append(np.full(len(load.values), np.inf if load.least else allowed))
         return np.concatenate(low), np.concatenate(high)
-
-    def inside(self, x: np.ndarray, part: float = START) -> np.ndarray | None:
-        """``x`` scaled until its motion uses a ``part`` of the limits; None where the robot cannot go there.
-
-        What a limit allows counts from what rest at the center uses of it already.
-        """
-        if self.point(np.zeros_like(x)) is None:
-            return None
-        at_rest = {load.what: load.excess for load in self._loads if not load.least and load.excess < 1}
-        scale, low, high = 1.0, 0.0, np.inf
-        for _ in range(40):
-            reached = self.point(scale * x) is not None
-            used = max(
-                (
-                    (load.excess - at_rest[load.what]) / (1 - at_rest[load.what])
-                    for load in self._loads
-                    if load.what in at_rest
-                ),
-                default=1.0,
-            )
-            if reached and 0.95 * part <= used <= part:
-                break
-            low, high = (scale, high) if reached and used < part else (low, scale)
-            scale = 2 * scale if np.isinf(high) else (low + high) / 2
-        else:
-            scale = low
-        return scale * x
 
 
 def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.ndarray:
@@ -144,6 +120,7 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
                 "acceptable_iter": 8,
                 "acceptable_obj_change_tol": 1e-3,
                 "mu_strategy": "adaptive",
+                "mumps_pivot_order": 6,  # for dense columns: every number of a series acts on every instant
             },
         },
     )

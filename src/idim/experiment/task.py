@@ -14,7 +14,7 @@ from idim.estimation.base_parameters import BaseParameters
 from idim.experiment.information import Information, Unknowns, Window, unknowns
 from idim.experiment.motion import Pullback, in_platform_space, pullback
 from idim.experiment.regressor import SmoothRegressor, smooth_regressor
-from idim.experiment.trajectory import FourierSeries
+from idim.experiment.trajectory import FourierSeries, approach_duration
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.model.kinematics import frames
 from idim.model.loops import Motion, advance, differentiate
@@ -65,7 +65,9 @@ class Task:
     rest : ndarray or None
         Pose (n,) in which a run begins and ends; None for a run without approach and return.
     payloads : tuple
-        One entry a run; all runs follow the same motion.
+        One entry a run.
+    one_motion : bool
+        Whether all runs follow one motion; otherwise each has a motion of its own.
     limits : Limits
         Of the motion.
     chi, gains, sigma : ndarray
@@ -80,6 +82,7 @@ class Task:
     repetitions: int
     rest: np.ndarray | None
     payloads: tuple[Payload | None, ...]
+    one_motion: bool
     limits: Limits
     chi: np.ndarray
     gains: np.ndarray
@@ -91,6 +94,17 @@ class Task:
                 f"the highest harmonic is {self.series.harmonics * self.series.base_frequency:g} Hz, which a log of "
                 f"{self.rate:g} Hz cannot follow; take at most a tenth of the rate."
             )
+
+    @property
+    def motions(self) -> tuple[tuple[int, ...], ...]:
+        """The runs that follow each motion."""
+        runs = range(len(self.payloads))
+        return (tuple(runs),) if self.one_motion else tuple((run,) for run in runs)
+
+    @property
+    def size(self) -> int:
+        """Length of x: the free numbers of the series, motion by motion."""
+        return len(self.motions) * self.series.size
 
     @cached_property
     def unknowns(self) -> Unknowns:
@@ -109,7 +123,20 @@ class Task:
 
     def window(self, step: float) -> Window:
         """How rows near reversals are lost on a grid of instants ``step`` apart."""
-        return Window(step, self.decimator.support / self.rate, SPEED_FRACTION)
+        return Window(step, self.decimator.support / self.rate, SPEED_FRACTION, self.approach_speed)
+
+    @cached_property
+    def approach_speed(self) -> np.ndarray:
+        """Root (n,) of what approach and return add to the mean square speed of a run, at most; rad/s or m/s."""
+        if self.rest is None:
+            return np.zeros(len(self.gains))
+        limits = self.limits
+        way = np.abs(limits.position - self.rest[:, None]).max(axis=1)
+        way = np.where(np.isfinite(way), way, 0.0)
+        span = approach_duration(way, limits.velocity, limits.acceleration, limits.jerk)
+        whole = self.series.period * self.repetitions + 2 * span
+        # the mean square speed of a quintic move by 1 in 1 s is 10 / 7
+        return np.asarray(way * np.sqrt(2 * 10 / 7 / span / whole))
 
     @cached_property
     def platform_model(self) -> InverseDynamics | None:

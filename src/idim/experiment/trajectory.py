@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+SHORTEST_APPROACH = 1.0  # s
+GENTLE = 2.0  # times as long as speed, acceleration and jerk ask for: currents are to hold as well
 PEAKS = (1.875, 10 / 3**0.5, 60.0)  # greatest speed, acceleration and jerk of a quintic move by 1 in 1 s
 
 
@@ -110,3 +112,8 @@ def move_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarra
         np.cbrt(PEAKS[2] * size / jerk),
     )
     return float(max(0.0, *(each.max() for each in durations)))
+
+
+def approach_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> float:
+    """Duration (s) of the approach to a motion that begins ``way`` (m,) away from rest, and of the return."""
+    return max(GENTLE * move_duration(way, velocity, acceleration, jerk), SHORTEST_APPROACH)

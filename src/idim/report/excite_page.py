@@ -12,7 +12,7 @@ import numpy as np
 from idim.estimation.estimates import torque_unit, unit_of
 from idim.experiment.advice import Weak, weak_unknowns
 from idim.experiment.design import Design, check
-from idim.experiment.forecast import Expected, Forecast, forecast, sampled_run
+from idim.experiment.forecast import Expected, Forecast, forecast, sampled_motions
 from idim.experiment.task import Task
 from idim.files import write_atomically
 from idim.report.style import LINES, light_grid, new_figure, save_figure, styled
@@ -24,24 +24,29 @@ CURVES = ("position", "velocity", "acceleration")
 DIGITS = 9
 
 
-def write_trajectory(design: Design, path: str | Path) -> None:
-    """Write a run as CSV at the controller's rate, atomically: ``t``, then q, qd and qdd and each joint's name."""
+def file_stems(task: Task) -> tuple[str, ...]:
+    """Name without ending of each motion's files: ``trajectory`` of all runs, or ``trajectory_1`` of run 1, ..."""
+    return ("trajectory",) if task.one_motion else tuple(f"trajectory_{k + 1}" for k in range(len(task.motions)))
+
+
+def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
+    """Write each motion as CSV at the controller's rate, atomically: ``t``, then q, qd, qdd and each joint's name."""
     import polars as pl
 
-    time, joints = sampled_run(design.task, design.x)
-    columns = {"t": np.round(time, DIGITS)}
-    for kind, table in zip(("q", "qd", "qdd"), joints, strict=False):
-        columns |= {
-            f"{kind}_{joint}": np.round(row, DIGITS)
-            for joint, row in zip(design.task.model.actuated, table, strict=True)
-        }
-    write_atomically(path, pl.DataFrame(columns).write_csv())
+    paths = tuple(folder / f"{stem}.csv" for stem in file_stems(design.task))
+    for path, (time, joints) in zip(paths, sampled_motions(design.task, design.x), strict=True):
+        columns = {"t": np.round(time, DIGITS)}
+        for kind, table in zip(("q", "qd", "qdd"), joints, strict=False):
+            columns |= {
+                f"{kind}_{joint}": np.round(row, DIGITS)
+                for joint, row in zip(design.task.model.actuated, table, strict=True)
+            }
+        write_atomically(path, pl.DataFrame(columns).write_csv())
+    return paths
 
 
-def trajectory_figure(design: Design) -> Figure:
-    """Positions, velocities and accelerations of a run."""
-    task = design.task
-    time, joints = sampled_run(task, design.x)
+def trajectory_figure(task: Task, time: np.ndarray, joints: np.ndarray) -> Figure:
+    """Positions, velocities and accelerations (4, n, N) of a run at ``time`` (N,)."""
     units = {"rad" if task.model.robot.joint(joint).kind == "revolute" else "m" for joint in task.model.actuated}
     unit = " or ".join(sorted(units))
     with styled():
@@ -68,8 +73,10 @@ def describe_design(design: Design, assumed: Sequence[str], masses: Sequence[flo
         "value": design.value,
         "period": task.series.period,
         "repetitions": task.repetitions,
-        "duration": float(sampled_run(task, design.x)[0][-1]),
+        "duration": max(float(time[-1]) for time, _ in sampled_motions(task, design.x)),
+        "motions": "one" if task.one_motion else "each run",
         "runs": ["none" if payload is None else payload.name for payload in task.payloads],
+        "gains_rms": _rms(expected),
         "gains": [_entry(each, f"{torque_unit(robot, each.name)}/A") for each in expected.gains],
         "parameters": [_entry(each, _unit(each.name, task)) for each in expected.parameters],
         "rows_kept": [
@@ -134,9 +141,15 @@ def _rms(expected: Forecast) -> float:
 
 def design_page(document: dict[str, Any]) -> str:
     """The description as text."""
+    runs = ["no payload" if run == "none" else run for run in document["runs"]]
+    what = f"of {document['duration']:.4g} s, designed for '{document['criterion']}'"
+    if document["motions"] == "one":
+        first = f"a motion {what}, to be carried out with {', '.join(runs)}"
+    else:
+        own = ", ".join(f"{run} (run {k})" for k, run in enumerate(runs, 1))
+        first = f"{len(runs)} motions, the longest {what}, one for each run: {own}"
     lines = [
-        f"{document['robot']}: a motion of {document['duration']:.4g} s, designed for '{document['criterion']}', to be "
-        f"carried out with {', '.join('no payload' if run == 'none' else run for run in document['runs'])}",
+        f"{document['robot']}: {first}; standard deviations to expect:",
         "",
         f"  {'drive gain':<26}{'value':>11}{'std':>11}{'%':>9}   unit",
     ]
@@ -147,19 +160,42 @@ def design_page(document: dict[str, Any]) -> str:
     lines += [f"    {100 * each['used']:5.1f} %  {each['limit']}" for each in document["limits"][:6]]
     if document["weak"]:
         lines += ["", "  not identified (30 % or more, of the value or of a typical one):"]
-        for each in document["weak"]:
-            text = f"{each['name']} ({each['rel_std']:.3g} %): {each['advice']}"
-            lines += textwrap.wrap(text, 110, initial_indent="    ", subsequent_indent="        ")
-    for each in document["payload_masses"]:
-        lines += ["", f"  with a payload of {each['mass']:g} kg: gains within {each['rms']:.3g} % (rms)"]
-        lines += [f"    {joint:<24}{relative:9.3g} %" for joint, relative in each["rel_std"].items()]
-        if each["exceeded"]:
-            lines.append(f"    but this motion exceeds: {', '.join(each['exceeded'])}")
+        for advice in dict.fromkeys(each["advice"] for each in document["weak"]):
+            alike = [
+                f"{each['name']} ({each['rel_std']:.3g}\N{NO-BREAK SPACE}%)"
+                for each in document["weak"]
+                if each["advice"] == advice
+            ]
+            lines += _wrapped(f"{', '.join(alike)}: {advice}")
+    if document["without_effect"]:
+        lines += ["", "  without any effect on the motors, whatever the motion:"]
+        lines += _wrapped(", ".join(document["without_effect"]))
+    if document["payload_masses"]:
+        lines += _payload_table(document)
     if document["assumed"]:
         lines += ["", "  assumed:"]
         for each in document["assumed"]:
-            lines += textwrap.wrap(each, 110, initial_indent="    ", subsequent_indent="        ")
+            lines += _wrapped(each)
     return "\n".join(lines)
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, 110, initial_indent="    ", subsequent_indent="        ")
+
+
+def _payload_table(document: dict[str, Any]) -> list[str]:
+    """Deviations of the gains, per cent, with payloads of other masses."""
+    joints = [each["name"] for each in document["gains"]]
+    width = max(9, *(len(joint) + 2 for joint in joints))
+    lines = ["", "  the same motion with other payloads, deviations of the gains in %:"]
+    lines.append(f"  {'':<14}{'rms':>9}" + "".join(f"{joint:>{width}}" for joint in joints))
+    now = {"rms": document["gains_rms"], "rel_std": {each["name"]: each["rel_std"] for each in document["gains"]}}
+    for label, each in [("as designed", now), *((f"{each['mass']:g} kg", each) for each in document["payload_masses"])]:
+        found = "".join(f"{each['rel_std'][joint]:>{width}.3g}" for joint in joints)
+        lines.append(f"  {label:<14}{each['rms']:>9.3g}{found}")
+        if each.get("exceeded"):
+            lines += _wrapped(f"with it this motion exceeds: {', '.join(each['exceeded'])}")
+    return lines
 
 
 def _row(each: dict[str, Any]) -> str:
@@ -169,15 +205,17 @@ def _row(each: dict[str, Any]) -> str:
 
 
 def write_design(design: Design, document: dict[str, Any], folder: Path) -> tuple[Path, ...]:
-    """Write ``trajectory.csv``, ``design.json``, and where matplotlib is installed ``trajectory.png``."""
+    """Write the trajectories, ``design.json``, and where matplotlib is installed a figure of each trajectory."""
     import json
 
-    written = [folder / "trajectory.csv", folder / "design.json"]
-    write_trajectory(design, written[0])
-    write_atomically(written[1], json.dumps(document, indent=1, allow_nan=False) + "\n")
+    written = [*write_trajectories(design, folder), folder / "design.json"]
+    write_atomically(written[-1], json.dumps(document, indent=1, allow_nan=False) + "\n")
+    motions = sampled_motions(design.task, design.x)
     try:
-        figure = trajectory_figure(design)
+        figures = [trajectory_figure(design.task, time, joints) for time, joints in motions]
     except ImportError:
         return tuple(written)
-    save_figure(figure, folder / "trajectory.png")
-    return (*written, folder / "trajectory.png")
+    for stem, figure in zip(file_stems(design.task), figures, strict=True):
+        save_figure(figure, folder / f"{stem}.png")
+        written.append(folder / f"{stem}.png")
+    return tuple(written)
