@@ -28,9 +28,9 @@ from idim.estimation.assembly import Assembly
 from idim.estimation.current_domain import ml
 from idim.estimation.data import Data, reduce_runs
 from idim.estimation.factors import CURRENTS, EXTRA, STRETCHES, Factors
+from idim.estimation.freedom import freedom
 from idim.estimation.friction import Friction
 from idim.estimation.rows import stream_rows
-from idim.estimation.solution import freedom
 from idim.estimation.triangle import triangle
 from idim.estimation.verdicts import Outcome, gain_verdicts
 from idim.model.inverse_dynamics import InverseDynamics
@@ -151,7 +151,6 @@ class Fixed:
     rows: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]]
     samples: slice
     rate: float
-    condition: float
 
 
 def fix(data: Data, k: int) -> Fixed:
@@ -173,8 +172,7 @@ def fix(data: Data, k: int) -> Fixed:
             of_joints.append((at, *np.linalg.qr(W)))
         rows.append(of_joints)
     begin = int(np.argmin(np.abs(prepared.run.time - prepared.time[0])))
-    condition = max(p.condition for p in parts)
-    return Fixed(rows, slice(begin, begin + len(prepared.time)), prepared.rate, condition)
+    return Fixed(rows, slice(begin, begin + len(prepared.time)), prepared.run.rate)
 
 
 def refactor(data: Data, fixed: Fixed, run: Run) -> Factors:
@@ -196,17 +194,17 @@ def refactor(data: Data, fixed: Fixed, run: Run) -> Factors:
             R[s, j, :m, : data.base.count], R[s, j, :m, -CURRENTS:] = upper, along
             R[s, j, m : m + len(rest), -CURRENTS:] = rest[: p - m]
             rows[s, j] = len(at)
-    return Factors(R, rows, fixed.condition)
+    return Factors(R, rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Repetition:
-    """Deviations from the truth in standard deviations, standard deviations, and the worst verdict on a gain."""
+    """Deviations from the truth, standard deviations and their degrees of freedom, and the worst verdict on a gain."""
 
     names: tuple[str, ...]
     error: np.ndarray
     std: np.ndarray
-    freedom: int
+    freedom: np.ndarray
     outcome: Outcome
 
 
@@ -241,7 +239,9 @@ def judge(case: Case, assembly: Assembly) -> Repetition:
     which = np.concatenate([np.array(index, dtype=int), gains])
     verdicts = gain_verdicts(problem, solution, std[gains], assembly.places, [f"run {k + 1}" for k in range(4)])
     worst = max((v.outcome for v in verdicts), key=list(Outcome).index)
-    return Repetition(names, solution.stacked[which] - expected, std[which], freedom(problem), worst)
+    return Repetition(
+        names, solution.stacked[which] - expected, std[which], freedom(problem, solution, True)[which], worst
+    )
 
 
 def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetition]) -> dict[str, object]:
@@ -253,7 +253,8 @@ def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetitio
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])
     truth = dict(zip(base.names, base.matrix @ chi, strict=True))
     error, std = np.array([r.error for r in repetitions]), np.array([r.std for r in repetitions])
-    inside = np.mean(np.abs(error) < stdtrit(repetitions[0].freedom, 0.975) * std, axis=0)
+    freedoms = np.array([r.freedom for r in repetitions])
+    inside = np.mean(np.abs(error) < stdtrit(freedoms, 0.975) * std, axis=0)
     names = repetitions[0].names
     gain = np.array([name.startswith("gain_") for name in names])
     size = np.array([abs(truth.get(name, np.inf)) for name in names])

@@ -7,12 +7,15 @@ Pinocchio's, projected by NumPy.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import polars as pl
 
+from idim.experiment.evaluation import Grid
+from idim.experiment.task import Task
 from idim.robots.robot import Robot
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
@@ -23,10 +26,13 @@ AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
 class PinocchioLoop:
-    """Regressor of a robot whose inertial parameters are ``chi``, sample by sample."""
+    """Regressor of a robot whose inertial parameters are ``chi``, sample by sample.
 
-    def __init__(self, robot: Robot, chi: dict[str, float]) -> None:
-        self.robot, self.tree = robot, Pinocchio(robot, chi)
+    With ``drives`` rotor, viscous and Coulomb friction and offset of every joint, passive ones too, follow.
+    """
+
+    def __init__(self, robot: Robot, chi: dict[str, float], drives: bool = False) -> None:
+        self.robot, self.tree, self.drives = robot, Pinocchio(robot, chi), drives
         model = self.tree.model
         self.chi = np.concatenate([model.inertias[k].toDynamicParameters() for k in range(1, model.njoints)])
         moved = np.array([joint.actuated for joint in robot.joints])
@@ -94,7 +100,162 @@ class PinocchioLoop:
             ]
             vd = J @ acceleration
             vd[self.free] -= normal @ np.concatenate(drift)
-            yield J.T @ pin.computeJointTorqueRegressor(model, data, y, v, vd)
+            W = J.T @ pin.computeJointTorqueRegressor(model, data, y, v, vd)
+            if self.drives:
+                joints = self.tree.joint_v
+                effects = np.stack([vd[joints], v[joints], np.sign(v[joints]), np.ones(len(joints))], axis=1)
+                W = np.hstack([W, (J[joints].T[:, :, None] * effects).reshape(len(W), -1)])
+            yield W
+
+
+def read_by_hand(log: Path, cutoff: float) -> tuple[np.ndarray, ...]:
+    """Positions, velocities, accelerations and commands (N, n) of a log, filtered forwards and backwards by SciPy."""
+    from scipy.signal import butter, filtfilt
+
+    table = pl.read_parquet(log)
+    time = table["t"].to_numpy()
+    q, v = (table.select(name for name in table.columns if name.startswith(kind)).to_numpy() for kind in "qv")
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    q = filtfilt(*butter(4, min(2 * cutoff * step, 0.99)), q, axis=0)
+    qd = np.gradient(q, step, axis=0)
+    return q, qd, np.gradient(qd, step, axis=0), v
+
+
+def with_drives(W: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """The regressor (N, n, columns) of a serial arm with rotor, friction and offset of each joint."""
+    effects = np.stack([qdd, qd, np.sign(qd), np.ones_like(qd)], axis=2)
+    drives = np.einsum("tjk,ji->tjik", effects, np.eye(qd.shape[1])).reshape(*qd.shape, -1)
+    return np.concatenate([W, drives], axis=2)
+
+
+def base_columns(W: np.ndarray) -> np.ndarray:
+    """Columns of (rows, columns) that do not depend on others, by SciPy's QR with pivoting."""
+    from scipy.linalg import qr
+
+    size = np.linalg.norm(W, axis=0)
+    R, order = qr(W / np.where(size > 0, size, 1.0), mode="r", pivoting=True)[:2]
+    rank = int((np.abs(np.diag(R)) > 1e-7 * abs(R[0, 0])).sum())
+    return np.sort(order[:rank])
+
+
+def gains_by_hand(robot: Robot, folder: Path, mass: float, cutoff: float, factor: int, steps: int) -> np.ndarray:
+    """Drive gains (n,) from a run without and one with a mass at the platform, by least squares.
+
+    Then ``steps`` columns are left out, the one of largest relative deviation each time, by an SVD of all rows.
+    """
+    from scipy.signal import decimate
+
+    loop = PinocchioLoop(robot, random_parameters(robot, np.random.default_rng(1)), drives=True)
+    heavy = 10 * int(loop.tree.model.njoints - 2)  # the mass of the platform, the last body
+    blocks, n = [], len(robot.actuated)
+    for name, load in (("0", 0.0), ("1", mass)):
+        q, qd, qdd, v = read_by_hand(folder / f"{name}.parquet", cutoff)
+        W = np.array(list(loop(q, qd, qdd)))
+        W, v = decimate(W, factor, axis=0), decimate(v, factor, axis=0)
+        W, v = W[20:-20], v[20:-20]  # where the filter has begun
+        V = np.einsum("tj,ji->tji", v, np.eye(n))
+        blocks.append(np.concatenate([V, -W, load * W[:, :, [heavy]]], axis=2))
+    total = np.concatenate(blocks).reshape(-1, blocks[0].shape[2])
+    some = total[:: max(1, len(total) // 6000), n:-1]
+    A, y = total[:, [*range(n), *(n + base_columns(some))]], total[:, -1]
+    found, deviation = _least_squares(A, y)
+    gains = found[:n]
+    for _ in range(steps):
+        worst = int((deviation[n:] / np.abs(found[n:])).argmax())
+        A = np.delete(A, n + worst, axis=1)
+        found, deviation = _least_squares(A, y)
+    return gains
+
+
+def _least_squares(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares by SVD, and the standard deviations."""
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    x = Vt.T @ ((U.T @ y) / s)
+    sigma = np.linalg.norm(y - A @ x) / np.sqrt(len(y) - len(x))
+    return x, sigma * np.linalg.norm(Vt.T / s, axis=1)
+
+
+class ExcitationByHand:
+    """The criterion of an excitation task sample by sample, and its gradient by finite differences."""
+
+    def __init__(self, task: Task, grid: Grid) -> None:
+        self.task, self.grid = task, grid
+        robot = task.model.robot
+        self.loop = PinocchioLoop(robot, random_parameters(robot, np.random.default_rng(1)))
+        order = {kind: k for k, kind in enumerate(("m", "mx", "my", "mz", "xx", "xy", "yy", "xz", "yz", "zz"))}
+        bodies = {name: k for k, name in enumerate(robot.bodies)}
+        names = (name.split("_", 1) for name in task.regressor.names)
+        drives = {kind: k for k, kind in enumerate(("ia", "fv", "fs", "off"))}
+        self.columns = [
+            10 * bodies[body] + order[kind] if kind in order else 10 * len(bodies) + 4 * bodies[body] + drives[kind]
+            for kind, body in names
+        ]
+
+    def value(self, x: np.ndarray) -> float:
+        """Logarithm of the base regressor's condition number."""
+        series, parts = self.task.series, []
+        for part in x.reshape(-1, series.size):
+            numbers = part.reshape(-1, series.free) * series.half[:, None]
+            q, qd, qdd = (basis @ numbers.T for basis in self.grid.basis[:3])
+            W = with_drives(np.array(list(self.loop(q + series.center, qd, qdd))), qd, qdd)
+            n, width = qd.shape[1], self.task.regressor.width
+            smooth = qd / np.sqrt(qd**2 + width**2)
+            W[:, :, -4 * n :].reshape(len(W), n, n, 4)[:, range(n), range(n), 2] = smooth
+            parts.append(W[:, :, self.columns].reshape(-1, len(self.columns)))
+        s = np.linalg.svd(np.linalg.qr(np.concatenate(parts), mode="r"), compute_uv=False)
+        return float(np.log(s[0] / s[-1]))
+
+    def gradient(self, x: np.ndarray, step: float = 1e-6) -> np.ndarray:
+        value = self.value(x)
+        return np.array([(self.value(x + step * e) - value) / step for e in np.eye(len(x))])
+
+
+def figaroh_wls(
+    robot: Robot, chi: dict[str, float], folder: Path, cutoff: float, factor: int
+) -> Callable[[], tuple[np.ndarray, np.ndarray]] | None:
+    """FIGAROH's way from a log to weighted least squares, giving torques predicted and measured; None without it.
+
+    Filter, derivatives, regressor, base parameters and weighted least squares are its public functions; the columns
+    are decimated by SciPy, as in its examples.
+    """
+    try:
+        from figaroh.identification.identification_tools import low_pass_filter_data, weigthed_least_squares
+        from figaroh.tools.qrdecomposition import QRDecomposer
+        from figaroh.tools.regressor import build_regressor_basic, build_regressor_reduced, get_index_eliminate
+    except ImportError:
+        return None
+    from scipy.signal import decimate
+
+    tree, n = Pinocchio(robot, chi), len(robot.actuated)
+    friction = {"has_friction": True, "has_actuator_inertia": True, "has_joint_offset": True}
+    names = [
+        f"{k}_{name}" for name in robot.bodies for k in ("m", "mx", "my", "mz", "xx", "xy", "yy", "xz", "yz", "zz")
+    ]
+    names += [f"{kind}_{name}" for kind in ("fv", "fs", "ia", "off") for name in robot.actuated]
+
+    def work() -> tuple[np.ndarray, np.ndarray]:
+        table = pl.read_parquet(folder / "0.parquet")
+        time = table["t"].to_numpy()
+        step = (time[-1] - time[0]) / (len(time) - 1)
+        q, tau = (table.select(name for name in table.columns if name.startswith(kind)).to_numpy() for kind in "qv")
+        settings = {"ts": step, "cut_off_frequency_butterworth": min(4 * cutoff, 1.98 / step), **friction}
+        settings |= {"is_joint_torques": True, "act_idxv": list(range(n))}
+        q, tau = low_pass_filter_data(q, settings), tau[25:-25]
+        qd = np.gradient(q, step, axis=0)
+        qdd = np.gradient(qd, step, axis=0)
+        W = build_regressor_basic(tree, q, qd, qdd, settings)
+        # joint by joint
+        W = np.concatenate([decimate(each, factor, axis=0)[20:-20] for each in np.split(W, n)])
+        tau = np.concatenate([decimate(each, factor)[20:-20] for each in tau.T])
+        index, kept = get_index_eliminate(W, dict.fromkeys(names, 0.0), 1e-3)
+        W = build_regressor_reduced(W, index)
+        W_b, _, _, phi, *_ = QRDecomposer().double_decomposition(tau, W, kept)
+        rows = len(tau) // n
+        settings["idx_tau_stop"] = [rows * (j + 1) for j in range(n)]
+        phi = weigthed_least_squares(tree, phi, W_b, tau, W_b @ phi, settings)
+        return W_b @ phi, tau
+
+    return work
 
 
 def figaroh_regressor(tree: Pinocchio, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray | None:

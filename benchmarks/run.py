@@ -21,17 +21,20 @@ import subprocess
 import sys
 import tempfile
 import tracemalloc
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter
 
 # numba imports a package 'coverage' where there is one, and it is not the file beside this one
 sys.path = [folder for folder in sys.path if not folder.endswith("benchmarks")]
+import numba  # noqa: F401
+
 sys.path += [str(Path(__file__).parent)]
 
 import numpy as np
 from peers import PinocchioLoop, figaroh_regressor, random_parameters
+from table import Row, check, medians, motion
+from whole import excitation_gradient, orthoglide_gains, ur10e_parameters
 
 from idim.estimation.base_parameters import base_parameters
 from idim.estimation.factors import reduce_run
@@ -40,55 +43,8 @@ from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
 from idim.robots.robot import Joint, Mdh, Robot
 from idim.signals.decimation import Decimator
-from idim.signals.preparation import Prepared
+from idim.signals.preparation import Held, Sampled
 from idim.signals.run import Run
-
-
-@dataclass(frozen=True)
-class Row:
-    """A line of the table: times in microseconds a sample unless the unit says otherwise."""
-
-    work: str
-    peer: str
-    ours: float
-    theirs: float | None
-    unit: str
-    target: str
-
-    @property
-    def ratio(self) -> float | None:
-        return None if self.theirs is None else self.theirs / self.ours
-
-
-def medians(repetitions: int, *works: Callable[[], object], clock: Callable[[], float] = process_time) -> list[float]:
-    """Median times in s of works that take turns, after each was done once.
-
-    Of processor time, which other people's work on the machine disturbs less, unless another clock is given.
-    """
-    times: list[list[float]] = [[] for _ in works]
-    for repetition in range(repetitions + 1):
-        for each, work in zip(times, works, strict=True):
-            start = clock()
-            work()
-            if repetition:
-                each.append(clock() - start)
-    return [float(np.median(each)) for each in times]
-
-
-def motion(robot: Robot, samples: int, rate: float = 1000.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A smooth path near home, (N, n) each: positions, velocities and accelerations."""
-    rng = np.random.default_rng(0)
-    joints = [robot.joint(name) for name in robot.actuated]
-    reach = np.array([0.04 if robot.closures else 0.5 for _ in joints])
-    t = np.arange(samples)[:, None] / rate
-    q, qd, qdd = (np.zeros((samples, len(joints))) for _ in range(3))
-    for harmonic in range(1, 6):
-        w = 2 * np.pi * 0.3 * harmonic
-        a, b = rng.normal(size=(2, len(joints))) * reach / 5
-        q += a * np.sin(w * t) + b * (np.cos(w * t) - 1)
-        qd += a * w * np.cos(w * t) - b * w * np.sin(w * t)
-        qdd += -a * w * w * np.sin(w * t) - b * w * w * np.cos(w * t)
-    return q + [joint.home for joint in joints], qd, qdd
 
 
 def seven_axes() -> Robot:
@@ -99,13 +55,6 @@ def seven_axes() -> Robot:
         for k, alpha in enumerate(alphas)
     ]
     return Robot("seven-axes", tuple(joints))
-
-
-def check(what: str, ours: np.ndarray, theirs: np.ndarray) -> None:
-    """Stop where two results differ."""
-    error = np.abs(ours - theirs).max() / np.abs(theirs).max()
-    if not error < 1e-9:
-        raise SystemExit(f"{what}: results differ by {error:.1e} of the largest")
 
 
 def regressors(robot: Robot, samples: int, few: int, targets: tuple[str, str], repetitions: int) -> list[Row]:
@@ -176,14 +125,14 @@ def threads(robot: Robot, samples: int) -> Row:
     )
 
 
-def prepared(robot: Robot, samples: int) -> Prepared:
+def prepared(robot: Robot, samples: int) -> Held:
     """A run as it comes from the filters, with currents that are noise."""
     path = motion(robot, samples)
     command = np.random.default_rng(2).normal(size=path[0].shape)
     time = np.arange(samples) / 1000.0
     run = Run.__new__(Run)
     object.__setattr__(run, "name", "made up")
-    return Prepared(run, time, *path, command, command, command, np.ones(path[0].shape, dtype=bool), 1000.0)
+    return Held(run, Sampled(time, *path, command, command, command, np.ones(path[0].shape, dtype=bool)))
 
 
 def reduction(robot: Robot, samples: int, few: int) -> list[Row]:
@@ -194,7 +143,7 @@ def reduction(robot: Robot, samples: int, few: int) -> list[Row]:
     base = base_parameters(idm)
     run, decimator = prepared(robot, samples), Decimator(10)
     loop = PinocchioLoop(robot, random_parameters(robot, np.random.default_rng(1)))
-    short = (run.q[:few], run.qd[:few], run.qdd[:few])
+    short = (run.all.q[:few], run.all.qd[:few], run.all.qdd[:few])
 
     def theirs() -> None:
         W = np.array(list(loop(*short)))
@@ -209,22 +158,25 @@ def reduction(robot: Robot, samples: int, few: int) -> list[Row]:
     ]  # fmt: skip
 
 
-def elimination(rows: int, columns: int) -> Row:
+def elimination(rows: int, columns: int) -> list[Row]:
     """Eliminating columns one after the other: on a triangle, or by SVD of all rows each time."""
     A = np.random.default_rng(3).normal(size=(rows, columns))
+    R = triangle(A)
 
     def ours() -> None:
-        R = triangle(A)
         for k in range(columns // 3):
             np.linalg.svd(triangle(R[:, k:]))
 
     def theirs() -> None:
         np.linalg.svd(A, full_matrices=False)
 
-    reduced, full = medians(1, ours, theirs)
+    loop, first, full = medians(1, ours, lambda: triangle(A), theirs)
     steps = columns // 3
-    return Row(f"{steps} eliminations, r = {rows:.0e}, c = {columns}", "SVD of all rows each step", 1e3 * reduced,
-               1e3 * full * steps, "ms", "500x")  # fmt: skip
+    work, peer = f"{steps} eliminations, r = {rows:.0e}, c = {columns}", "SVD of all rows each step"
+    return [
+        Row(f"{work}, from the triangle", peer, 1e3 * loop, 1e3 * full * steps, "ms", "500x"),
+        Row(f"{work}, first triangle included", peer, 1e3 * (loop + first), 1e3 * full * steps, "ms", ""),
+    ]
 
 
 def growth(robot: Robot, sizes: tuple[int, int]) -> list[Row]:
@@ -291,9 +243,13 @@ def main() -> None:
         *stages(orthoglide, 32768),
         *stages(hexapod, 32768),
         threads(orthoglide, samples),
-        threads(arm, samples),
+        threads(hexapod, samples),
+        threads(arm, 10 * samples),
         *reduction(orthoglide, samples, 5 * few),
-        elimination(10 * samples, 60),
+        *orthoglide_gains(3 * samples, 10000 if arguments.quick else 30000),
+        *ur10e_parameters(samples, 5000 if arguments.quick else 20000),
+        excitation_gradient(),
+        *elimination(10 * samples, 60),
         *growth(orthoglide, (samples, 10 * samples)),
         *starts(),
     ]
