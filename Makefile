@@ -8,6 +8,7 @@ SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2]
 
 demo: $(READY)
 	$(BIN)/idim demo --out demo
+	@echo "(idim is in $(BIN): '. $(BIN)/activate' puts it on the path)"
 
 test: lint
 	$(BIN)/pytest -n auto

@@ -106,8 +106,8 @@ LOGS = [
         column(1, lambda x: np.where(np.arange(len(x)) % 5, x, np.nan)),
     ),
     Case("infinite", "column 'v1' holds no number (it begins with 'inf')", column(3, lambda x: np.inf)),
-    Case("far out", "the loops cannot be closed", column(1, lambda x: 1e100 * x)),
-    Case("degrees for radians", "check the units, signs and zeros", numbers(lambda x: x * [1, 57.3, 57.3, 1, 1])),
+    Case("far out", "which no joint or drive does", column(1, lambda x: 1e100 * x)),
+    Case("degrees for radians", "if the log is in deg say so", numbers(lambda x: x * [1, 57.3, 57.3, 1, 1])),
     Case("joints exchanged", "outside the assembly mode of home", lines(lambda x: ["t,q2,q1,v1,v2", *x[1:]])),
     Case(
         "positions and currents exchanged",
@@ -139,7 +139,7 @@ LOGS = [
     Case("time without numbers", "column 't' holds no number", column(0, lambda x: np.nan)),
     Case(
         "time in milliseconds",
-        "run 'free' is sampled at 0.5 Hz and run 'loaded' at 500 Hz",
+        "give the unit of that column (units: {time: ms})",
         column(0, lambda x: 1000 * x),
     ),
     Case("a hole", "s are missing after", lines(lambda x: x[:2000] + x[2400:])),
@@ -159,6 +159,21 @@ LOGS = [
 ]
 
 EXPERIMENTS = [
+    Case(
+        "joints that differ",
+        "joint 'left' has a position but no current, and 'lift' a current but no position",
+        experiment(("current: {left", "current: {lift")),
+    ),
+    Case(
+        "no such robot file",
+        "line 1, robot: there is no file 'robots/mine.yaml'; paths are relative to the file that names them",
+        experiment(("robot: five-bar", "robot: robots/mine.yaml")),
+    ),
+    Case(
+        "a robot file almost named",
+        "line 1, robot: there is no file 'experment.yaml'; did you mean 'experiment.yaml'?",
+        experiment(("robot: five-bar", "robot: experment.yaml")),
+    ),
     Case(
         "no such file", "nowhere.yaml cannot be read: no such file or directory", command=("identify", "nowhere.yaml")
     ),

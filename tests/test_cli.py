@@ -19,6 +19,7 @@ import idim.estimation.identify
 from bad_input import Case
 from five_bar_logs import EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
 from idim.cli.commands import app
+from idim.robots.load import CATALOG
 
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
 WEIGHING = EXPERIMENT.replace("loaded.csv, payload: {name: steel, mass: 1.2}", "unknown.csv, payload: {name: lead}")
@@ -72,7 +73,7 @@ def test_identify_writes_and_prints(here: Path) -> None:
     result = run("identify", "experiment.yaml", "--out", "deep/out")
     assert result.exit_code == 0
     assert result.stderr == ""
-    assert [file.name for file in (here / "deep" / "out").iterdir()] == ["model.json"]
+    assert {file.name for file in (here / "deep" / "out").iterdir()} == {"model.json", "singularities.parquet"}
     assert "Drive gains" in result.stdout
     assert "written: deep/out/model.json" in result.stdout
     assert run("identify", "experiment.yaml").exit_code == 0
@@ -177,8 +178,9 @@ def test_robot(here: Path) -> None:
     assert "25" in run("robot", "five-bar").stdout
 
 
-def test_help_and_versions_of_nothing() -> None:
+def test_help_and_version() -> None:
     assert run("--help").exit_code == 0
+    assert run("--version").stdout == f"idim {idim.__version__}\n"
     for command in ("identify", "validate", "payload", "robot", "demo"):
         assert run(command, "--help").exit_code == 0
     for arguments in (["nonsense"], ["identify"], ["identify", "--nonsense"], ["identify", "x", "--ratio", "0.5"]):
@@ -262,10 +264,66 @@ def test_the_cases_are_different() -> None:
 
 
 @pytest.mark.parametrize("command", [("identify", "experiment.yaml"), ("robot", "orthoglid"), ("validate", "a", "b")])
-def test_a_refusal_prints_no_json(here: Path, command: tuple[str, ...]) -> None:
+def test_a_refusal_is_a_document_too(here: Path, command: tuple[str, ...]) -> None:
     (here / "free.csv").unlink()
     result = run(*command, "--json")
-    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.exit_code == 2
+    assert result.stderr == f"idim: {json.loads(result.stdout)['error']}\n"
+    assert run(*command).stdout == ""
+
+
+def test_no_gain_to_believe_is_an_exit_code_of_its_own(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import idim.estimation.verdicts
+
+    monkeypatch.setattr(idim.estimation.verdicts, "LOST_GAIN", 1e-6)  # every deviation is too large for it
+    result = run("identify", "experiment.yaml", "--out", "out")
+    assert result.exit_code == 3
+    assert result.stdout.count("not identifiable") >= len(JOINTS)
+    assert (here / "out" / "model.json").exists()
+
+
+def test_a_robot_is_not_written_over_what_it_was_read_from(here: Path) -> None:
+    text = (CATALOG / "five-bar.yaml").read_text()
+    (here / "mine.yaml").write_text(text)
+    result = run("robot", "mine.yaml", "--save", str(here / "mine.yaml"))
+    assert result.exit_code == 2
+    assert "give it another name" in result.stderr
+    assert (here / "mine.yaml").read_text() == text
+    for _ in range(2):  # any other file is replaced
+        assert run("robot", "mine.yaml", "--save", "other.yaml").exit_code == 0
+
+
+def test_the_loops_beside_a_urdf_are_not_replaced(here: Path, shared: Path) -> None:
+    for file in (shared / "parallel_models" / "5bar_linkage").iterdir():
+        (here / file.name).write_bytes(file.read_bytes())
+    before = (here / "robot.yaml").read_bytes()
+    result = run("robot", "robot.urdf", "--save", "robot.yaml")
+    assert (result.exit_code, (here / "robot.yaml").read_bytes()) == (2, before)
+
+
+def test_a_figure_of_another_kind_is_refused(here: Path) -> None:
+    result = run("robot", "five-bar", "--figure", "a.xyz")
+    assert (result.exit_code, (here / "a.xyz").exists()) == (2, False)
+    assert "let its name end in .png" in result.stderr
+
+
+def test_masses_follow_their_option_only(here: Path) -> None:
+    for words in (["3"], ["--payload-mass", "1", "2", "x"], ["--payload-mass", "1", "-2"]):
+        result = run("excite", "design.yaml", *words, "--out", "plan")
+        assert result.exit_code == 2
+        assert not (here / "plan").exists()
+    assert "more_masses" not in run("excite", "--help").stdout
+
+
+def test_figures_of_validation(here: Path) -> None:
+    pytest.importorskip("matplotlib")
+    (here / "again").mkdir()
+    (here / "again" / "check.csv").symlink_to(here / "free.csv")
+    (here / "two.yaml").write_text(EXPERIMENT + "  - {log: again/check.csv}\n")
+    stdout = run("validate", "model.json", "two.yaml", "--out", "figures").stdout
+    names = ["torques_check-2.png", "torques_check.png"]
+    assert sorted(path.name for path in (here / "figures").iterdir()) == names
+    assert all(f"written: figures/{name}" in stdout for name in names)
 
 
 def test_a_write_that_fails_leaves_the_old_model(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -313,6 +371,11 @@ def test_as_a_program(here: Path) -> None:
     stdout, stderr = (process := start(here, "identify", "nowhere.yaml")).communicate()
     assert (process.returncode, stdout) == (2, "")
     assert stderr.startswith("idim: nowhere.yaml cannot be read: no such file or directory; ")
+    stdout, stderr = (process := start(here, "identify", "experiment.yaml", "--method", "foo", "--json")).communicate()
+    assert process.returncode == 2
+    assert json.loads(stdout)["error"] in stderr
+    assert "Value error" not in stderr
+    assert stderr.endswith("'ols'. See 'idim --help'.\n")
 
 
 SIGNS = """

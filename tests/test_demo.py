@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,9 @@ def test_the_demo_writes_what_it_lists_and_nothing_else(made: tuple[Path, dict[s
     out, document, text = made
     json.dumps(document, allow_nan=False)
     assert sorted(document["files"]) == sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
-    assert text in (out / "README.txt").read_text(encoding="utf-8")
+    whole = (out / "README.txt").read_text(encoding="utf-8")
+    assert text in whole
+    assert "same geometry" not in whole  # legs whose frictions differ are no news
     if any(name.startswith("figures/") for name in document["files"]):
         assert all(path.read_bytes().startswith(b"\x89PNG") for path in (out / "figures").iterdir())
 
@@ -158,3 +161,34 @@ def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_
     finally:
         matplotlib.rcParams.update(before)
     assert (tmp_path / "0.png").read_bytes() == (tmp_path / "1.png").read_bytes()
+
+
+def test_the_examples_of_the_readme_run_in_the_demo(
+    made: tuple[Path, dict[str, Any], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, document, _ = made
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    (example,), (commands,), (snippet,) = (
+        re.findall(rf"^```{language}\n(.*?)^```$", readme, re.DOTALL | re.MULTILINE)
+        for language in ("yaml", "sh", "python")
+    )
+    for path in out.iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    monkeypatch.chdir(tmp_path)
+    Path("mine.yaml").write_text(example)
+    lines = [line.split("#")[0].split() for line in commands.splitlines()]
+    assert {words[1] for words in lines} == {"robot", "check", "identify", "validate", "payload", "compare"}
+    for words in lines:
+        done = CliRunner().invoke(app, words[1:], catch_exceptions=False)
+        assert (words[0], done.exit_code) == ("idim", 0), done.output
+    mine = json.loads(Path("result/model.json").read_text())
+    found = {each["joint"]: each["value"] for each in document["drive_gains"]}
+    assert {each["joint"]: each["value"] for each in mine["drive_gains"]} == pytest.approx(
+        found
+    )  # std differs: mass_std
+    assert Path("result/torques_validation_loaded.png").read_bytes().startswith(b"\x89PNG")
+    names: dict[str, Any] = {}
+    exec(snippet, names)
+    assert names["tau"].shape == (5, 3)
+    assert names["W"].shape == (5, 3, len(names["idm"].parameter_names))
+    assert idim.Result.load("again.json").drive_gains["11"].value == found["11"]

@@ -8,50 +8,66 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from idim.errors import IdimError
     from idim.estimation.base_parameters import BaseParameters, base_parameters
+    from idim.estimation.comparison import compare
+    from idim.estimation.estimates import Estimate
     from idim.estimation.identify import identify
     from idim.estimation.payload import weigh
     from idim.estimation.result import Result
+    from idim.experiment.design import design as excite
+    from idim.experiment.design_file import read_design
     from idim.model.inverse_dynamics import InverseDynamics
     from idim.robots.load import load_robot
     from idim.robots.robot import Robot
     from idim.signals.run import Run, read_run
+    from idim.simulation.experiment_files import simulate_experiment as simulate
 
 __version__ = "0.1.0"
 __all__ = [
     "BaseParameters",
+    "Estimate",
     "IdimError",
     "InverseDynamics",
     "Result",
     "Robot",
     "Run",
     "base_parameters",
+    "compare",
+    "excite",
     "identify",
     "load_robot",
+    "read_design",
     "read_run",
+    "simulate",
     "weigh",
 ]
 
 _HOMES = {
     "BaseParameters": "estimation.base_parameters",
+    "Estimate": "estimation.estimates",
     "IdimError": "errors",
     "InverseDynamics": "model.inverse_dynamics",
     "Result": "estimation.result",
     "Robot": "robots.robot",
     "Run": "signals.run",
     "base_parameters": "estimation.base_parameters",
+    "compare": "estimation.comparison",
+    "excite": "experiment.design",
     "identify": "estimation.identify",
     "load_robot": "robots.load",
+    "read_design": "experiment.design_file",
     "read_run": "signals.run",
+    "simulate": "simulation.experiment_files",
     "weigh": "estimation.payload",
 }
+_NAMES_AT_HOME = {"excite": "design", "simulate": "simulate_experiment"}  # the others are called the same there
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is asked for (PEP 562): ``import idim`` itself stays light."""
     if name not in _HOMES:
         raise AttributeError(f"module 'idim' has no attribute '{name}'")
-    return getattr(import_module(f"idim.{_HOMES[name]}"), name)
+    return getattr(import_module(f"idim.{_HOMES[name]}"), _NAMES_AT_HOME.get(name, name))
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return __all__

@@ -7,7 +7,10 @@ import sys
 
 
 def main() -> None:
-    """Run the command line; what it refuses, wrong options too, is one sentence on stderr and exit code 2."""
+    """Run the command line; what it refuses, wrong options too, is one sentence on stderr and exit code 2.
+
+    The other exit codes: 0 done, 1 a fault of idim itself, 3 done but no drive gain can be believed, 130 interrupted.
+    """
     try:
         sys.exit(_run())
     except KeyboardInterrupt:  # before a command has begun: while Python is still importing
@@ -19,6 +22,7 @@ def _run() -> int:
     import typer
 
     from idim.cli.commands import app
+    from idim.cli.console import refused
 
     if len(sys.argv) < 2:
         app()
@@ -28,8 +32,8 @@ def _run() -> int:
     except typer.Abort:
         return 130
     except usage_error as error:
-        typer.echo(f"idim: {error.format_message()} See 'idim --help'.", err=True)  # type: ignore[attr-defined]
-        return 2
+        message = error.format_message().replace("Value error, ", "").rstrip(".")  # type: ignore[attr-defined]
+        return refused(f"{message}. See 'idim --help'.", "--json" in sys.argv).exit_code
     except Exception as error:
         if "IDIM_DEBUG" in os.environ:
             raise

@@ -2,21 +2,44 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
+from idim import __version__
 from idim.cli.excitation import excite
+from idim.cli.fleet import fleet
 from idim.cli.identification import compare, identify, payload, validate
+from idim.cli.logs import check
 from idim.cli.robots import robot
 from idim.cli.simulations import compare_control, demo, simulate
 
+
+def show_version(wanted: bool) -> None:
+    """Print the version, where it is asked for."""
+    if wanted:
+        typer.echo(f"idim {__version__}")
+        raise typer.Exit
+
+
 app = typer.Typer(
     name="idim",
-    help="Drive gains and dynamic parameters of robots, serial and parallel, from logged positions and motor currents.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-for command in (identify, compare, validate, payload, robot, demo, simulate):
+
+
+@app.callback()
+def idim(
+    version: Annotated[
+        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """Drive gains and dynamic parameters of robots, serial and parallel, from logged positions and motor currents."""
+
+
+for command in (check, identify, fleet, compare, validate, payload, robot, demo, simulate):
     app.command()(command)
 app.command(name="compare-control")(compare_control)
-app.command()(excite)
+app.command(context_settings={"allow_extra_args": True})(excite)  # the masses of --payload-mass

@@ -20,35 +20,58 @@ ModelFile = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")]
 
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask", metavar="ADDRESS", help="Work on the workers of a Dask scheduler (tcp://host:8786), or 'local'."
+    ),
+]
+
 
 @contextmanager
-def refusals() -> Iterator[None]:
-    """Turn what idim refuses into one sentence on stderr and exit code 2."""
+def refusals(as_json: bool) -> Iterator[None]:
+    """Turn what idim refuses into one sentence on stderr, ``as_json`` also a document on stdout, and exit code 2."""
     try:
         yield
     except IdimError as error:
-        typer.echo(f"idim: {error}", err=True)
-        raise typer.Exit(2) from None
+        raise refused(str(error), as_json) from None
     except KeyboardInterrupt as interruption:
         finished = str(interruption) or "files that were not finished have not been written"
-        typer.echo(f"idim: interrupted; {finished}.", err=True)
-        raise typer.Exit(130) from None
+        raise refused(f"interrupted; {finished}.", as_json, 130) from None
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(0) from None
 
 
+def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:
+    """Say why nothing comes of it; the exit to raise."""
+    typer.echo(f"idim: {sentence}", err=True)
+    if as_json:
+        print_json({"error": sentence})
+    return typer.Exit(code)
+
+
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar on stderr, where that is a terminal."""
+def progress_bar(lines: bool = False) -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar on stderr, where that is a terminal; elsewhere, with ``lines``, a line as each stage begins."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
+        MofNCompleteColumn(),
         TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -57,6 +80,8 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
         def report(what: str, done: int, total: int) -> None:
             if what not in tasks:
                 tasks[what] = bar.add_task(what, total=total)
+                if lines and not console.is_terminal:
+                    typer.echo(f"idim: {what} ...", err=True)
             bar.update(tasks[what], completed=done, total=total)
 
         yield report
@@ -65,15 +90,6 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
 def print_json(document: Any) -> None:
     """Print one JSON document on stdout."""
     typer.echo(json.dumps(document, indent=1, allow_nan=False))
-
-
-def folder_of(path: Path) -> Path:
-    """The folder itself, made where it is missing."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise IdimError(f"the folder {path} cannot be made ({error.strerror}); choose another one.") from None
-    return path
 
 
 @contextmanager

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from idim.cli.console import ExperimentFile, Json, ModelFile, folder_of, print_json, progress_bar, refusals
+from idim.cli.console import Dask, ExperimentFile, Json, ModelFile, print_json, progress_bar, refusals
 from idim.errors import IdimError
+from idim.files import folder_of
 
 
 class Method(StrEnum):
@@ -18,6 +19,8 @@ class Method(StrEnum):
     ml = "ml"
     huber = "huber"
     ridge = "ridge"
+    iv = "iv"
+    didim = "didim"
     two_stage = "2sls"
     mixed = "mixed"
     tls = "tls"
@@ -34,8 +37,16 @@ class Gains(StrEnum):
 
 def identify(
     experiment: ExperimentFile,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for model.json.")] = None,
-    method: Annotated[Method, typer.Option(help="Estimator; wls and ols take the file's prior_gains.")] = Method.ml,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for model.json and singularities.parquet.")
+    ] = None,
+    method: Annotated[
+        Method | None,
+        typer.Option(
+            help="Estimator; wls and ols take the file's prior_gains. Default: ml, or tls with --as-paper.",
+            show_default=False,
+        ),
+    ] = None,
     ratio: Annotated[
         float | None,
         typer.Option(
@@ -46,41 +57,59 @@ def identify(
     as_paper: Annotated[
         bool,
         typer.Option(
-            "--as-paper", help="Follow the paper step by step: its filter, friction and reduction, no delays."
+            "--as-paper",
+            help="Follow the paper step by step: its TLS (or wls, ols), filter, friction and reduction, no delays.",
         ),
     ] = False,
     consistent: Annotated[
         bool, typer.Option("--consistent", help="Also find standard parameters that rigid bodies can have.")
     ] = False,
+    dask: Dask = None,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Reduce long logs anew, and keep nothing of it for the next time.")
+    ] = False,
     json_: Json = False,
 ) -> None:
-    """Identify drive gains and dynamic parameters, and write DIR/model.json."""
-    with refusals():
+    """Identify drive gains and dynamic parameters, and write DIR/model.json.
+
+    The exit code is 3 where no drive gain can be believed: all are contradictory or not identifiable.
+    """
+    with refusals(json_):
         from idim.estimation.identify import identify as run
         from idim.estimation.model_file import to_document
+        from idim.scale.cache import cache_folder, remembering
+        from idim.scale.spread import in_turn
+        from idim.scale.workers import where_to_work
 
-        with progress_bar() as progress:
+        with progress_bar() as progress, where_to_work(dask) as spread:
             result = run(
                 experiment,
-                method=method.value,
+                method=None if method is None else method.value,
                 ratio=ratio,
                 as_paper=as_paper,
                 consistent=consistent,
                 progress=progress,
+                mapper=in_turn(spread if no_cache else remembering(spread, cache_folder())),
             )
         if out is not None:
+            from idim.estimation.singular_poses import write_distances
+
             result.save(folder_of(out) / "model.json")
+            write_distances(result.distances, out / "singularities.parquet")
         if json_:
             print_json(to_document(result))
         else:
             typer.echo(result.summary())
             if out is not None:
-                typer.echo(f"written: {out / 'model.json'}")
+                typer.echo(f"written: {out / 'model.json'}\nwritten: {out / 'singularities.parquet'}")
+        outcomes = {gain.verdict.outcome.value for gain in result.drive_gains.values()}
+        if outcomes.isdisjoint(("given", "good", "weak")):
+            raise typer.Exit(3)  # a script is not to go on with such a model
 
 
 def compare(experiment: ExperimentFile, json_: Json = False) -> None:
     """Identify with every estimator, and compare gains, deviations, residuals and verdicts."""
-    with refusals():
+    with refusals(json_):
         from idim.estimation.comparison import compare as run
         from idim.estimation.comparison import table, to_document
 
@@ -92,52 +121,34 @@ def compare(experiment: ExperimentFile, json_: Json = False) -> None:
             typer.echo(table(found))
 
 
-def validate(model: ModelFile, experiment: ExperimentFile, json_: Json = False) -> None:
-    """Torque errors of a model on the validation runs of an experiment."""
-    with refusals():
+def validate(
+    model: ModelFile,
+    experiment: ExperimentFile,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for a figure of each run.")] = None,
+    json_: Json = False,
+) -> None:
+    """Torque errors of a model on the validation runs of an experiment; with DIR also figures."""
+    with refusals(json_):
         from idim.estimation.data import experiment_of, read_runs
         from idim.estimation.result import Result
+        from idim.report.validation_page import describe_validations, validate_run, validation_page, write_torques
 
         result = Result.load(model)
         described = experiment_of(result, experiment)
         if not described.validation:
             raise IdimError(f"{experiment} has no validation runs; list them under 'validation'.")
         with progress_bar() as progress:
-            runs = read_runs(described, described.validation)
-            errors = []
+            runs = read_runs(described, described.validation, progress)
+            validations = []
             for k, run in enumerate(runs):
                 progress("validation", k, len(runs))
-                errors.append((run.name, result.validate(run)))
+                validations.append(validate_run(result, run))
+        written = [] if out is None else write_torques(validations, folder_of(out))
+        document = describe_validations(validations)
         if json_:
-            print_json(
-                {
-                    "runs": [
-                        {
-                            "log": name,
-                            "joints": [
-                                {
-                                    "joint": e.joint,
-                                    "rms": e.rms,
-                                    "signal": e.signal,
-                                    "relative": e.relative,
-                                    "unit": e.unit,
-                                }
-                                for e in found
-                            ],
-                        }
-                        for name, found in errors
-                    ]
-                }
-            )
-            return
-        for name, found in errors:
-            typer.echo(f"{name}\n  {'joint':<22}{'error rms':>12}{'signal rms':>12}{'error %':>9}   unit")
-            for e in found:
-                typer.echo(f"  {e.joint:<22}{e.rms:>12.4g}{e.signal:>12.4g}{e.relative:>9.2f}   {e.unit}")
-        typer.echo(
-            "A small error does not prove the gains: both sides carry them. Weigh a known payload ('idim "
-            "payload') for that."
-        )
+            print_json(document)
+        else:
+            typer.echo("\n".join([validation_page(document), *(f"written: {path}" for path in written)]))
 
 
 def payload(
@@ -147,7 +158,7 @@ def payload(
     json_: Json = False,
 ) -> None:
     """Weigh the unknown payloads of an experiment's loaded runs."""
-    with refusals():
+    with refusals(json_):
         from idim.estimation.model_file import payload_documents
         from idim.estimation.payload import weigh
         from idim.estimation.result import Result

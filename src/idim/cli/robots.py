@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from idim.cli.console import Json, print_json, refusals
+from idim.errors import IdimError
 
 
 def robot(
@@ -28,14 +29,20 @@ def robot(
     json_: Json = False,
 ) -> None:
     """Joints, loops, degrees of freedom and base parameters of a robot."""
-    with refusals():
+    with refusals(json_):
         from idim.report.robot_page import describe, robot_page
         from idim.robots.load import load_robot
 
         found = load_robot(source)
         if save is not None:
+            from idim.robots.loops_yaml import is_loops_file
             from idim.robots.native import write_native
 
+            if save.exists() and (
+                (Path(source).exists() and save.samefile(source))
+                or (save.suffix in (".yaml", ".yml") and is_loops_file(save))
+            ):
+                raise IdimError(f"--save would replace {save}, which is being read; give it another name.")
             write_native(found, save)
         if figure is not None:
             from idim.report.robot_figure import robot_figure

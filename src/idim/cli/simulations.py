@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from idim.cli.console import ExperimentFile, Json, folder_of, print_json, progress_bar, refusals
+from idim.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
+from idim.files import folder_of
 
 
 def demo(
@@ -15,10 +16,10 @@ def demo(
     json_: Json = False,
 ) -> None:
     """Identify an Orthoglide from logs made on the spot, and weigh a second payload with the result."""
-    with refusals():
+    with refusals(json_):
         from idim.report.demo import demo as run
 
-        with progress_bar() as progress:
+        with progress_bar(lines=True) as progress:
             document, text = run(folder_of(out), progress)
         if json_:
             print_json(document)
@@ -37,11 +38,11 @@ def simulate(
     json_: Json = False,
 ) -> None:
     """Make logs of a simulated robot under control, and the experiment file for 'idim identify'."""
-    with refusals():
+    with refusals(json_):
         from idim.simulation.experiment_files import simulate_experiment
 
-        with progress_bar() as progress:
-            written = simulate_experiment(simulation, folder_of(out), progress)
+        with progress_bar(lines=True) as progress:
+            written = simulate_experiment(simulation, out, progress)
         if json_:
             print_json({"files": [str(path) for path in written]})
         else:
@@ -57,11 +58,11 @@ def compare_control(
 
     The models of computed torque are identified from the logs of EXPERIMENT.yaml, those that 'idim simulate' wrote.
     """
-    with refusals():
+    with refusals(json_):
         from idim.simulation.comparison import compare_control as run
         from idim.simulation.comparison import table, table_document
 
-        with progress_bar() as progress:
+        with progress_bar(lines=True) as progress:
             comparison = run(simulation, experiment, progress)
         if json_:
             print_json({"tracking": table_document(comparison)})

@@ -10,14 +10,13 @@ from typing import Any
 
 import yaml
 
-from idim.errors import IdimError
 from idim.estimation.data import Progress, read_runs
 from idim.estimation.estimates import Estimate, Prediction, TorqueError
 from idim.estimation.identify import identify
 from idim.estimation.payload import weigh
 from idim.estimation.prediction import torque_errors
 from idim.estimation.result import Result
-from idim.files import write_atomically
+from idim.files import folder_of, write_atomically
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
 from idim.signals.experiment import read_experiment
@@ -97,6 +96,10 @@ SECOND_PAYLOAD = f"""\
   - {{log: logs/second_payload_unloaded.csv}}
   - {{log: logs/second_payload.csv, payload: {{name: second}}}}
 """
+SAME_TRACKING = (
+    "The manufacturer's gains track as well as the identified ones: each model was identified with its own gains, so",
+    "both ask for nearly the same currents. Wrong gains show where torques are told in newtons: in the weighing above.",
+)
 COMMANDS = (
     "idim identify experiment.yaml --out .",
     "idim validate model.json experiment.yaml",
@@ -170,7 +173,7 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> Reference
     write_atomically(out / "simulation.yaml", simulation_text(duration))
     simulation = read_simulation(out / "simulation.yaml")
     model = InverseDynamics(load_robot(simulation.robot))
-    _make_folder(out / "logs")
+    folder_of(out / "logs")
     for k, run in enumerate(simulation.runs):
         progress("simulating", k, len(simulation.runs))
         write_log(make_run(simulation, model, run).run, out / "logs" / f"{run.name}.csv")
@@ -212,13 +215,6 @@ def _points(points: tuple[tuple[float, ...], ...]) -> list[dict[str, float]]:
     return [dict(zip(DRIVE_GAINS, point, strict=True)) for point in points]
 
 
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(exist_ok=True)
-    except OSError as error:
-        raise IdimError(f"the folder {path} cannot be made ({error.strerror}); choose another --out.") from None
-
-
 def write_figures(out: Path, outcome: Outcome, exciting: Reference, progress: Progress) -> list[str]:
     """Write the figures; return their paths in ``out``, none where matplotlib is not installed."""
     if find_spec("matplotlib") is None:
@@ -240,7 +236,7 @@ def write_figures(out: Path, outcome: Outcome, exciting: Reference, progress: Pr
         **{f"tracking_{name}": tracking_figure(compared, name) for name in compared.references},
         "robot": robot_figure(outcome.result.robot),
     }
-    _make_folder(out / "figures")
+    folder_of(out / "figures")
     for k, (name, figure) in enumerate(made.items()):
         progress("drawing", k, len(made))
         save_figure(figure, out / "figures" / f"{name}.png")
@@ -321,6 +317,8 @@ def report(found: Mapping[str, Any], tracking: str) -> str:
         "Following two trajectories, with computed torque by models identified with three sets of gains",
         "",
         tracking,
+        "",
+        *SAME_TRACKING,
         "",
         f"In {found['folder']}:",
         "  README.txt             this text and the whole result",

@@ -66,10 +66,13 @@ def gains_figure(gains: Mapping[str, Estimate], truth: Mapping[str, float], prio
     return figure
 
 
-def torques_figure(prediction: Prediction, units: Sequence[str], start: float, stop: float) -> Figure:
-    """Measured ``v g_tau`` and predicted torques of each joint between two instants, s, and what they differ by.
+def torques_figure(
+    prediction: Prediction, units: Sequence[str], start: float, stop: float, kind: str = "current"
+) -> Figure:
+    """Measured and predicted torques of each joint between two instants, s, and what they differ by.
 
-    Where the model's friction does not hold, near reversals, the difference is left out.
+    Where ``kind`` is current, what is measured is ``v g_tau``. Where the model's friction does not hold, near
+    reversals, the difference is left out.
     """
     window = (prediction.time >= start) & (prediction.time <= stop)
     time = prediction.time[window]
@@ -77,14 +80,13 @@ def torques_figure(prediction: Prediction, units: Sequence[str], start: float, s
     difference = np.where(keep, measured - predicted, np.nan)
     limit = 1.15 * np.nanmax(np.abs(difference))
     n = len(prediction.joints)
+    label = "measured (current reference × gain)" if kind == "current" else "measured"
     with styled():
         figure = new_figure(7.2, 0.5 + 1.9 * n)
         grid = figure.add_gridspec(3 * n - 1, 1, height_ratios=([2.4, 1, 0.12] * n)[:-1])  # third rows: space
         for j, joint in enumerate(prediction.joints):
             above, below = (figure.add_subplot(grid[3 * j + k]) for k in (0, 1))
-            above.plot(
-                time, measured[:, j], color="#B8B8B8", linewidth=3.4, label="measured (current reference × gain)"
-            )
+            above.plot(time, measured[:, j], color="#B8B8B8", linewidth=3.4, label=label)
             above.plot(time, predicted[:, j], color=BLUE, linewidth=1.1, label="predicted")
             above.set_ylabel(f"joint {joint}, {units[j]}")
             below.axhline(0.0, color=GREY, linewidth=0.8)

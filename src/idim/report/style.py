@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from io import BytesIO
 from math import floor, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from idim.errors import IdimError
 from idim.files import write_atomically
 
 if TYPE_CHECKING:
@@ -64,6 +66,12 @@ STYLE: dict[Any, Any] = {
 }
 
 
+def require_matplotlib() -> None:
+    """Refuse to draw where matplotlib is not installed."""
+    if find_spec("matplotlib") is None:
+        raise IdimError("pictures need matplotlib; install it with 'pip install idim[plot]'.")
+
+
 @contextmanager
 def styled() -> Iterator[None]:
     """Draw in the style of the package; afterwards the user's settings of matplotlib are as they were."""
@@ -114,8 +122,10 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     Raises
     ------
     IdimError
-        Where the file cannot be written.
+        Where the file's name does not end in ``.png``, or it cannot be written.
     """
+    if Path(path).suffix.lower() != ".png":
+        raise IdimError(f"figures are written as PNG, so '{path}' would mislead; let its name end in .png.")
     content = BytesIO()
     with styled():
         figure.savefig(content, format="png", metadata={"Software": None})
