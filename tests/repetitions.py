@@ -57,7 +57,7 @@ def repeated_gains(task: Task, x: np.ndarray, count: int, rng: np.random.Generat
             for j in range(n):
                 T = triangle(noisy[j, keep[j]])
                 R[0, j, : len(T)] = T
-            factors.append(Factors(R, keep.sum(axis=1)[None], 1.0))
+            factors.append(Factors(R, keep.sum(axis=1)[None]))
         friction = Friction((), len(runs) > 1)
         problem = assemble(task.model, task.base, factors, task.payloads, slowest, friction).problem
         try:

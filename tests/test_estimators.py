@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from idim.estimation.current_domain import ml, ols, two_stage, wls
+from idim.errors import IdimError
+from idim.estimation import newton
+from idim.estimation.current_domain import ml, ols, wls
 from idim.estimation.homogeneous import leave_one_out, mixed, tls
 from idim.estimation.problem import Problem, delayed
 from idim.estimation.reduction import essential
 from idim.estimation.solution import Solution
 from idim.estimation.triangle import triangle
+from idim.estimation.two_stage import two_stage
+from idim.signals.filters import differentiate, low_pass
 
 UNITS = 20
 THETA = np.array([1.5, -0.7, 0.4, 2.2, -1.1])
@@ -378,3 +382,30 @@ def test_the_ratio_rule_holds_and_no_step_too_far(rng: np.random.Generator) -> N
 def test_only_candidates_are_cancelled(rng: np.random.Generator) -> None:
     kept, _, _ = essential(with_idle(rng), ("p1", "p2", "p3", "p5"), METHODS["wls"])
     assert kept.parameters == ("p1", "p3", "p4", "p5")
+
+
+def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The current's derivatives are then mostly noise, and Gauss and Newton's steps in the delays far too short."""
+    rate, samples, theta, gain = 100.0, 6000, np.array([1.5, -0.7, 0.4]), 2.0
+    time = np.arange(samples) / rate
+    units = []
+    for mass in (0.0, 1.0):
+        w = 2 * np.pi * np.array([0.11, 0.23, 0.31])
+        W = np.sin(w * time[:, None] + rng.uniform(0, 6.0, 3))
+        known = mass * np.sin(2 * np.pi * 0.17 * time)
+        v = (W @ theta + known) / gain + low_pass(0.2 * rng.standard_normal(samples), rate, 10.0)
+        whole = np.column_stack([W, known, v, *differentiate(v, rate)])
+        units += [whole[part][None] for part in np.array_split(np.arange(samples), 10)]
+    problem = Problem(("a", "b", "c"), ("j",), np.array(units), np.full((20, 1), samples // 10), 0.5)
+    far = newton.State(theta, np.array([1 / gain]), np.array([0.05]))
+
+    def weights(state: newton.State, errors: np.ndarray) -> np.ndarray:
+        return 1 / np.sqrt(errors / problem.total_rows)
+
+    monkeypatch.setattr(newton, "STEPS", 25)
+    solution = newton.solve(problem, far, weights, True)
+    np.testing.assert_allclose(solution.stacked, ml(problem).stacked, rtol=1e-5)
+    assert solution.gains[0] == pytest.approx(gain, rel=0.03)
+    monkeypatch.setattr(newton, "curvature_of_delays", lambda blocks, *others: np.zeros(blocks.shape[:-2]))
+    with pytest.raises(IdimError, match="did not settle"):  # in 150 steps and more it would
+        newton.solve(problem, far, weights, True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from five_bar_logs import JOINTS, STEEL, Plant
+from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from idim.estimation.current_domain import ml
 from idim.estimation.data import reduce_runs
 from idim.estimation.drift import worst_drifts
@@ -18,7 +18,7 @@ from idim.estimation.factors import STRETCHES
 from idim.estimation.friction import Friction
 from idim.estimation.identify import identify
 from idim.estimation.result import Estimate, Result
-from idim.estimation.verdicts import INFLATED, Outcome, mass_verdict, parameter_verdict, worst
+from idim.estimation.verdicts import INFLATED, Outcome, known_verdict, parameter_verdict, worst
 from idim.robots.load import load_robot
 from idim.signals.experiment import Payload
 from idim.signals.run import Run
@@ -59,13 +59,14 @@ def test_what_is_known_or_unknown_has_no_interval() -> None:
 
 
 def test_intervals_rest_on_the_blocks_and_are_saved(result: Result, tmp_path: Path) -> None:
-    blocks = 2 * STRETCHES
-    assert {each.freedom for each in (*result.drive_gains.values(), *result.parameters.values())} == {blocks - 1}
+    for each in (*result.drive_gains.values(), *result.parameters.values()):
+        assert each.freedom is not None
+        assert 1 <= each.freedom <= 2 * STRETCHES - 1
     result.save(tmp_path / "model.json")
     document = json.loads((tmp_path / "model.json").read_text())
     for entry in (*document["drive_gains"], *document["parameters"], *document["delays"]):
         low, high = entry["interval"]
-        half = scipy.stats.t(blocks - 1).ppf(0.975) * entry["std"]
+        half = scipy.stats.t(entry["freedom"]).ppf(0.975) * entry["std"]
         assert (low, high) == pytest.approx((entry["value"] - half, entry["value"] + half))
     loaded = Result.load(tmp_path / "model.json")
     assert loaded.drive_gains["left"].interval(0.9) == result.drive_gains["left"].interval(0.9)
@@ -87,8 +88,8 @@ def test_verdicts_of_parameters() -> None:
 
 
 def test_verdicts_of_masses() -> None:
-    assert mass_verdict(2.0, 2.02, 0.01).outcome == Outcome.GOOD
-    wrong = mass_verdict(2.0, 2.05, 0.01)
+    assert known_verdict("m", 2.0, 2.02, 0.01, "kg").outcome == Outcome.GOOD
+    wrong = known_verdict("m", 2.0, 2.05, 0.01, "kg")
     assert wrong.outcome == Outcome.CONTRADICTORY
     assert "2.05" in wrong.sentence
     assert "weigh the payloads again" in wrong.sentence
@@ -118,6 +119,19 @@ def test_a_light_payload_is_weak_or_lost() -> None:
     verdicts = [gain.verdict for gain in result.drive_gains.values()]
     assert worst(verdicts) in (Outcome.WEAK, Outcome.NOT_IDENTIFIABLE, Outcome.CONTRADICTORY)
     assert any("use a heavier payload" in verdict.advice for verdict in verdicts)
+
+
+@pytest.mark.parametrize(("noise", "good"), [(0.005, True), (0.05, False), (0.2, False)])
+def test_deviations_and_not_singular_values_condemn_total_least_squares(noise: float, good: bool) -> None:
+    """The ratio of the two smallest singular values is 2.7 with the right gains, and 3.4 and 3.6 with absurd ones."""
+    result = identify(FIVE_BAR, logs(Plant(noise=noise)), method="tls")
+    assert (result.statistics["singular_ratio"] < 3) == good
+    gains = result.drive_gains.values()
+    errors = np.array([gain.value / truth - 1 for gain, truth in zip(gains, GAINS, strict=True)])
+    assert (np.abs(errors).max() < 0.005) == good
+    for gain, error in zip(gains, errors, strict=True):
+        assert (gain.verdict.outcome == Outcome.GOOD) == good or abs(error) < 0.03
+        assert abs(error * gain.value) < 4 * gain.std
 
 
 # Drift and lack of fit

@@ -56,16 +56,32 @@ class Assembly:
     places: np.ndarray
     maps: np.ndarray
 
+    def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
+        """What acts in ``run``: values of the base columns with its payload and its own friction, (n_b,)."""
+        values = dict(zip(self.problem.parameters, theta, strict=True))
+        last = len(self.maps) - 1
+        chi = np.array([values.get(name, 0.0) for name in self.base.names])
+        for k, name in enumerate(self.base.names):
+            drifts = [values.get(drift_name(name, other), 0.0) for other in range(last)]
+            chi[k] += drifts[run] if run < last else -sum(drifts)
+        return chi + self._payload(run, values)
+
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
         """What the joints of ``run`` transmit: values of the base columns, without friction, with payload, (n_b,)."""
         values = dict(zip(self.problem.parameters, theta, strict=True))
         chi = np.array([values.get(name, 0.0) for name in self.base.names]) * transmitted(self.base.names)
-        for carried in self.payloads:
-            if carried.run == run:
-                chi += (
-                    carried.unknown_columns @ [values.get(name, 0.0) for name in carried.unknown] + carried.known_column
-                )
-        return chi
+        return chi + self._payload(run, values)
+
+    def _payload(self, run: int, values: Mapping[str, float]) -> np.ndarray:
+        """Values that the payload of ``run`` adds to the base columns, (n_b,)."""
+        of_run = [carried for carried in self.payloads if carried.run == run]
+        return sum(
+            (
+                each.unknown_columns @ [values.get(name, 0.0) for name in each.unknown] + each.known_column
+                for each in of_run
+            ),
+            np.zeros(self.base.count),
+        )
 
 
 def known_values(payload: Payload) -> dict[str, float]:
@@ -84,7 +100,7 @@ def assemble(
 ) -> Assembly:
     """Join the runs' factors into one problem.
 
-    A payload is a further body on the robot's last link or platform (eq. 18), so its columns are
+    A payload is a further body on the robot's tool (eq. 18), so its columns are
     combinations of the base columns, and each run's factor becomes a block of the problem by one
     product with a small matrix.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,10 +36,10 @@ class BaseParameters:
     """
 
     names: tuple[str, ...]
-    standard: tuple[str, ...]
-    regroupings: dict[str, str]
-    matrix: np.ndarray
-    without_effect: tuple[str, ...]
+    standard: tuple[str, ...] = field(repr=False)
+    regroupings: dict[str, str] = field(repr=False)
+    matrix: np.ndarray = field(repr=False)
+    without_effect: tuple[str, ...] = field(repr=False)
 
     @property
     def count(self) -> int:
@@ -48,12 +48,19 @@ class BaseParameters:
 
 
 def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
-    """``names`` in the order of eq. (23): platforms first, then parameter by parameter over like legs."""
+    """``names`` in the order of eq. (23): platforms first, then parameter by parameter over like legs.
+
+    Joints on the way to a motor stand before the others, so that no coupling bar takes up what belongs to a motor.
+    """
     order = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
     kinds = list(dict.fromkeys(name.split("_", 1)[0] for name in names))
-    for group in identical_legs(robot):
-        for alike in zip(*group, strict=True):
-            order += [f"{kind}_{joint}" for kind in kinds for joint in alike]
+    towards_motors: set[str] = set()
+    for joint in reversed(robot.joints):
+        if joint.name in robot.driven or joint.name in towards_motors:
+            towards_motors |= {joint.name, joint.antecedent}
+    joints = [alike for group in identical_legs(robot) for alike in zip(*group, strict=True)]
+    for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
+        order += [f"{kind}_{joint}" for kind in kinds for joint in alike]
     wanted = set(names)
     return [name for name in order if name in wanted]
 

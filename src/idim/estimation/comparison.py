@@ -15,8 +15,10 @@ from idim.errors import IdimError
 from idim.estimation.assembly import require_scale
 from idim.estimation.current_domain import ml
 from idim.estimation.data import Progress, read_runs, reduce_runs, silent
+from idim.estimation.didim import along_simulated_motion
 from idim.estimation.friction import Friction
 from idim.estimation.identify import FOR_GAINS, WITH_GAINS, with_friction
+from idim.estimation.instruments import instrumental
 from idim.estimation.prior import ridge
 from idim.estimation.problem import Problem
 from idim.estimation.robust import reweighted
@@ -64,7 +66,7 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
     experiment = read_experiment(path)
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
-    runs = read_runs(experiment, experiment.runs)
+    runs = read_runs(experiment, experiment.runs, progress)
     if runs[0].kind == "torque":
         raise IdimError(f"{path}: the logs hold torques, so there are no drive gains to compare; use 'idim identify'.")
     data = reduce_runs(robot, runs, progress=progress)
@@ -81,15 +83,19 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
             else:
                 if method == "huber":
                     _, mine = reweighted(data, mine, ml, progress)
+                elif method == "didim":
+                    _, mine = along_simulated_motion(data, mine, ml, progress)
                 solution = FOR_GAINS[method](mine.problem)
                 if method == "ridge":
                     solution = ridge(data, mine, solution, experiment.priors)
+                elif method == "iv":
+                    _, solution = instrumental(data, mine, solution, True, progress)
             n_theta, n = mine.problem.n_theta, len(robot.actuated)
             std = np.sqrt(np.diag(solution.jackknife))[n_theta : n_theta + n]
         except IdimError as refusal:
             return Row(method, refusal=str(refusal))
         seconds = perf_counter() - start
-        residuals = _residuals(assembly.problem, solution)
+        residuals = _residuals(mine.problem, solution)
         if method in WITH_GAINS:
             return Row(method, solution.gains, None, residuals, seconds)
         outcome = worst(gain_verdicts(mine.problem, solution, std, mine.places, names))
@@ -106,30 +112,39 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
 
 def _residuals(problem: Problem, solution: Solution) -> np.ndarray:
     """Current residuals, per cent of the currents' rms, (n,)."""
-    signal = [np.linalg.norm(R[:, problem.n_theta + 1]) for R in problem.triangles] / np.sqrt(problem.total_rows)
-    return np.asarray(100 * solution.sigma / signal)
+    return np.asarray(100 * solution.sigma / problem.signal)
 
 
 def table(found: Comparison) -> str:
     """The comparison as text."""
-    joints = "".join(f"{joint[:18]:>20}" for joint in found.joints)
+    entries = {row.method: _gains(row) for row in found.rows}
+    width = 2 + max(
+        len(text) for text in (*found.joints, "gain +- std %", *(e for each in entries.values() for e in each))
+    )
+    joints = "".join(f"{joint:>{width}}" for joint in found.joints)
+    head = f"{'gain +- std %':>{width}}" * len(found.joints)
     lines = [
         f"{'':<8}{joints}{'residual':>10}{'time':>8}   worst",
-        f"{'method':<8}{'gain +- std %':>20}" + f"{'':>20}" * (len(found.joints) - 1) + f"{'%':>10}{'s':>8}   verdict",
+        f"{'method':<8}{head}{'%':>10}{'s':>8}   verdict",
     ]
     for row in found.rows:
         if row.gains is None or row.residuals is None:
             lines.append(f"{row.method:<8}  {row.refusal}")
             continue
-        std = [None] * len(row.gains) if row.std is None else 100 * row.std / np.abs(row.gains)
-        gains = "".join(
-            f"{f'{g:.5g}' + (' given' if s is None else f' +- {s:.2g} %'):>20}"
-            for g, s in zip(row.gains, std, strict=True)
-        )
+        gains = "".join(f"{entry:>{width}}" for entry in entries[row.method])
         verdict = "" if row.outcome is None else row.outcome.value
         lines.append(f"{row.method:<8}{gains}{row.residuals.max():>10.3g}{row.seconds:>8.2f}   {verdict}")
     lines.append("residual: of the worst joint, in per cent of its current; time: of the estimation alone")
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _gains(row: Row) -> list[str]:
+    """Gains of an estimator as text; none where it refused."""
+    if row.gains is None:
+        return []
+    if row.std is None:
+        return [f"{gain:.5g} given" for gain in row.gains]
+    return [f"{g:.5g} +- {100 * s / abs(g):.2g} %" for g, s in zip(row.gains, row.std, strict=True)]
 
 
 def to_document(found: Comparison) -> dict[str, Any]:

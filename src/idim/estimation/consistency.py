@@ -17,9 +17,9 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly
-from idim.estimation.current_domain import State, jacobian, moved, residuals, stacked
 from idim.estimation.data import Data
 from idim.estimation.estimates import Consistency, Move
+from idim.estimation.newton import State, jacobian, moved, residuals, stacked
 from idim.estimation.prior import Unknowns, standard_unknowns
 from idim.estimation.problem import Problem
 from idim.estimation.semidefinite import constrained_least_squares, pseudo_inertia

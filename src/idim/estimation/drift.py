@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idim.estimation.current_domain import State, modelled, residuals
+from idim.estimation.newton import State, modelled, residuals
 from idim.estimation.problem import Problem
 from idim.estimation.solution import Solution
 

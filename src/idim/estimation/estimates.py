@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
+from idim.errors import IdimError
 from idim.estimation.verdicts import GOOD, Verdict
 from idim.robots.robot import Robot
 
@@ -27,7 +29,13 @@ class Estimate:
     regrouping: str = ""
     spread: float | None = None
     verdict: Verdict = GOOD
-    freedom: int | None = None
+    freedom: float | None = None
+
+    def __str__(self) -> str:
+        """Value, deviation and unit."""
+        if self.value is None:
+            return "cannot be told"
+        return f"{self.value:.5g}{'' if self.std is None else f' +- {self.std:.2g}'} {self.unit}"
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
         """Confidence interval by the t distribution, in ``unit``; None without value or deviation."""
@@ -43,6 +51,13 @@ class Estimate:
     def rel_std(self) -> float | None:
         """Relative standard deviation, per cent."""
         return 100 * self.std / abs(self.value) if self.value and self.std is not None else None
+
+
+class Named(dict[str, Estimate]):
+    """Estimates by joint or parameter; a name that is not there is answered with those that are (IdimError)."""
+
+    def __missing__(self, name: str) -> NoReturn:
+        raise IdimError(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
 
 
 @dataclass(frozen=True)

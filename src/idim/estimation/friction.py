@@ -12,17 +12,19 @@ drive gains; so viscous and Coulomb friction may take a value of their own in ev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from idim.estimation.problem import Problem, delayed
+from idim.estimation.solution import Solution
 from idim.estimation.triangle import triangle
 
 TERMS = ("f3", "fl")
 DRIFTING = ("fv", "fs")
 MATTERS = 0.02  # share of a joint's error that a term must take away
+TOLD = 1 / 3  # of a term: its largest deviation
 UNITS = {"revolute": {"f3": "N m s3/rad3", "fl": "1"}, "prismatic": {"f3": "N s3/m3", "fl": "1"}}
 
 
@@ -80,3 +82,18 @@ def needed_terms(problem: Problem) -> tuple[str, ...]:
         criteria = [criterion(subset) for subset in subsets]
         chosen += subsets[int(np.argmin(criteria))]
     return tuple(chosen)
+
+
+def told_terms(problem: Problem, friction: Friction, solve: Callable[[Problem], Solution]) -> tuple[str, ...]:
+    """The terms whose deviations by the jackknife are less than a third of them, the worst left out first."""
+    terms = tuple(name for name in friction.terms if name in problem.parameters)
+    while terms:
+        solution = solve(problem)
+        index = [problem.parameters.index(name) for name in terms]
+        relative = np.sqrt(np.diag(solution.jackknife)[index]) / np.abs(solution.theta[index])
+        worst = int(np.argmax(relative))
+        if relative[worst] <= TOLD:
+            break
+        problem = problem.without([terms[worst]])
+        terms = tuple(name for name in terms if name != terms[worst])
+    return terms

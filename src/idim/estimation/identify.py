@@ -12,21 +12,25 @@ from threadpoolctl import threadpool_limits
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly, require_scale
 from idim.estimation.consistency import consistent as find_consistent
-from idim.estimation.current_domain import ml, ols, two_stage, wls
-from idim.estimation.data import Data, Progress, read_runs, reduce_runs, silent
-from idim.estimation.friction import Friction, all_terms, needed_terms
+from idim.estimation.current_domain import ml, ols, wls
+from idim.estimation.data import Data, Mapper, Progress, read_runs, reduce_runs, silent
+from idim.estimation.didim import along_simulated_motion
+from idim.estimation.freedom import freedom
+from idim.estimation.friction import Friction, all_terms, needed_terms, told_terms
 from idim.estimation.homogeneous import mixed, tls
+from idim.estimation.instruments import instrumental, with_instruments
 from idim.estimation.interpretation import make_result
+from idim.estimation.known_payloads import mass_uncertainty, weigh_known
 from idim.estimation.prior import ridge
 from idim.estimation.problem import Problem
 from idim.estimation.reduction import essential
 from idim.estimation.result import Result
 from idim.estimation.robust import reweighted
-from idim.estimation.solution import Solution, freedom
-from idim.estimation.verdicts import Verdict, mass_verdict
+from idim.estimation.solution import Solution
+from idim.estimation.two_stage import two_stage
 from idim.robots.load import load_robot
 from idim.robots.robot import Robot
-from idim.signals.experiment import Prior, check_robot, read_experiment
+from idim.signals.experiment import Experiment, Prior, check_robot, read_experiment
 from idim.signals.run import Run
 
 WITH_GAINS: dict[str, Callable[[Problem, np.ndarray], Solution]] = {"ols": ols, "wls": wls}
@@ -34,46 +38,52 @@ FOR_GAINS: dict[str, Callable[[Problem], Solution]] = {
     "ml": ml,
     "huber": ml,  # of reweighted rows
     "ridge": ml,  # with priors
+    "iv": ml,  # weighed along simulated motion
+    "didim": ml,  # of simulated motion
     "2sls": two_stage,
     "mixed": mixed,
     "tls": tls,
 }
 METHODS = (*FOR_GAINS, *WITH_GAINS)
+PAPER = ("tls", *WITH_GAINS)
+SIMULATED = ("iv", "didim")  # by WLS where logs hold torques
 LOAD_PASSES = 6  # of the logs, at most, for friction that depends on the torques transmitted
 LOAD_SETTLED = 1e-4  # relative change of the gains that ends them
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
 def identify(
-    source: str | Path | Robot,
+    source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
-    method: str = "ml",
+    method: str | None = None,
     prior_gains: Mapping[str, float] | None = None,
     ratio: float | None = None,
     as_paper: bool = False,
     consistent: bool = False,
     priors: Mapping[str, Prior] | None = None,
     progress: Progress = silent,
+    mapper: Mapper = map,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
 
     Parameters
     ----------
-    source : path or Robot
-        An experiment file; or a robot, together with ``runs``.
+    source : path, Experiment or Robot
+        An experiment file, or what was read of it; or a robot, together with ``runs``.
     runs : sequence of Run, optional
         From :func:`idim.read_run`; only with a robot.
-    method : {"ml", "huber", "ridge", "2sls", "mixed", "tls", "wls", "ols"}
-        Maximum likelihood (as it is, with Huber's weights against outliers, or with ``priors``), 2SLS, mixed
-        LS-TLS and the paper's TLS find the drive gains from a known payload; weighted and ordinary least
-        squares take ``prior_gains``, or torques.
+    method : {"ml", "huber", "ridge", "iv", "didim", "2sls", "mixed", "tls", "wls", "ols"}
+        Maximum likelihood (as it is, with Huber's weights against outliers, or with ``priors``), instrumental
+        variables and DIDIM (against noise of the encoders), 2SLS, mixed LS-TLS and the paper's TLS find the drive
+        gains from a known payload; weighted and ordinary least squares take ``prior_gains``, or torques. If left
+        out, "ml", or "tls" with ``as_paper``.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N/A; the experiment file's if left out.
     ratio : float, optional
         The paper's r_sigma for the essential parameters; if left out, those that the Bayesian
         information criterion does not keep are cancelled.
     as_paper : bool
-        Follow the paper step by step: its decimation filter, its friction, no delays, formula
+        Follow the paper step by step: its TLS (or WLS or OLS), its decimation filter, its friction, no delays, formula
         deviations, and the essential parameters re-estimated together with the gains at ratio 10.
         (Samples near reversals are left out all the same: with them TLS fails.)
     consistent : bool
@@ -82,12 +92,20 @@ def identify(
         What is known of standard parameters, by name, for these and ``ridge``; the experiment file's if left out.
     progress : callable, optional
         Called as the work goes on.
+    mapper : callable, optional
+        Where parts of the runs are reduced; see :data:`idim.estimation.data.Mapper` and :mod:`idim.scale`.
+
+    Returns
+    -------
+    Result
+        Drive gains, parameters, payloads and verdicts; ``print(result.summary())`` shows them.
 
     Raises
     ------
     IdimError
         Where a file is wrong, the data cannot be used, or they cannot give what the method asks for.
     """
+    method = method or ("tls" if as_paper else "ml")
     if method not in METHODS:
         raise IdimError(f"there is no method '{method}'; choose from {', '.join(METHODS)}.")
     if isinstance(source, Robot):
@@ -100,12 +118,22 @@ def identify(
                 "runs are given beside an experiment file, which names its own; give a robot with runs, or the "
                 "file alone."
             )
-        experiment = read_experiment(source)
+        experiment = source if isinstance(source, Experiment) else read_experiment(source)
         robot = load_robot(experiment.robot)
         check_robot(experiment, robot)
-        runs = read_runs(experiment, experiment.runs)
+        runs = read_runs(experiment, experiment.runs, progress)
         prior_gains, priors = prior_gains or experiment.prior_gains, priors or experiment.priors
-    if method in WITH_GAINS:
+    if as_paper and method not in PAPER:
+        raise IdimError(
+            f"the paper has no method '{method}'; leave out --as-paper, or choose from {', '.join(PAPER)} with it."
+        )
+    if method == "iv" and consistent:
+        raise IdimError(
+            "consistent parameters are found by least squares, which instrumental variables are not; use --method "
+            "didim or ml with --consistent."
+        )
+    gains = None
+    if method in WITH_GAINS or (method in SIMULATED and runs[0].kind == "torque"):
         gains = given_gains(robot, runs, prior_gains, method)
     elif runs[0].kind == "torque":
         raise IdimError(
@@ -114,10 +142,10 @@ def identify(
         )
 
     def solve(problem: Problem) -> Solution:
-        return WITH_GAINS[method](problem, gains) if method in WITH_GAINS else FOR_GAINS[method](problem)
+        return FOR_GAINS[method](problem) if gains is None else WITH_GAINS.get(method, wls)(problem, gains)
 
-    data = reduce_runs(robot, runs, decimator="chebyshev" if as_paper else "fir", progress=progress)
-    if method in FOR_GAINS:
+    data = reduce_runs(robot, runs, decimator="chebyshev" if as_paper else "fir", progress=progress, mapper=mapper)
+    if gains is None:
         require_scale(data.assembly(Friction()), [run.payload for run in data.runs], method)
     if as_paper:
         assembly = data.assembly(Friction(), delays=False)
@@ -125,13 +153,24 @@ def identify(
         data, assembly = with_friction(data, solve, progress)
     if method == "huber":
         data, assembly = reweighted(data, assembly, solve, progress)
+    elif method == "didim":
+        data, assembly = along_simulated_motion(data, assembly, solve, progress)
     progress("estimation", 0, 1)
     solution = solve(assembly.problem)
     of_masses = mass_uncertainty(data, assembly, solution, solve)
     if method == "ridge":
         solution = ridge(data, assembly, solution, priors or {})
+    elif method == "iv":
+        pair, solution = instrumental(data, assembly, solution, gains is None, progress)
     covariance = (solution.covariance if as_paper else solution.jackknife) + of_masses
-    final = solve if as_paper else (lambda problem: wls(problem, solution.gains))
+
+    def final(problem: Problem) -> Solution:
+        if as_paper:
+            return solve(problem)
+        if method == "iv":
+            return with_instruments(pair.of(problem.parameters), solution, free_gains=False)
+        return wls(problem, solution.gains)
+
     candidates = tuple(name for name in data.base.names if name in assembly.problem.parameters)
     ratio = 10.0 if as_paper and ratio is None else ratio
     kept, reduced, std = essential(assembly.problem, candidates, final, ratio, correlated=not as_paper)
@@ -140,55 +179,29 @@ def identify(
         std = np.sqrt(np.diag(covariance))[[assembly.problem.parameters.index(name) for name in kept.parameters]]
     loss = {"reduction_loss": 100 * float(np.max(reduced.sigma / solution.sigma) - 1)}
     solution, reduced = (replace(each, statistics={**each.statistics, **loss}) for each in (solution, reduced))
-    masses = weigh_known(data, assembly, method) if method in FOR_GAINS else {}
+    known = weigh_known(data, assembly, solution, method, solve) if gains is None else {}
     bodies = None
     if consistent:
-        bodies = find_consistent(data, assembly, solution, priors or {}, free_gains=method in FOR_GAINS)
+        bodies = find_consistent(data, assembly, solution, priors or {}, free_gains=gains is None)
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         assembly, solution, covariance = replace(assembly, problem=kept), reduced, reduced.covariance
-    blocks = None if as_paper else freedom(assembly.problem)
+    blocks = None if as_paper else freedom(assembly.problem, solution, gains is None)
     chosen = {name: (float(reduced.theta[k]), float(std[k])) for k, name in enumerate(kept.parameters)}
-    return make_result(data, assembly, method, solution, covariance, chosen, masses, blocks, bodies)
-
-
-def weigh_known(data: Data, assembly: Assembly, method: str) -> dict[str, Verdict]:
-    """Weigh each known payload with the gains found from the others: verdicts by name, none with a single payload."""
-    known = {run.payload.name: run.payload for run in data.runs if run.payload and run.payload.mass is not None}
-    verdicts = {}
-    for name, payload in known.items() if len(known) > 1 else ():
-        unknown = payload.model_copy(update={"mass": None})
-        payloads = [unknown if run.payload and run.payload.name == name else run.payload for run in data.runs]
-        other = data.assembly(assembly.friction, assembly.problem.slowest > 0, payloads)
-        try:
-            require_scale(other, payloads, method)
-        except IdimError:
-            continue  # without this payload nothing gives the scale
-        solution = FOR_GAINS[method](other.problem)
-        std = np.sqrt(np.diag(solution.jackknife))
-        columns = [
-            other.problem.parameters.index(label)
-            for each in other.payloads
-            if each.payload.name == name
-            for label, kind in each.unknown.items()
-            if kind == "m" and label in other.problem.parameters
-        ]
-        if columns and payload.mass is not None:
-            best = min(columns, key=lambda k: float(std[k]))
-            deviation = float(np.hypot(std[best], payload.mass_std))
-            verdicts[name] = mass_verdict(payload.mass, float(solution.theta[best]), deviation)
-    return verdicts
+    return make_result(data, assembly, method, solution, covariance, chosen, known, prior_gains or {}, blocks, bodies)
 
 
 def with_friction(data: Data, solve: Callable[[Problem], Solution], progress: Progress) -> tuple[Data, Assembly]:
     """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
 
+    Terms that the joints' own equations ask for, but that all equations together do not tell, are left out again.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
     joints, per_run = data.model.actuated, len(data.runs) > 1
     friction = Friction(needed_terms(data.assembly(Friction(all_terms(joints), per_run)).problem), per_run)
     if not any(term.startswith("fl_") for term in friction.terms):
-        return data, data.assembly(friction)
+        assembly = data.assembly(friction)
+        return data, data.assembly(Friction(told_terms(assembly.problem, friction, solve), per_run))
     assembly = data.assembly(Friction(tuple(t for t in friction.terms if not t.startswith("fl_")), per_run))
     gains = None
     for _ in range(LOAD_PASSES):
@@ -199,7 +212,7 @@ def with_friction(data: Data, solve: Callable[[Problem], Solution], progress: Pr
             break
         data = data.reduced([assembly.load(k, solution.theta) for k in range(len(data.runs))], progress)
         assembly = data.assembly(friction)
-    return data, assembly
+    return data, data.assembly(Friction(told_terms(assembly.problem, friction, solve), per_run))
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:
@@ -219,21 +232,3 @@ def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, flo
             "add 'prior_gains' to the experiment file, or use --method ml with a known payload."
         )
     return np.array([prior_gains[joint] for joint in robot.actuated])  # type: ignore[index]
-
-
-def mass_uncertainty(
-    data: Data, assembly: Assembly, solution: Solution, solve: Callable[[Problem], Solution]
-) -> np.ndarray:
-    """Covariance of (theta, gains, delays) that the uncertainty of the known masses adds, one payload at a time."""
-    extra = np.zeros_like(solution.covariance)
-    masses = {run.payload.name: run.payload for run in data.runs if run.payload and run.payload.mass_std}
-    for payload in masses.values():
-        assert payload.mass is not None
-        heavier = payload.model_copy(update={"mass": payload.mass + payload.mass_std})
-        payloads = [heavier if run.payload and run.payload.name == payload.name else run.payload for run in data.runs]
-        shift = (
-            solve(data.assembly(assembly.friction, assembly.problem.slowest > 0, payloads).problem).stacked
-            - solution.stacked
-        )
-        extra += np.outer(shift, shift)
-    return extra

@@ -7,17 +7,32 @@ from collections.abc import Mapping
 import numpy as np
 
 from idim.estimation.assembly import Assembly, known_values
+from idim.estimation.contradictions import against_limits, against_payloads, against_priors, shared
 from idim.estimation.data import Data
+from idim.estimation.delays import delay_verdicts
+from idim.estimation.diagnosis import Suspicion, suspicion
 from idim.estimation.estimates import Consistency, Estimate, PayloadEstimate, TorqueError, torque_unit, unit_of
 from idim.estimation.friction import UNITS
 from idim.estimation.problem import Problem
 from idim.estimation.result import Result
+from idim.estimation.singular_poses import distances_of, nearest_poses
 from idim.estimation.solution import Solution
 from idim.estimation.symmetry import leg_differences
-from idim.estimation.verdicts import GOOD, Verdict, gain_verdicts, lack_of_fit, parameter_verdict
+from idim.estimation.verdicts import (
+    GIVEN,
+    GOOD,
+    INFLATED,
+    Outcome,
+    Verdict,
+    gain_verdicts,
+    lack_of_fit,
+    parameter_verdict,
+)
 from idim.robots.robot import INERTIAL, Robot
 
 UNLIKE = 1e-3  # probability that legs which are alike differ by as much
+MUCH, CERTAIN = 20.0, 5.0  # per cent and standard deviations from which on a difference of legs is worth a note
+FRICTION = ("fv", "fs", "off")
 
 
 def make_result(
@@ -27,8 +42,9 @@ def make_result(
     solution: Solution,
     covariance: np.ndarray,
     essential: Mapping[str, tuple[float, float]],
-    masses: Mapping[str, Verdict],
-    freedom: int | None,
+    known: Mapping[str, Verdict],
+    prior_gains: Mapping[str, float],
+    freedom: np.ndarray | None,
     consistency: Consistency | None = None,
 ) -> Result:
     """Name what a solution found.
@@ -41,10 +57,12 @@ def make_result(
         Estimates with all base parameters, and the covariance of (theta, gains, delays).
     essential : mapping
         Essential parameters: name to value and standard deviation.
-    masses : mapping
+    known : mapping
         Verdicts on known payloads, by name.
-    freedom : int, optional
-        Degrees of freedom behind ``covariance``; None for very many.
+    prior_gains : mapping
+        Gains expected, N m/A or N/A, by joint; may be empty.
+    freedom : ndarray, optional
+        Degrees of freedom behind the deviations of (theta, gains, delays); None for very many.
     consistency : Consistency, optional
         Standard parameters that rigid bodies can have.
     """
@@ -55,22 +73,29 @@ def make_result(
     units = [torque_unit(robot, joint) for joint in joints]
     of_current = data.runs[0].kind == "current"
     names = tuple(run.name for run in data.runs)
-    verdicts = (GOOD,) * n
+    along = [
+        (prepared, data.preparation.decimator, factors.distances)
+        for prepared, factors in zip(data.prepared, data.factors, strict=True)
+        if factors.distances is not None
+    ]
+    verdicts = (GIVEN,) * n
+    torques = np.abs(solution.gains) * problem.signal
     if gain_std.any():
         verdicts = gain_verdicts(problem, solution, gain_std, assembly.places, names)
-    found = _named(problem, solution.theta, std)
+        if any(each != GOOD for each in verdicts) or lack_of_fit(problem, solution) > INFLATED:
+            verdicts = accused(verdicts, suspicion(data, assembly, solution))
+        verdicts = against_priors(against_payloads(verdicts, known), robot, solution.gains, prior_gains)
+    verdicts = shared(against_limits(verdicts, robot, torques), joints)
+    delay_outcomes = delay_verdicts(problem, solution) if delay_std.any() else (GOOD,) * n
+    found, free = _named(problem, solution.theta, std), _freedoms(problem, freedom)
     spread = _spread(assembly, solution.theta)
 
     def parameter(k: int, values: Mapping[str, tuple[float, float]]) -> Estimate:
         name, (kind, body) = base.names[k], base.standard[k].split("_", 1)
         value, deviation = values.get(name, (None, None))
         unit, verdict = unit_of(kind, robot, body), parameter_verdict(value, deviation)
-        return Estimate(name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, freedom)
+        return Estimate(name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, free.get(name))
 
-    signal = [
-        float(np.linalg.norm(R[:, n_theta + 1]) / np.sqrt(rows))
-        for R, rows in zip(problem.triangles, problem.total_rows, strict=True)
-    ]
     return Result(
         robot=robot,
         method=method,
@@ -82,25 +107,32 @@ def make_result(
                 float(gain_std[k]) if gain_std.any() else None,
                 f"{units[k]}/A" if of_current else "1",
                 verdict=verdicts[k],
-                freedom=freedom,
+                freedom=None if freedom is None else float(freedom[n_theta + k]),
             )
             for k, joint in enumerate(joints)
         },
         delays={
-            joint: Estimate(joint, float(solution.delays[k]), float(delay_std[k]) or None, "s", freedom=freedom)
+            joint: Estimate(
+                joint,
+                float(solution.delays[k]),
+                float(delay_std[k]) or None if delay_outcomes[k] == GOOD else None,
+                "s",
+                verdict=delay_outcomes[k],
+                freedom=None if freedom is None else float(freedom[n_theta + n + k]),
+            )
             for k, joint in enumerate(joints)
         },
         parameters={name: parameter(k, found) for k, name in enumerate(base.names)},
         essential={name: parameter(k, essential) for k, name in enumerate(base.names) if name in essential},
         friction={
-            name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]), freedom=freedom)
+            name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]), freedom=free.get(name))
             for name, unit in _terms(assembly, robot)
             if name in found
         },
-        payloads=payload_estimates(data, assembly, solution.theta, covariance, masses, freedom),
+        payloads=payload_estimates(data, assembly, solution.theta, covariance, known, freedom),
         residuals=tuple(
-            TorqueError(joint, float(abs(solution.gains[k]) * solution.sigma[k]), abs(solution.gains[k]) * v, units[k])
-            for k, (joint, v) in enumerate(zip(joints, signal, strict=True))
+            TorqueError(joint, float(abs(solution.gains[k]) * solution.sigma[k]), float(torques[k]), units[k])
+            for k, joint in enumerate(joints)
         ),
         covariance_names=(*problem.parameters, *(f"gain_{j}" for j in joints), *(f"delay_{j}" for j in joints)),
         covariance=covariance,
@@ -108,11 +140,22 @@ def make_result(
         statistics={
             **solution.statistics,
             "lack_of_fit": lack_of_fit(problem, solution),
-            "largest_condition": max(each.condition for each in data.factors),
         },
         runs=names,
         notes=(*data.notes, *_unlike_legs(data, assembly, solution.theta, covariance)),
         consistency=consistency,
+        singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
+        distances=tuple(distances_of(*run) for run in along),
+    )
+
+
+def accused(verdicts: tuple[Verdict, ...], found: Suspicion | None) -> tuple[Verdict, ...]:
+    """Verdicts on the gains where something in the robot's description is suspected, if nothing worse was found."""
+    if found is None:
+        return verdicts
+    return tuple(
+        each if each.outcome == Outcome.CONTRADICTORY else Verdict(Outcome.CONTRADICTORY, found.why, found.advice)
+        for each in verdicts
     )
 
 
@@ -122,7 +165,7 @@ def payload_estimates(
     theta: np.ndarray,
     covariance: np.ndarray,
     masses: Mapping[str, Verdict],
-    freedom: int | None,
+    freedom: np.ndarray | None,
 ) -> tuple[PayloadEstimate, ...]:
     """The payload of every loaded run, known and unknown parameters together.
 
@@ -131,6 +174,7 @@ def payload_estimates(
     """
     robot = data.robot
     found = _named(assembly.problem, theta, np.sqrt(np.diag(covariance)))
+    free = _freedoms(assembly.problem, freedom)
     payloads = []
     for each in assembly.payloads:
         known = known_values(each.payload)
@@ -145,7 +189,7 @@ def payload_estimates(
                 value, deviation = found.get(label[kind], (None, None))
                 verdict = parameter_verdict(value, deviation)
                 estimates[kind] = Estimate(
-                    kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=freedom
+                    kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=free.get(label[kind])
                 )
         name, run = each.payload.name, data.runs[each.run].name
         payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
@@ -156,6 +200,10 @@ def _named(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tu
     return {name: (float(theta[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
 
 
+def _freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
+    return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))
+
+
 def _terms(assembly: Assembly, robot: Robot) -> list[tuple[str, str]]:
     """Further friction terms and their units."""
     split = [(name, *name.split("_", 1)) for name in assembly.friction.terms]
@@ -163,18 +211,30 @@ def _terms(assembly: Assembly, robot: Robot) -> list[tuple[str, str]]:
 
 
 def _unlike_legs(data: Data, assembly: Assembly, theta: np.ndarray, covariance: np.ndarray) -> list[str]:
-    """Which legs of the same geometry differ in what was identified (the paper's check after section 3.1)."""
+    """Whether legs of the same geometry differ in what they are built of (the paper's check after section 3.1).
+
+    Their frictions always differ, and the table shows them.
+    """
     place = {name: k for k, name in enumerate(assembly.problem.parameters)}
     names = [name for name in data.base.names if name in place]
     index = [place[name] for name in names]
     if not np.diag(covariance)[index].all():
         return []
     found = leg_differences(data.robot, data.base, names, theta[index], covariance[np.ix_(index, index)])
-    return [
-        f"leg '{each.leg[0]}' is not like the {len(each.others)} of the same geometry, most in {each.worst[0]} "
-        f"(by {abs(each.worst[1]):.1f} standard deviations): friction and wear differ, or the legs are not built alike"
+    differences = [
+        (float(relative), name, each)
         for each in found
         if each.probability < UNLIKE
+        for name, relative, deviation in zip(each.compared, each.relative, each.deviations, strict=True)
+        if name.split("_")[0] not in FRICTION and relative > MUCH and abs(deviation) > CERTAIN
+    ]
+    if not differences:
+        return []
+    relative, name, each = max(differences, key=lambda difference: difference[0])
+    size = f"{relative:.0f} %" if relative < 1000 else "more than ten times"
+    return [
+        f"legs of the same geometry differ, most in {name} of leg '{each.leg[0]}' ({size} off the mean of "
+        "the others): check that they are built alike"
     ]
 
 

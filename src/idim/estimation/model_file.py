@@ -12,6 +12,7 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.estimation.estimates import Consistency, Estimate, Move, PayloadEstimate, TorqueError, unit_of
+from idim.estimation.singular_poses import NearestPose
 from idim.estimation.verdicts import Outcome, Verdict
 from idim.files import write_atomically
 from idim.robots.native import native_text, parse_native
@@ -52,6 +53,7 @@ def to_document(result: Result) -> dict[str, Any]:
             "speed_fraction": preparation.speed_fraction,
         },
         "statistics": dict(result.statistics),
+        "singularities": [asdict(each) for each in result.singularities],
         "notes": list(result.notes),
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
         "robot_file": native_text(result.robot),
@@ -127,9 +129,14 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
     return _estimate(estimate) | {"regrouping": estimate.regrouping, "spread": estimate.spread}
 
 
+def model_text(result: Result) -> str:
+    """Text of the file of a result."""
+    return json.dumps(to_document(result), indent=1, allow_nan=False) + "\n"
+
+
 def save(result: Result, path: str | Path) -> None:
     """Write ``result`` to ``path``, atomically."""
-    write_atomically(path, json.dumps(to_document(result), indent=1, allow_nan=False) + "\n")
+    write_atomically(path, model_text(result))
 
 
 def load(path: str | Path, make: type[Result]) -> Result:
@@ -234,6 +241,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Result]) -
         runs=tuple(document["runs"]),
         notes=tuple(document["notes"]),
         consistency=None if document["standard"] is None else _read_standard(document["standard"]),
+        singularities=tuple(NearestPose(**each) for each in document["singularities"]),
     )
 
 

@@ -11,11 +11,11 @@ from idim.errors import IdimError
 from idim.estimation.current_domain import wls
 from idim.estimation.data import Progress, at_rate_of, experiment_of, read_runs, reduce_runs, silent
 from idim.estimation.estimates import PayloadEstimate
+from idim.estimation.freedom import freedom
 from idim.estimation.identify import given_gains, with_friction
 from idim.estimation.interpretation import payload_estimates
 from idim.estimation.problem import Problem
 from idim.estimation.result import Result
-from idim.estimation.solution import freedom
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
@@ -53,7 +53,7 @@ def weigh(
         raise IdimError(f"{experiment}: no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
     if gains == "prior" and described.signals.kind == "current" and not described.prior_gains:
         raise IdimError(f"{experiment} has no 'prior_gains'; add them, or weigh with the identified gains.")
-    runs = read_runs(described, described.runs)
+    runs = read_runs(described, described.runs, progress)
     if gains == "prior":
         g_tau, covariance = given_gains(robot, runs, described.prior_gains, "wls"), None
     else:
@@ -73,7 +73,7 @@ def weigh(
     if covariance is not None:
         slopes = np.stack([_slope(assembly.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
-    estimates = payload_estimates(data, assembly, solution.theta, total, {}, freedom(assembly.problem))
+    estimates = payload_estimates(data, assembly, solution.theta, total, {}, freedom(assembly.problem, solution, False))
     return tuple(each for each in estimates if "m" not in each.known)
 
 

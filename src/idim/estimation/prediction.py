@@ -32,8 +32,6 @@ def predict(result: Result, run: Run) -> Prediction:
     preparation = at_rate_of([run], result.preparation)
     prepared = prepare(run, preparation)
     decimator = preparation.decimator
-    if not decimator.keep(prepared.usable).any():
-        raise IdimError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
     missing = [name for name in base.names if name not in result.parameters]
     if missing:
         raise IdimError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
@@ -61,6 +59,8 @@ def predict(result: Result, run: Run) -> Prediction:
         predicted.append(tau.T)
         measured.append((gains[:, None] * (v - delays[:, None] * v_d + delays[:, None] ** 2 / 2 * v_dd)).T)
         keep.append(part.keep.T)
+    if not np.any([each.any() for each in keep]):
+        raise IdimError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
     return Prediction(
         model.actuated, np.concatenate(time), np.concatenate(predicted), np.concatenate(measured), np.concatenate(keep)
     )  # fmt: skip

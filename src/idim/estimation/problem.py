@@ -107,13 +107,15 @@ class Problem:
         return np.maximum(sigma, self.smallest_sigma)
 
     @property
+    def signal(self) -> np.ndarray:
+        """Each joint's current, rms, (n,)."""
+        norms = [np.linalg.norm(R[:, self.n_theta + 1]) for R in self.triangles]
+        return np.asarray(norms / np.sqrt(self.total_rows))
+
+    @property
     def smallest_sigma(self) -> np.ndarray:
         """What rounding leaves of each joint's current: no error level is taken to be below it, (n,)."""
-        return (
-            1e-10
-            * np.array([np.linalg.norm(R[:, self.n_theta + 1]) for R in self.triangles])
-            / np.sqrt(self.total_rows)
-        )
+        return 1e-10 * self.signal
 
     def without(self, names: Sequence[str]) -> Problem:
         """The same problem with the parameters ``names`` set to zero."""

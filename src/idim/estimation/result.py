@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from idim.estimation.base_parameters import BaseParameters, base_parameters
-from idim.estimation.estimates import Consistency, Estimate, PayloadEstimate, Prediction, TorqueError
+from idim.estimation.estimates import Consistency, Estimate, Named, PayloadEstimate, Prediction, TorqueError
 from idim.estimation.model_file import load, save
 from idim.estimation.prediction import predict, torque_errors
+from idim.estimation.singular_poses import Distances, NearestPose
 from idim.estimation.summary import summary
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.robot import Robot
@@ -20,7 +21,7 @@ from idim.signals.preparation import Preparation
 from idim.signals.run import Run
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """Drive gains, parameters and payloads of a robot, identified from its logs.
 
@@ -35,9 +36,10 @@ class Result:
     friction : dict
         Friction terms beyond the paper's that the data ask for; name to Estimate.
     parameters, essential : dict
-        All base parameters, and those left by the reduction and re-estimated; name to Estimate. The
-        deviation of an essential one is that with all parameters, as it absorbs what cancelled ones did;
-        after the paper's ratio rule it takes the cancelled ones for zero, as the rule does.
+        All base parameters, and those left by the reduction and re-estimated; name to Estimate. They differ for one
+        name: predict with ``parameters``, and read ``essential`` to see what these motions tell. The deviation of an
+        essential one is that with all parameters, as it absorbs what cancelled ones did; after the paper's ratio rule
+        it takes the cancelled ones for zero, as the rule does.
     payloads : tuple of PayloadEstimate
         One entry for each loaded run.
     residuals : tuple of TorqueError
@@ -52,6 +54,10 @@ class Result:
         What was repaired, left out, or is not to be trusted.
     consistency : Consistency, optional
         Standard parameters that rigid bodies can have, where they were asked for.
+    singularities : tuple of NearestPose
+        Where each run comes nearest to singularities of either type.
+    distances : tuple of Distances
+        The distances to singularities at each run's decimated samples; ``model.json`` does not hold them.
     """
 
     robot: Robot
@@ -71,6 +77,19 @@ class Result:
     runs: tuple[str, ...]
     notes: tuple[str, ...]
     consistency: Consistency | None = None
+    singularities: tuple[NearestPose, ...] = ()
+    distances: tuple[Distances, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("drive_gains", "delays", "parameters", "essential", "friction"):
+            object.__setattr__(self, name, Named(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())
+        return (
+            f"Result({self.robot.name!r}, {self.method!r}: drive gains {gains}; {len(self.parameters)} base "
+            f"parameters, {len(self.essential)} of them essential; print(result.summary()) shows all)"
+        )
 
     @cached_property
     def model(self) -> InverseDynamics:
@@ -84,7 +103,7 @@ class Result:
 
     @property
     def params(self) -> dict[str, float]:
-        """Values of the base parameters by name; 0 for one that the data cannot tell from the others."""
+        """Values of ``parameters`` by name, as predictions take them; 0 for one that the data cannot tell."""
         return {name: estimate.value or 0.0 for name, estimate in self.parameters.items()}
 
     def summary(self) -> str:

@@ -26,7 +26,6 @@ def reweighted(
     data: Data, assembly: Assembly, solve: Callable[[Problem], Solution], progress: Progress
 ) -> tuple[Data, Assembly]:
     """The data and their problem with Huber's weights on the rows, settled with the estimates of ``solve``."""
-    n = len(data.model.actuated)
     loaded = any(term.startswith("fl_") for term in assembly.friction.terms)
     sigma, gains = None, None
     for _ in range(PASSES):
@@ -37,22 +36,11 @@ def reweighted(
         values = dict(zip(assembly.problem.parameters, solution.theta, strict=True))
         theta = np.append([values.get(name, 0.0) for name in assembly.whole.parameters], 1.0)
         of_row = np.array([np.append(-theta / g, delayed(d)) for g, d in zip(gains, solution.delays, strict=True)])
-        found: list[list[np.ndarray]] = [[] for _ in range(n)]
-        weigh = [_weigh(np.einsum("jpk,jk->jp", maps, of_row), sigma, found) for maps in assembly.maps]
+        weigh = [Weigh(np.einsum("jpk,jk->jp", maps, of_row), TUNING * sigma) for maps in assembly.maps]
         loads = [assembly.load(k, solution.theta) for k in range(len(data.runs))] if loaded else None
         data = data.reduced(loads, progress, weigh)
         assembly = data.assembly(assembly.friction, assembly.problem.slowest > 0)
-        sigma = np.array([MAD * np.median(np.abs(np.concatenate(each))) for each in found])
+        residuals = np.hstack([each.residuals for each in data.factors if each.residuals is not None])
+        sigma = MAD * np.nanmedian(np.abs(residuals), axis=1)
         sigma = np.maximum(sigma, assembly.whole.smallest_sigma)
     return data, assembly
-
-
-def _weigh(coefficients: np.ndarray, sigma: np.ndarray, found: list[list[np.ndarray]]) -> Weigh:
-    """Weights of a run's rows, whose residuals are ``rows @ coefficients[j]``; those kept are added to ``found``."""
-
-    def weights(j: int, rows: np.ndarray, keep: np.ndarray) -> np.ndarray:
-        size = np.abs(rows @ coefficients[j])
-        found[j].append(size[keep])
-        return np.minimum(1.0, TUNING * sigma[j] / np.maximum(size, 1e-300))
-
-    return weights

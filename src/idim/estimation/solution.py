@@ -8,8 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from idim.estimation.problem import Problem
-
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -33,6 +31,8 @@ class Solution:
         Further figures that the method offers, such as ``singular_ratio``.
     of_prior : ndarray or float
         The share of priors in the covariance, which no unit of the data shows.
+    settled : bool
+        Whether the iteration came to an end.
     """
 
     theta: np.ndarray
@@ -43,6 +43,7 @@ class Solution:
     replicates: Callable[[], np.ndarray]
     statistics: Mapping[str, float] = field(default_factory=dict)
     of_prior: np.ndarray | float = 0.0
+    settled: bool = True
 
     @cached_property
     def jackknife(self) -> np.ndarray:
@@ -60,8 +61,3 @@ def jackknife(replicates: np.ndarray) -> np.ndarray:
     deviations = replicates - replicates.mean(axis=0)
     units = len(replicates)
     return np.asarray((units - 1) / units * deviations.T @ deviations)
-
-
-def freedom(problem: Problem) -> int:
-    """Degrees of freedom behind deviations by the jackknife: one less than its units."""
-    return len(problem.units) - 1

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from idim.estimation.estimates import Consistency, Estimate, PayloadEstimate
+from idim.estimation.singular_poses import NearestPose
 from idim.estimation.verdicts import INFLATED, Outcome
 
 if TYPE_CHECKING:
@@ -18,10 +19,14 @@ WIDTH = 96
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
+ONLY_IN_SUMS = "  * known only in sums with others: the torques need it, but its own value cannot be told"
+TYPES = {1: "serial", 2: "parallel"}
 METHODS = {
     "ml": "maximum likelihood in the current domain",
     "huber": "maximum likelihood with Huber's weights against outliers",
     "ridge": "maximum likelihood with priors on the standard parameters",
+    "iv": "instrumental variables along simulated motion (IDIM-IV)",
+    "didim": "parameters from the currents, the motion simulated (DIDIM)",
     "2sls": "two-stage least squares",
     "mixed": "mixed LS-TLS (regressor exact, currents noisy)",
     "tls": "total least squares (the paper's)",
@@ -39,6 +44,7 @@ def summary(result: Result) -> str:
         f"Robot     {result.robot.name}",
         f"Method    {METHODS[result.method]}",
         *textwrap.wrap(f"Runs      {', '.join(result.runs)}", WIDTH, subsequent_indent=" " * 10),
+        *([f"Payload   on '{result.robot.tool}'"] if result.payloads else []),
         f"Signals   bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, "
         f"decimation {preparation.decimator.factor} ({preparation.decimator.kind})",
         "=" * WIDTH,
@@ -48,7 +54,9 @@ def summary(result: Result) -> str:
     ]
     for joint, gain in result.drive_gains.items():
         value, std = result.delays[joint].value, result.delays[joint].std
-        delay = f"{1e3 * (value or 0.0):>11.3f}{'' if std is None else f'{1e3 * std:.2g}':>8}"
+        told = result.delays[joint].verdict.outcome == Outcome.GOOD
+        shown = f"{1e3 * (value or 0.0):.3f}" if told else "cannot tell"
+        delay = f"{shown:>11}{'' if std is None else f'{1e3 * std:.2g}':>8}"
         lines.append(f"{_row(joint, gain)}   {gain.unit:<9}{delay}   {gain.verdict.outcome}")
     for payload in result.payloads:
         lines += ["-" * WIDTH, *payload_lines(payload)] if set(payload.parameters) - payload.known else []
@@ -59,9 +67,10 @@ def summary(result: Result) -> str:
     lines += [
         "-" * WIDTH,
         f"{'Essential parameters':<26}{'value':>12}{'std':>10}{'std %':>8}   unit",
-        *(f"{_row(each.name, each)}   {each.unit}" for each in result.essential.values()),
-        f"  {left_out} of {len(result.parameters)} base parameters were cancelled, at the price of "
-        f"{max(result.statistics['reduction_loss'], 0.0):.2g} % larger torque errors at most;",
+        *(f"{_row(each.name, each)}   {each.unit}{_mark(each)}" for each in result.essential.values()),
+        *([ONLY_IN_SUMS] if any(map(_mark, result.essential.values())) else []),
+        f"  {left_out} of {len(result.parameters)} base parameters were cancelled, by which the worst joint's torque "
+        f"errors {_growth(result.statistics['reduction_loss'])};",
         "  model.json has all, and what each one that ends in R regroups.",
         "-" * WIDTH,
         f"{'Torque fit':<26}{'error rms':>12}{'signal':>10}{'error %':>8}   unit",
@@ -70,6 +79,7 @@ def summary(result: Result) -> str:
         f"  {each.joint:<24}{each.rms:>12.4g}{each.signal:>10.4g}{each.relative:>8.2f}   {each.unit}"
         for each in result.residuals
     ]
+    lines += singularity_lines(result.singularities)
     if result.consistency is not None:
         lines += ["-" * WIDTH, *_consistency_lines(result.consistency)]
     if "singular_ratio" in result.statistics:
@@ -88,18 +98,30 @@ def payload_lines(payload: PayloadEstimate) -> list[str]:
     return lines
 
 
+def singularity_lines(nearest: Sequence[NearestPose]) -> list[str]:
+    """Where the runs come nearest to singularities of each type, one line a type."""
+    lines = ["-" * WIDTH, f"{'Singularities':<26}{'nearest':>12}   (1 at best, 0 at one)"] if nearest else []
+    for kind, name in TYPES.items():
+        if chosen := [each for each in nearest if each.type == kind]:
+            worst = min(chosen, key=lambda each: each.distance)
+            lines.append(f"  {f'type {kind} ({name})':<24}{worst.distance:>12.3g}   {worst.run}, {worst.time:.4g} s")
+    return lines
+
+
 def _consistency_lines(found: Consistency) -> list[str]:
     """What rigid bodies make of the estimates: the moves worth a line, and what it costs."""
     moved = [move for move in found.moves if move.deviations >= MOVED]
     lines = [f"{'Physically consistent':<26}{'free':>12}{'consistent':>12}{'moved, std':>12}"]
-    shown = [*moved[:LISTED], *(m for m in found.moves if m.name.startswith("gain_") and m not in moved[:LISTED])]
+    gains = [f"gain_{joint}" for joint in found.gains]
+    shown = [move for move in moved if move.name not in gains][:LISTED]
+    shown += [move for name in gains for move in found.moves if move.name == name]
     lines += [f"  {m.name:<24}{m.free:>12.5g}{m.consistent:>12.5g}{m.deviations:>12.2f}" for m in shown]
     joint = max(found.loss, key=lambda name: found.loss[name])
     together = 100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) - 1)
-    lines.append(
-        f"  {len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more; torque errors grow by "
-        f"{together:.2g} %, at most by {found.loss[joint]:.2g} % ({joint})."
-    )
+    lines += [
+        f"  {len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more;",
+        f"  torque errors {_growth(together)}, those of the worst joint, {joint}, {_growth(found.loss[joint])}.",
+    ]
     lines.append("  model.json has every standard parameter under 'standard'; what the data leave open was chosen.")
     return lines
 
@@ -109,6 +131,15 @@ def _row(name: str, estimate: Estimate) -> str:
     std = "" if estimate.std is None else f"{estimate.std:.2g}"
     relative = "" if estimate.rel_std is None else f"{estimate.rel_std:.2f}" if estimate.rel_std < 1000 else "> 1000"
     return f"  {name:<24}{value:>12}{std:>10}{relative:>8}"
+
+
+def _mark(estimate: Estimate) -> str:
+    return "   *" if (estimate.rel_std or 0.0) > 100 else ""
+
+
+def _growth(loss: float) -> str:
+    """By how much torque errors grow, ``loss`` in per cent."""
+    return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
 
 
 def _beliefs(result: Result) -> list[str]:

@@ -31,6 +31,8 @@ class LegDifference:
         Names of its parameters that have counterparts of the same regrouping in all these legs.
     deviations : ndarray
         (compared,): differences from the mean of the others, in standard deviations of the difference.
+    relative : ndarray
+        (compared,): the same differences in per cent of the mean of the others.
     distance : float
         All differences together, in joint standard deviations (Mahalanobis).
     probability : float
@@ -41,6 +43,7 @@ class LegDifference:
     others: tuple[tuple[str, ...], ...]
     compared: tuple[str, ...]
     deviations: np.ndarray
+    relative: np.ndarray
     distance: float
     probability: float
 
@@ -136,6 +139,7 @@ def leg_differences(
                 for j, table in enumerate(tables):
                     contrast[row, table[meaning]] = 1.0 if j == k else -1.0 / (len(group) - 1)
             difference, spread = contrast @ parameters, contrast @ covariance @ contrast.T
+            others = np.minimum(contrast, 0.0) @ parameters
             std = np.sqrt(np.diag(spread))
             deviations = difference / std
             correlation = spread / np.outer(std, std)
@@ -147,6 +151,7 @@ def leg_differences(
                     tuple(leg for j, leg in enumerate(group) if j != k),
                     tuple(names[tables[k][meaning]] for meaning in shared),
                     deviations,
+                    100 * np.abs(np.divide(difference, others, out=np.full(len(shared), np.inf), where=others != 0)),
                     float(np.sqrt(square)),
                     float(chi2.sf(square, rank)),
                 )

@@ -13,15 +13,16 @@ from enum import StrEnum
 
 import numpy as np
 
-from idim.estimation.current_domain import two_stage
 from idim.estimation.drift import worst_drifts
 from idim.estimation.problem import Problem
 from idim.estimation.solution import Solution, jackknife
+from idim.estimation.two_stage import two_stage
 
 
 class Outcome(StrEnum):
     """What can be said of an estimate."""
 
+    GIVEN = "given"
     GOOD = "good"
     WEAK = "weak"
     NOT_IDENTIFIABLE = "not identifiable"
@@ -42,14 +43,13 @@ class Verdict:
         return self.outcome.value + (f": {self.why}; {self.advice}" if self.why else "")
 
 
-GOOD = Verdict(Outcome.GOOD)
+GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 WEAK_GAIN = 0.03  # relative standard deviation
 LOST_GAIN = 0.5
 WEAK_PARAMETER = 0.2
 MISFIT = 0.25  # share of a joint's current that the model may leave unexplained
 APART = 3.5  # standard deviations between two estimates of one number, or of their difference where that is more
 ALONE = 0.6  # a joint's error by its own equations over that with all joints together
-SINGULAR_GAP = 3.0
 DRIFT = 0.005  # of the current, along a run
 DRIFTING = 6.0  # standard deviations of it
 INFLATED = 1.5  # deviations by the jackknife over those of independent errors
@@ -69,22 +69,16 @@ def gain_verdicts(
     places, runs : ndarray, sequence of str
         Where the problem's units stand (U, 2), and the names of the runs.
     """
-    signal = np.array(
-        [
-            np.linalg.norm(R[:, problem.n_theta + 1]) / np.sqrt(rows)
-            for R, rows in zip(problem.triangles, problem.total_rows, strict=True)
-        ]
-    )
-    misfit, alone = solution.sigma / signal, problem.own_sigma / solution.sigma
+    misfit, alone = solution.sigma / problem.signal, problem.own_sigma / solution.sigma
     other, gains = two_stage(problem), slice(problem.n_theta, problem.n_theta + len(problem.joints))
     between = np.sqrt(np.diag(jackknife((solution.replicates() - other.replicates())[:, gains])))
     apart = np.abs(solution.gains - other.gains) / np.maximum(std, between)
-    relative = std / np.abs(solution.gains)
-    singular = solution.statistics.get("singular_ratio", np.inf)
+    blocks = np.sqrt(np.diag(solution.jackknife))[gains]
+    relative = np.maximum(std, blocks) / np.abs(solution.gains)  # formulas take errors for independent
     drifts = worst_drifts(problem, solution, places)
     reversed_ = solution.gains < 0
     found = [
-        _gain_verdict(misfit[j], alone[j], apart[j], relative[j], singular, bool(np.all(reversed_)))
+        _gain_verdict(misfit[j], alone[j], apart[j], relative[j], bool(np.all(reversed_)), solution.settled)
         for j in range(len(problem.joints))
     ]
     for j, drift in enumerate(drifts):
@@ -116,13 +110,13 @@ def lack_of_fit(problem: Problem, solution: Solution) -> float:
 
 
 def _gain_verdict(
-    misfit: float, alone: float, apart: float, relative: float, singular: float, all_negative: bool
+    misfit: float, alone: float, apart: float, relative: float, all_negative: bool, settled: bool
 ) -> Verdict:
     if all_negative:
         return Verdict(
             Outcome.CONTRADICTORY,
             "all drive gains are negative",
-            "check the sign of the currents and positions, gravity, and which runs carry the payload",
+            "check the sign of the currents and positions, gravity, which runs carry the payload, and on which body",
         )
     if misfit > MISFIT:
         return Verdict(
@@ -136,20 +130,18 @@ def _gain_verdict(
             f"this joint's equations alone are met {1 / alone:.1f} times better than together with the other joints'",
             "check the order and signs of the joints, the direction of gravity and the robot's geometry",
         )
-    if singular < SINGULAR_GAP:
+    if not settled:
         return Verdict(
-            Outcome.CONTRADICTORY,
-            "not to be trusted, as the two smallest singular values of W_tot differ by a factor of only "
-            f"{singular:.2f} "
-            "(3 is needed) and noise decides between two directions",
-            "use --method ml",
+            Outcome.NOT_IDENTIFIABLE,
+            "the iteration did not settle, so the data do not fix it",
+            "see to the contradictory joints first",
         )
     if relative > LOST_GAIN:
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
             f"its standard deviation is {100 * relative:.0f} % of it",
             "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
-            "gravity, and which runs carry the payload",
+            "gravity, which runs carry the payload, and on which body",
         )
     if apart > APART:
         return Verdict(
@@ -162,7 +154,7 @@ def _gain_verdict(
             Outcome.WEAK,
             f"its standard deviation is {100 * relative:.1f} %",
             "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; "
-            "if other joints are weak too, check which runs carry the payload, and gravity",
+            "if other joints are weak too, check which runs carry the payload, on which body, and gravity",
         )
     return GOOD
 
@@ -188,16 +180,24 @@ def parameter_verdict(value: float | None, std: float | None) -> Verdict:
     return GOOD
 
 
-def mass_verdict(declared: float, weighed: float, std: float) -> Verdict:
-    """Verdict on a known payload that has been weighed with the gains found from the others."""
-    if abs(weighed - declared) > APART * std:
+def known_verdict(kind: str, declared: float, found: float, std: float, unit: str) -> Verdict:
+    """Verdict on a payload of which the parameter ``kind`` has been found from all else that is known."""
+    if abs(found - declared) <= APART * std:
+        return GOOD
+    if kind == "m":
         return Verdict(
             Outcome.CONTRADICTORY,
-            f"with the drive gains found from the other payloads it weighs {weighed:.4g} +- {std:.2g} kg, not "
+            f"with the drive gains found from the other payloads it weighs {found:.4g} +- {std:.2g} kg, not "
             f"{declared:.4g} kg",
             "weigh the payloads again; one of the masses is wrong, or a run carries another payload than it says",
         )
-    return GOOD
+    return Verdict(
+        Outcome.CONTRADICTORY,
+        f"with its mass and all else that is known its {kind} is {found:.4g} +- {std:.2g} {unit}, not {declared:.4g} "
+        f"{unit}",
+        f"check {kind} and the frame it is given in, that of the body that carries the payload, and the mass; or leave "
+        f"{kind} out",
+    )
 
 
 def worst(verdicts: Mapping[str, Verdict] | Sequence[Verdict]) -> Outcome:
