@@ -27,12 +27,13 @@ from threadpoolctl import threadpool_limits
 from idim.estimation.assembly import Assembly
 from idim.estimation.current_domain import ml
 from idim.estimation.data import Data, reduce_runs
+from idim.estimation.delays import delay_verdicts
 from idim.estimation.factors import CURRENTS, EXTRA, STRETCHES, Factors
 from idim.estimation.freedom import freedom
 from idim.estimation.friction import Friction
 from idim.estimation.rows import stream_rows
 from idim.estimation.triangle import triangle
-from idim.estimation.verdicts import Outcome, gain_verdicts
+from idim.estimation.verdicts import GOOD, Outcome, gain_verdicts
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.geometry import characteristic_length
 from idim.robots.load import load_robot
@@ -199,13 +200,17 @@ def refactor(data: Data, fixed: Fixed, run: Run) -> Factors:
 
 @dataclass(frozen=True, eq=False)
 class Repetition:
-    """Deviations from the truth, standard deviations and their degrees of freedom, and the worst verdict on a gain."""
+    """Deviations from the truth, standard deviations and their degrees of freedom, and the worst verdict on a gain.
+
+    ``told`` are the delays that have a deviation, (n,).
+    """
 
     names: tuple[str, ...]
     error: np.ndarray
     std: np.ndarray
     freedom: np.ndarray
     outcome: Outcome
+    told: np.ndarray
 
 
 def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
@@ -233,14 +238,23 @@ def judge(case: Case, assembly: Assembly) -> Repetition:
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])
     truth = dict(zip(base.names, base.matrix @ chi, strict=True))
     index = [k for k, name in enumerate(problem.parameters) if name in truth]
-    gains = np.arange(problem.n_theta, problem.n_theta + len(problem.joints))
-    expected = np.concatenate([[truth[problem.parameters[k]] for k in index], case.gains])
-    names = (*(problem.parameters[k] for k in index), *(f"gain_{joint}" for joint in problem.joints))
-    which = np.concatenate([np.array(index, dtype=int), gains])
+    n = len(problem.joints)
+    gains = np.arange(problem.n_theta, problem.n_theta + n)
+    expected = np.concatenate([[truth[problem.parameters[k]] for k in index], case.gains, np.zeros(n)])
+    names = (
+        *(problem.parameters[k] for k in index),
+        *(f"{what}_{joint}" for what in ("gain", "delay") for joint in problem.joints),
+    )
+    which = np.concatenate([np.array(index, dtype=int), gains, gains + n])
     verdicts = gain_verdicts(problem, solution, std[gains], assembly.places, [f"run {k + 1}" for k in range(4)])
     worst = max((v.outcome for v in verdicts), key=list(Outcome).index)
     return Repetition(
-        names, solution.stacked[which] - expected, std[which], freedom(problem, solution, True)[which], worst
+        names,
+        solution.stacked[which] - expected,
+        std[which],
+        freedom(problem, solution, True)[which],
+        worst,
+        np.array([each == GOOD for each in delay_verdicts(problem, solution)]),
     )
 
 
@@ -254,11 +268,13 @@ def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetitio
     truth = dict(zip(base.names, base.matrix @ chi, strict=True))
     error, std = np.array([r.error for r in repetitions]), np.array([r.std for r in repetitions])
     freedoms = np.array([r.freedom for r in repetitions])
-    inside = np.mean(np.abs(error) < stdtrit(freedoms, 0.975) * std, axis=0)
+    hits = np.abs(error) < stdtrit(freedoms, 0.975) * std
+    inside, told = np.mean(hits, axis=0), np.array([r.told for r in repetitions])
     names = repetitions[0].names
     gain = np.array([name.startswith("gain_") for name in names])
     size = np.array([abs(truth.get(name, np.inf)) for name in names])
-    main = ~gain & (size > MAIN * np.median(std, axis=0))
+    delay = np.array([name.startswith("delay_") for name in names])
+    main = ~gain & ~delay & (size > MAIN * np.median(std, axis=0))
     return {
         "robot": source,
         "errors": errors,
@@ -268,6 +284,8 @@ def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetitio
         "main_parameters": int(main.sum()),
         "main_pooled": round(100 * float(inside[main].mean()), 1),
         "pooled": round(100 * float(inside[gain | main].mean()), 1),
+        "delays": round(100 * float(hits[:, delay][told].mean()), 1) if told.any() else None,
+        "delays_told": round(100 * float(told.mean()), 1),
         "smallest": round(100 * float(inside[gain | main].min()), 1),
         "smallest_of": names[int(np.flatnonzero(gain | main)[np.argmin(inside[gain | main])])],
         "weak": sum(r.outcome in (Outcome.WEAK, Outcome.NOT_IDENTIFIABLE) for r in repetitions),
@@ -283,8 +301,8 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--json", help="file for the table")
     options = parser.parse_args()
-    print("| robot | errors | times | each gain | gains | parameters | all | smallest cell | weak | contradictory |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    heads = ("robot", "errors", "times", "each gain", "gains", "parameters", "all", "smallest cell", "delays (told)")
+    print(f"| {' | '.join((*heads, 'weak', 'contradictory'))} |\n|{' --- |' * 11}")
     rows = []
     for source in options.robots:
         case = make_case(source)
@@ -302,7 +320,7 @@ def main() -> None:
             print(
                 f"| {source} | {errors} | {row['repetitions']} | {each} | {row['gains_pooled']} | {row['main_pooled']} "
                 f"({row['main_parameters']}) | {row['pooled']} | {row['smallest']} ({row['smallest_of']}) | "
-                f"{row['weak']} | {row['contradictory']} |",
+                f"{row['delays']} ({row['delays_told']}) | {row['weak']} | {row['contradictory']} |",
                 flush=True,
             )
     if options.json:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from idim.errors import IdimError
 from idim.estimation import newton
 from idim.estimation.current_domain import ml, ols, wls
 from idim.estimation.homogeneous import leave_one_out, mixed, tls
@@ -407,5 +406,5 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
     np.testing.assert_allclose(solution.stacked, ml(problem).stacked, rtol=1e-5)
     assert solution.gains[0] == pytest.approx(gain, rel=0.03)
     monkeypatch.setattr(newton, "curvature_of_delays", lambda blocks, *others: np.zeros(blocks.shape[:-2]))
-    with pytest.raises(IdimError, match="did not settle"):  # in 150 steps and more it would
-        newton.solve(problem, far, weights, True)
+    assert solution.settled
+    assert not newton.solve(problem, far, weights, True).settled  # in 150 steps and more it would

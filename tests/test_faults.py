@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import idim.estimation.data
+from five_bar_logs import STEEL, Plant
 from idim.errors import IdimError
 from idim.estimation.base_parameters import BaseParameters, base_parameters
 from idim.estimation.identify import identify
@@ -200,6 +201,74 @@ def test_a_wrong_mass_is_noticed_with_two_payloads() -> None:
         result = identify(ROBOT, [heavier(run, "1.983 kg", factor) for run in two])
         assert worst([each.verdict for each in result.payloads]) == outcome
         assert ("weigh the payloads again" in " ".join(result.summary().split())) == (factor > 1)
+
+
+# A wrong parameter of a payload, on a five-bar that carries it at a known place
+
+
+def steel(parameters: dict[str, float]) -> list[Run]:
+    plant = Plant(noise=0.02)
+    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, STEEL, seed=2)
+    return [free, replace(loaded, payload=Payload(name="steel", mass=STEEL["m"], parameters=parameters))]
+
+
+def test_a_wrong_parameter_of_the_payload_is_found_and_named() -> None:
+    five_bar, kinds = load_robot("five-bar"), [kind for kind in STEEL if kind != "m"]
+    right = identify(five_bar, steel({kind: STEEL[kind] for kind in kinds}))
+    assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD, sentences(right)
+    assert right.payloads[0].verdict.outcome == Outcome.GOOD
+    kind = kinds[0]
+    wrong = identify(five_bar, steel({each: STEEL[each] * (1.5 if each == kind else 1.0) for each in kinds}))
+    assert {gain.verdict.outcome for gain in wrong.drive_gains.values()} == {Outcome.CONTRADICTORY}
+    assert "payload 'steel'" in sentences(wrong)
+    verdict = wrong.payloads[0].verdict
+    assert verdict.outcome == Outcome.CONTRADICTORY
+    assert f"its {kind} is " in verdict.why
+    assert float(verdict.why.split(f"its {kind} is ")[1].split()[0]) == pytest.approx(STEEL[kind], rel=0.05)
+
+
+# Factors of a thousand
+
+
+def per_ampere(factor: float) -> dict[str, float]:
+    return {joint: factor * gain for joint, gain in DRIVE_GAINS.items()}
+
+
+def test_milliamperes_read_as_amperes_contradict_the_prior_gains(runs: list[Run]) -> None:
+    milli = [replace(run, command=1e3 * run.command) for run in runs]
+    result = identify(ROBOT, milli, prior_gains=per_ampere(1.05))
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
+    assert "looks like mA taken for A" in sentences(result)
+    right = identify(ROBOT, runs, prior_gains=per_ampere(1.05))
+    assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD
+
+
+def test_grams_read_as_kilograms_contradict_prior_gains_and_limits(runs: list[Run]) -> None:
+    grams = [heavier(run, "1.983 kg", 1e3) for run in runs]
+    assert "looks like g for kg" in sentences(identify(ROBOT, grams, prior_gains=per_ampere(0.9)))
+    joints = [
+        replace(joint, limits=replace(joint.limits, effort=2000.0)) if joint.name in DRIVE_GAINS else joint
+        for joint in ROBOT.joints
+    ]
+    limited = replace(ROBOT, joints=tuple(joints))
+    result = identify(limited, grams)
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
+    assert "times the joint's limit of 2000 N" in sentences(result)
+    assert worst([gain.verdict for gain in identify(limited, runs).drive_gains.values()]) == Outcome.GOOD
+
+
+def test_no_gain_is_good_beside_a_contradictory_one(runs: list[Run]) -> None:
+    priors = per_ampere(1.0) | {"12": 5 * DRIVE_GAINS["12"]}
+    verdicts = {joint: gain.verdict for joint, gain in identify(ROBOT, runs, prior_gains=priors).drive_gains.items()}
+    assert verdicts["12"].outcome == Outcome.CONTRADICTORY
+    for joint in ("11", "13"):
+        assert verdicts[joint].outcome == Outcome.WEAK
+        assert "joint '12' contradicts" in verdicts[joint].why
+
+
+def test_given_gains_are_said_to_be_given(runs: list[Run]) -> None:
+    result = identify(ROBOT, runs, method="wls", prior_gains=per_ampere(1.0))
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.GIVEN}
 
 
 # A serial arm in the wrong unit

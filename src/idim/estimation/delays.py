@@ -13,31 +13,32 @@ from idim.estimation.problem import Problem
 from idim.estimation.solution import Solution
 from idim.estimation.verdicts import GOOD, Outcome, Verdict
 
-TOLD = 0.5  # of the square of the current's rate of change, that motion must make
+TOLD = 4.0  # standard errors: a smaller share of motion may be chance
 
 
-def moving_share(problem: Problem, solution: Solution) -> np.ndarray:
-    """The share of motion in the mean square of each joint's rate of current, (n,).
+def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """The share of motion in the mean square of each joint's rate of current, and its standard error, (n,) each.
 
-    The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated).
+    The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated). The error is
+    that of a ratio, from its scatter over the units.
     """
-    shares = []
-    for R, gain in zip(problem.triangles, solution.gains, strict=True):
-        model, (v, rate, change) = R[:, : problem.n_theta + 1], R[:, problem.n_theta + 1 :].T
-        e = v - model @ np.append(solution.theta, 1.0) / gain
-        shares.append(1 + (e @ change) / max(rate @ rate, 1e-300))
-    return np.array(shares)
+    model, currents = problem.units[..., : problem.n_theta + 1], problem.units[..., problem.n_theta + 1 :]
+    v, rate, change = np.moveaxis(currents, -1, 0)  # (U, n, p) each
+    e = v - model @ np.append(solution.theta, 1.0) / solution.gains[:, None]
+    whole = np.einsum("ujp,ujp->uj", rate, rate)
+    of_motion = whole + np.einsum("ujp,ujp->uj", e, change)
+    total = np.maximum(whole.sum(axis=0), 1e-300)
+    share = of_motion.sum(axis=0) / total
+    return share, np.linalg.norm(of_motion - share * whole, axis=0) / total
 
 
 def delay_verdicts(problem: Problem, solution: Solution) -> tuple[Verdict, ...]:
     """Verdict on the delay of every joint's current."""
+    lost = Verdict(
+        Outcome.NOT_IDENTIFIABLE,
+        "the current's rate of change may all be noise",
+        "take it for unknown, or move this joint faster; the drive gain does not rest on it",
+    )
     return tuple(
-        GOOD
-        if share > TOLD
-        else Verdict(
-            Outcome.NOT_IDENTIFIABLE,
-            "most of the current's rate of change is noise",
-            "take it for unknown, or move this joint faster; the drive gain does not rest on it",
-        )
-        for share in moving_share(problem, solution)
+        GOOD if share > TOLD * error else lost for share, error in zip(*moving_share(problem, solution), strict=True)
     )

@@ -10,6 +10,7 @@ import numpy as np
 from idim.errors import IdimError
 from idim.robots.robot import Joint, Robot
 from idim.signals.preparation import Prepared
+from idim.signals.storage import block, spans
 
 BEYOND = 0.02  # of a joint's range outside its limits, which a user may want to know
 FAR_BEYOND = 1.0  # and so much that it is another unit, another joint or another robot
@@ -24,7 +25,11 @@ def within_limits(robot: Robot, prepared: Prepared) -> Prepared:
     IdimError
         Where a joint leaves them by more than its whole range, or is faster all the time than it can be.
     """
-    lowest, highest = prepared.run.position.min(axis=0), prepared.run.position.max(axis=0)
+    position = prepared.run.position
+    extremes = [
+        (each.min(axis=0), each.max(axis=0)) for each in (block(position, *span) for span in spans(len(position)))
+    ]
+    lowest, highest = np.min([low for low, _ in extremes], axis=0), np.max([high for _, high in extremes], axis=0)
     speeds = np.sqrt(np.diag(prepared.speeds))
     notes: list[str] = []
     for name, low, high, speed in zip(prepared.run.joints, lowest, highest, speeds, strict=True):
