@@ -11,6 +11,7 @@ import pytest
 import scipy.stats
 
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+from idim.errors import IdimError
 from idim.estimation.current_domain import ml
 from idim.estimation.data import reduce_runs
 from idim.estimation.drift import worst_drifts
@@ -73,7 +74,30 @@ def test_intervals_rest_on_the_blocks_and_are_saved(result: Result, tmp_path: Pa
 
 
 def test_the_paper_s_deviations_rest_on_all_rows(runs: list[Run]) -> None:
-    assert identify(FIVE_BAR, runs, as_paper=True).drive_gains["left"].freedom is None
+    result = identify(FIVE_BAR, runs, as_paper=True)
+    assert result.method == "tls"
+    assert result.drive_gains["left"].freedom is None
+    with pytest.raises(IdimError, match=r"the paper has no method 'ml'.*choose from tls, ols, wls"):
+        identify(FIVE_BAR, runs, "ml", as_paper=True)
+
+
+# Delays
+
+
+def test_a_delay_that_noise_hides_is_not_identifiable_and_has_no_deviation(result: Result) -> None:
+    assert {each.verdict.outcome for each in result.delays.values()} == {Outcome.GOOD}
+    plant, known = Plant(noise=0.02), Payload(name="steel", mass=STEEL["m"])
+    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, STEEL, seed=2)
+    noisy = np.random.default_rng(3)
+    drowned = [
+        replace(run, command=run.command + noisy.standard_normal(run.command.shape) * [0.0, 30.0])
+        for run in (free, replace(loaded, payload=known))
+    ]
+    left, right = identify(FIVE_BAR, drowned).delays.values()
+    assert left.verdict.outcome == Outcome.GOOD
+    assert left.std is not None
+    assert right.verdict.outcome == Outcome.NOT_IDENTIFIABLE
+    assert right.std is None
 
 
 # Verdicts

@@ -159,11 +159,18 @@ def _beliefs(result: Result) -> list[str]:
             "the model lacks something: check the robot's geometry, and think of friction, elasticity and cables"
         )
     masses = {each.name for each in result.payloads if "m" in each.known}
-    if len(masses) == 1 and result.drive_gains and next(iter(result.drive_gains.values())).std is not None:
+    estimated = any(gain.std is not None for gain in result.drive_gains.values())
+    if len(masses) == 1 and estimated:
         sentences.append(
             f"all gains scale with the mass given for payload '{masses.pop()}': a wrong one cannot be noticed "
             "with a single known "
             "payload, only with a second one of another mass"
+        )
+    turning = any(result.robot.joint(joint).kind == "revolute" for joint in result.drive_gains)
+    if estimated and turning and not result.robot.closures:
+        sentences.append(
+            "the gains of an arm scale with its lengths too, up to twice as much, and its data seldom show a wrong "
+            "one: measure the lengths of the robot file"
         )
     lost = [name for name, each in result.parameters.items() if each.value is None]
     if lost:
