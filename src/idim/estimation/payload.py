@@ -14,8 +14,10 @@ from idim.estimation.estimates import PayloadEstimate
 from idim.estimation.freedom import freedom
 from idim.estimation.identify import given_gains, with_friction
 from idim.estimation.interpretation import payload_estimates
+from idim.estimation.known_payloads import mass_uncertainty
 from idim.estimation.problem import Problem
 from idim.estimation.result import Result
+from idim.estimation.solution import Solution
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
@@ -25,7 +27,10 @@ def weigh(
     gains: str = "identified",
     progress: Progress = silent,
 ) -> tuple[PayloadEstimate, ...]:
-    """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its other runs.
+    """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its runs without payload.
+
+    Runs with a known payload are left out, as a known mass would weigh the others by itself, whatever the gains; only
+    where no run is without payload are they what the unknown ones are compared with.
 
     Parameters
     ----------
@@ -53,7 +58,9 @@ def weigh(
         raise IdimError(f"{experiment}: no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
     if gains == "prior" and described.signals.kind == "current" and not described.prior_gains:
         raise IdimError(f"{experiment} has no 'prior_gains'; add them, or weigh with the identified gains.")
-    runs = read_runs(described, described.runs, progress)
+    bare = any(run.payload is None for run in described.runs)
+    chosen = [run for run in described.runs if run.payload is None or run.payload.mass is None or not bare]
+    runs = read_runs(described, chosen, progress)
     if gains == "prior":
         g_tau, covariance = given_gains(robot, runs, described.prior_gains, "wls"), None
     else:
@@ -61,15 +68,19 @@ def weigh(
         rows = [model.covariance_names.index(f"gain_{joint}") for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
     data = reduce_runs(robot, runs, at_rate_of(runs, model.preparation), progress=progress)
-    data, assembly = with_friction(data, lambda problem: wls(problem, g_tau), progress)
+
+    def solve(problem: Problem) -> Solution:
+        return wls(problem, g_tau)
+
+    data, assembly = with_friction(data, solve, progress)
     lost = [name for each in assembly.payloads for name in each.unknown if name in assembly.unexcited]
     if lost:
         raise IdimError(
             f"{experiment}: the runs cannot tell the payload from the robot itself; add a run without payload, or "
-            "with a known one."
+            "with one of which all parameters are known."
         )
-    solution = wls(assembly.problem, g_tau)
-    total = solution.jackknife
+    solution = solve(assembly.problem)
+    total = solution.jackknife + mass_uncertainty(data, assembly, solution, solve)
     if covariance is not None:
         slopes = np.stack([_slope(assembly.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T

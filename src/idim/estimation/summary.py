@@ -156,7 +156,7 @@ def _beliefs(result: Result) -> list[str]:
     if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
         sentences.append(
             f"the errors hang together in time (deviations are {lack:.1f} times those of noise, and allow for it), so "
-            "the model lacks something: check the robot's geometry, and think of friction, elasticity and cables"
+            "the model lacks something: friction of another kind, ripple of the motors, cables, elasticity"
         )
     masses = {each.name for each in result.payloads if "m" in each.known}
     estimated = any(gain.std is not None for gain in result.drive_gains.values())
