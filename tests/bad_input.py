@@ -268,6 +268,11 @@ EXPERIMENTS = [
         ("identify", "experiment.yaml", "--out", "taken"),
     ),
     Case(
+        "validation by a run that was used",
+        "the log 'free.csv' is listed under 'runs' and under 'validation'",
+        experiment(("log: check.csv, payload: {name: steel, mass: 1.2}", "log: free.csv")),
+    ),
+    Case(
         "no validation runs",
         "has no validation runs; list them under 'validation'",
         experiment((EXPERIMENT[EXPERIMENT.index("validation") :], "")),

@@ -14,11 +14,15 @@ from typer.testing import CliRunner
 import idim
 from idim.cli.commands import app
 from idim.errors import IdimError
+from idim.experiment.design_file import read_design
 from idim.report import demo as demo_module
 from idim.report.demo import COMMANDS, LOGS, demo
 from idim.robots.load import load_robot
 from idim.robots.robot import Joint, Robot
-from idim.simulation.orthoglide_truth import standard_parameters
+from idim.signals.experiment import Payload, read_experiment
+from idim.simulation.description import read_simulation
+from idim.simulation.experiment_files import experiment_text
+from idim.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
 from idim.simulation.trajectories import envelope, point_to_point, sines
 
 
@@ -74,6 +78,27 @@ def test_the_true_orthoglide_has_the_sums_of_the_papers_table_3(model: idim.Inve
     assert {name: value[name] for name in table} == pytest.approx(table, abs=1e-4)
     masses = [number for name, number in chi.items() if name.startswith(("m_", "ia_"))]
     assert min(masses) > 0
+
+
+def test_the_files_of_the_demo_fit_each_other(made: tuple[Path, dict[str, Any], str]) -> None:
+    out, _, _ = made
+    simulation = read_simulation(out / "simulation.yaml")
+    (out / "simulated.yaml").write_text(experiment_text(simulation, load_robot(simulation.robot), out))
+    for run in (*simulation.runs, *simulation.validation):
+        (out / f"{run.name}.csv").symlink_to(out / "logs" / f"{run.name}.csv")
+    try:
+        simulated = read_experiment(out / "simulated.yaml")
+    finally:
+        (out / "simulated.yaml").unlink()
+        for link in out.glob("*.csv"):
+            link.unlink()
+    experiment = read_experiment(out / "experiment.yaml")
+    payloads = [[run.payload for run in each.runs] for each in (experiment, simulated)]
+    assert payloads[1][:4] == payloads[0]
+    assert payloads[1][4:] == [Payload(name="second"), None]
+    assert [run.payload for run in simulated.validation] == [run.payload for run in experiment.validation]
+    task, _ = read_design(out / "design.yaml")
+    assert [load and load.mass for load in task.payloads] == [None, PAYLOAD_MASS]
 
 
 def test_the_demo_finds_the_gains_and_weighs_the_payload(made: tuple[Path, dict[str, Any], str]) -> None:

@@ -21,6 +21,7 @@ from idim.experiment.evaluation import design_grid, evaluate, information
 from idim.experiment.forecast import forecast, sampled_motions
 from idim.experiment.nlp import Programme
 from idim.experiment.starts import random_start
+from idim.report.excite_page import describe_design, design_page
 from idim.signals.log_file import read_log
 from repetitions import repeated_gains
 
@@ -110,6 +111,29 @@ def test_forecasts_hold_for_three_motors_and_six_axes(robot: str, rng: np.random
     expected = np.array([each.std for each in forecast(task, x).gains])
     # the standard deviation of 100 repetitions is itself known to 7 %
     assert gains.std(axis=0, ddof=1) / expected == pytest.approx(1.0, abs=0.2)
+
+
+def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path) -> None:
+    task, assumed = read_design(write(tmp_path, FIVE_BAR.replace("gains: {left: 1.5, right: 1.5}", "noise: {left: 9}")))
+    assert set(assumed) == {"parameters", "gains", "noise"}
+    x = random_start(task, np.random.default_rng(1), 0.9)
+    assert x is not None
+    start = Design(task, "gains", x, 1.0, (), 0)
+    document = describe_design(start, assumed, [])
+    gain = document["gains"][0]
+    assert gain["assumed"]
+    (row,) = (line for line in design_page(document).splitlines() if line.startswith("  left  "))
+    assert row.split() == ["left", "(assumed)", "-", f"{gain['rel_std']:.3g}", "N", "m/A"]
+    parameter = next(each for each in document["parameters"] if each["rel_std"])
+    for rel_std, shown in ((2200.0, "-"), (990.0, "990")):
+        (row,) = (
+            line
+            for line in design_page(document | {"parameters": [parameter | {"rel_std": rel_std}]}).splitlines()
+            if line.startswith(f"  {parameter['name']} ")
+        )
+        assert row.split()[3] == shown
+    known = read_design(write(tmp_path, FIVE_BAR))[1]
+    assert not any(each["assumed"] for each in describe_design(start, known, [])["gains"])
 
 
 def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:

@@ -205,3 +205,16 @@ def test_compare(tmp_path: Path) -> None:
     for method in (*FOR_GAINS, *WITH_GAINS):
         assert f"\n{method} " in said
     assert "2.5 given" in said
+
+
+def test_compared_gains_are_as_uncertain_as_the_mass_behind_them(tmp_path: Path) -> None:
+    plant = Plant(noise=0.02)
+    for name, payload, seed in (("free", None, 1), ("loaded", STEEL, 2), ("check", STEEL, 3)):
+        write_log(tmp_path / f"{name}.csv", plant.run(name, 6.0, payload, seed))
+    experiment = tmp_path / "experiment.yaml"
+    experiment.write_text(EXPERIMENT.replace("mass: 1.2}", "mass: 1.2, mass_std: 0.06}"))
+    document = json.loads(CliRunner().invoke(app, ["compare", str(experiment), "--json"]).stdout)
+    for each in document["estimators"]:
+        if each["method"] in FOR_GAINS and not each["refusal"]:
+            relative = np.abs(np.array(each["std"]) / np.array(each["gains"]))
+            assert relative.min() > 0.045, each["method"]  # a mass known to 5 %

@@ -97,10 +97,6 @@ def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
     (text,) = blocks(DOCS / "simulation-file.md", "yaml")
     monkeypatch.chdir(tmp_path)
     Path("simulation.yaml").write_text(text)
-    time = np.arange(0, 4.001, 0.01)
-    swing = 0.3 * np.sin(np.pi * time / 4) ** 2 * np.sin(2 * np.pi * time)
-    table = np.column_stack([time, 2.0944 + swing, 1.0472 - swing])
-    np.savetxt("trajectory.csv", table, "%.9g", ",", header="t,q_left,q_right", comments="")
     run("simulate", "simulation.yaml", "--out", "simulated")
     truth = yaml.safe_load(text)
     found = json.loads(run("identify", "simulated/experiment.yaml", "--json"))
@@ -111,36 +107,24 @@ def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
     assert "control" not in Path("simulated/experiment.yaml").read_text()
 
 
-DESIGN = """\
-robot: five-bar
-rate: 500
-period: 5
-harmonics: 4
-runs: [{payload: none}, {payload: {name: disc, mass: 1.2}}]
-prior: {gains: {left: 2.5, right: 4.0}}
-"""
-
-
-def test_what_excite_writes_is_simulated_and_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_designed_is_simulated_and_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = DOCS / "excitation.md"
+    _, design, simulation = blocks(page, "yaml")
+    (commands,) = blocks(page, "sh")
     monkeypatch.chdir(tmp_path)
-    Path("design.yaml").write_text(DESIGN)
-    run("excite", "design.yaml", "--out", "plan", "--starts", "1")
-    first, *_, last = sorted(Path("plan").glob("trajectory*.csv")) * 2  # one motion, or one for each run
-    simulation = yaml.safe_load(blocks(DOCS / "simulation-file.md", "yaml")[0])
-    simulation |= {
-        "runs": [
-            {"name": "free", "trajectory": {"csv": str(first)}},
-            {"name": "loaded", "trajectory": {"csv": str(last)}, "payload": {"name": "disc", "mass": 1.2}},
-        ],
-        "validation": [],
-        "control": [],
-    }
-    Path("simulation.yaml").write_text(yaml.safe_dump(simulation))
-    run("simulate", "simulation.yaml", "--out", "logs")
-    found = json.loads(run("identify", "logs/experiment.yaml", "--json"))
+    Path("design.yaml").write_text(design)
+    Path("simulation.yaml").write_text(simulation)
+    excite, simulate, check, identify = (line.split("#")[0].split()[1:] for line in commands.splitlines())
+    run(*excite, "--starts", "1")
+    run(*simulate)
+    run(*check)
+    found = json.loads(run(*identify, "--json"))
+    truth = yaml.safe_load(simulation)["drives"]
     for gain in found["drive_gains"]:
-        assert abs(gain["value"] - simulation["drives"][gain["joint"]]["gain"]) < 4 * gain["std"]
+        assert abs(gain["value"] - truth[gain["joint"]]["gain"]) < 4 * gain["std"]
         assert gain["rel_std"] < 6  # the design foretells 3 % and 0.2 %
+    for delay in found["delays"]:  # none was put in, and a current is held for one sample
+        assert abs(delay["value"] - 0.5 / 500) < 4 * delay["std"]
 
 
 def keys(heading: str) -> set[str]:
@@ -213,3 +197,29 @@ def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, mon
     documented("idim check", checked)
     named("idim check", "logs", checked["logs"][0])
     documented("idim robot", json.loads(run("robot", "five-bar", "--json")))
+
+
+def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from idim.estimation.log_check import check_logs
+    from idim.report.log_page import describe_logs, log_figure, log_page
+
+    checked = check_logs(five_bar / "weighing.yaml")
+    said = log_page(describe_logs(checked))
+    assert "unknown (identification, payload 'lead' of unknown mass): " in said
+    assert "free (identification, no payload): " in said
+    figure = log_figure(checked.logs[0], checked.robot)
+    (key,) = figure.legends  # beside the curves, not on them
+    assert [text.get_text() for text in key.get_texts()] == ["joint left", "joint right"]
+    assert figure.axes[0].get_title(loc="left") == "free"
+
+
+def test_a_figure_of_torques_is_titled_with_its_run() -> None:
+    pytest.importorskip("matplotlib")
+    from idim.estimation.estimates import Prediction
+    from idim.report.figures import torques_figure
+
+    time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
+    prediction = Prediction(("left", "right"), time, torques, 1.1 * torques, np.ones((50, 2), dtype=bool))
+    figure = torques_figure(prediction, ["N m", "N m"], 0.0, 1.0, "loaded")
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["loaded", "", "", ""]

@@ -262,6 +262,10 @@ def test_the_command_saves_and_draws(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["robot", "five-bar", "--save", str(saved), "--figure", str(drawn)])
     assert done.exit_code == 0
     assert "1 closure, 3 equations of rank 2" in done.output
+    assert done.output.endswith(f"written: {saved}\nwritten: {drawn}\n")
+    quiet = CliRunner().invoke(app, ["robot", "five-bar", "--save", str(saved), "--json"])
+    assert quiet.exit_code == 0
+    assert "written:" not in quiet.output
     assert read_native(saved) == load_robot("five-bar")
     assert drawn.read_bytes()[:4] == b"\x89PNG"
     # what cannot be moved yet, such as a table to which closures will be added, can be saved all the same
@@ -326,6 +330,11 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     ("two documents", GOOD + "---\n" + GOOD, ", line 10: a second document begins here; keep one document in a file."),
     ("key that is a list", "[a, b]: 1\n", ", line 1: a key must be plain text."),
     ("empty value", good("robot: r", "robot:"), ", line 1: nothing is written after 'robot'; write a value or remove"),
+    (
+        "comma in an expression",
+        "name: r\nconstants: {h: 0.3, a: 0.4, s: atan2(h, a)}\n",
+        ", line 2: the comma before 'a)' ends a value; quote the expression, as in s: 'atan2(h, a)'.",
+    ),
     ("empty item", good("{dof: [x, z]}", "\n    dof:\n      - x\n      -"), ", line 10: nothing is written after '-';"),
     # Keys
     ("no name", good("robot: r\n", ""), ": the key 'robot' is missing; add it."),

@@ -172,6 +172,36 @@ def test_picture_names_motors_payload_and_gravity() -> None:
     assert {"travel", "closes a loop", "payload on P", "11", "12", "13"} < set(said)
 
 
+def test_picture_explains_only_what_it_shows() -> None:
+    assert "link" not in texts(load_robot("emps"))  # a carriage on a rail
+
+
+@pytest.mark.parametrize("name", ["gough-stewart", "ur10e", "palletiser", "orthoglide"])
+def test_picture_hides_no_name_under_a_joint_or_another_name(name: str) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Annotation
+
+    robot = load_robot(name)
+    figure = robot_figure(robot)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    names = [
+        text
+        for text in figure.findobj(Annotation)
+        if text.get_bbox_patch() is not None and set(text.get_text().split(", ")) <= robot.driven
+    ]
+    assert sorted(", ".join(text.get_text() for text in names).split(", ")) == sorted(robot.driven)
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in names]
+    marks = [
+        line.get_transform().transform(line.get_xydata())
+        for line in names[0].axes.get_lines()
+        if line.get_marker() in ("o", "s", "D")
+    ]
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+        assert not any(box.contains(*point) for mark in marks for point in mark)
+
+
 @pytest.mark.parametrize("length", [3e-4, 0.03, 1.0, 350.0])
 def test_picture_has_a_scale_in_any_size(length: float, tmp_path: Path) -> None:
     from idim.report.style import save_figure

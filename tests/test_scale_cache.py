@@ -191,3 +191,5 @@ def test_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert cache_folder() == Path.home() / ".cache" / "idim"
     monkeypatch.setenv("IDIM_CACHE", str(tmp_path / "own"))
     assert cache_folder() == tmp_path / "own"
+    monkeypatch.setenv("IDIM_CACHE", "")
+    assert cache_folder() == Path.home() / ".cache" / "idim"

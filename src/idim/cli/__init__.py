@@ -33,7 +33,8 @@ def _run() -> int:
         return 130
     except usage_error as error:
         message = error.format_message().replace("Value error, ", "").rstrip(".")  # type: ignore[attr-defined]
-        return refused(f"{message}. See 'idim --help'.", "--json" in sys.argv).exit_code
+        stop = "" if message.endswith("?") else "."
+        return refused(f"{message}{stop} See 'idim --help'.", "--json" in sys.argv).exit_code
     except Exception as error:
         if "IDIM_DEBUG" in os.environ:
             raise

@@ -68,3 +68,5 @@ def fleet(
         else:
             typer.echo(fleet_page(table))
             typer.echo("\n".join(f"written: {path}" for path in written))
+        if not table.robots:
+            raise typer.Exit(3)  # a script is not to go on with such a fleet

@@ -53,4 +53,5 @@ def robot(
         if json_:
             print_json(description)
         else:
-            typer.echo(robot_page(description))
+            written = [path for path in (save, figure) if path is not None]
+            typer.echo("\n".join([robot_page(description), *(f"written: {path}" for path in written)]))

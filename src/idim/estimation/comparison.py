@@ -19,6 +19,7 @@ from idim.estimation.didim import along_simulated_motion
 from idim.estimation.friction import Friction
 from idim.estimation.identify import FOR_GAINS, WITH_GAINS, with_friction
 from idim.estimation.instruments import instrumental
+from idim.estimation.known_payloads import mass_uncertainty
 from idim.estimation.prior import ridge
 from idim.estimation.problem import Problem
 from idim.estimation.robust import reweighted
@@ -75,29 +76,30 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
     names = [run.name for run in runs]
 
     def row(method: str) -> Row:
-        mine, start = assembly, perf_counter()
+        along, mine, start = data, assembly, perf_counter()
         try:
             if method in WITH_GAINS:
                 prior = np.array([experiment.prior_gains[joint] for joint in robot.actuated])
                 solution = WITH_GAINS[method](mine.problem, prior)
             else:
                 if method == "huber":
-                    _, mine = reweighted(data, mine, ml, progress)
+                    along, mine = reweighted(data, mine, ml, progress)
                 elif method == "didim":
-                    _, mine = along_simulated_motion(data, mine, ml, progress)
+                    along, mine = along_simulated_motion(data, mine, ml, progress)
                 solution = FOR_GAINS[method](mine.problem)
+                of_masses = mass_uncertainty(along, mine, solution, FOR_GAINS[method])
                 if method == "ridge":
                     solution = ridge(data, mine, solution, experiment.priors)
                 elif method == "iv":
                     _, solution = instrumental(data, mine, solution, True, progress)
-            n_theta, n = mine.problem.n_theta, len(robot.actuated)
-            std = np.sqrt(np.diag(solution.jackknife))[n_theta : n_theta + n]
         except IdimError as refusal:
             return Row(method, refusal=str(refusal))
         seconds = perf_counter() - start
         residuals = _residuals(mine.problem, solution)
         if method in WITH_GAINS:
             return Row(method, solution.gains, None, residuals, seconds)
+        of_gains = slice(mine.problem.n_theta, mine.problem.n_theta + len(robot.actuated))
+        std = np.sqrt(np.diag(solution.jackknife + of_masses))[of_gains]
         outcome = worst(gain_verdicts(mine.problem, solution, std, mine.places, names))
         return Row(method, solution.gains, std, residuals, seconds, outcome)
 

@@ -39,9 +39,13 @@ def along_simulated_motion(
     for k in range(PASSES):
         progress("simulation", k, PASSES)
         loads = [assembly.load(run, solution.theta) if loaded else None for run in range(len(data.runs))]
+        simulated = zip(resimulated_runs(data, assembly, solution), loads, data.factors, strict=True)
         factors = tuple(
-            reduce_run(data.model, data.base.standard, simulated, data.preparation.decimator, load)
-            for simulated, load in zip(resimulated_runs(data, assembly, solution), loads, strict=True)
+            replace(
+                reduce_run(data.model, data.base.standard, run, data.preparation.decimator, load),
+                distances=logged.distances,  # to singularities: of what the robot did
+            )
+            for run, load, logged in simulated
         )
         along = replace(data, factors=factors)
         assembly = along.assembly(assembly.friction, assembly.problem.slowest > 0)

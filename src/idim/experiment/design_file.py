@@ -115,13 +115,14 @@ class DesignFile(_Keys):
         return self
 
 
-def read_design(path: str | Path) -> tuple[Task, tuple[str, ...]]:
+def read_design(path: str | Path) -> tuple[Task, dict[str, str]]:
     """Read a design file.
 
     Returns
     -------
-    Task, tuple of str
-        What is to be designed, and a sentence on everything that was assumed because the file does not say it.
+    Task, dict of str to str
+        What is to be designed, and what was assumed because the file does not say it, with a sentence on each:
+        ``parameters``, ``gains``, ``noise``, ``acceleration``.
 
     Raises
     ------
@@ -131,7 +132,7 @@ def read_design(path: str | Path) -> tuple[Task, tuple[str, ...]]:
     return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))
 
 
-def make_task(file: DesignFile) -> tuple[Task, tuple[str, ...]]:
+def make_task(file: DesignFile) -> tuple[Task, dict[str, str]]:
     """The task of a design file, and what was assumed."""
     robot = load_robot(file.robot)
     for key in ("position", "velocity", "acceleration", "jerk", "current"):
@@ -143,7 +144,7 @@ def make_task(file: DesignFile) -> tuple[Task, tuple[str, ...]]:
     model = InverseDynamics(robot)
     base = base_parameters(model)
     payloads = tuple(None if run.payload == "none" else run.payload for run in file.runs)
-    assumed: list[str] = []
+    assumed: dict[str, str] = {}
     chi, gains, sigma = _prior(file.prior, model, payloads, assumed)
     limits = _limits(file.limits, robot, gains, assumed)
     rest = np.array([file.rest.get(name, robot.joint(name).home) for name in robot.actuated]) if file.approach else None
@@ -166,7 +167,7 @@ def make_task(file: DesignFile) -> tuple[Task, tuple[str, ...]]:
             model, base, series, file.space == "platform", file.rate, file.repetitions, rest, payloads,
             file.motions == "one", limits, chi, gains, sigma,
         ),
-        tuple(assumed),
+        assumed,
     )  # fmt: skip
 
 
@@ -192,7 +193,7 @@ def _with_limits(robot: Robot, entry: LimitsEntry) -> Robot:
     return replace(robot, joints=tuple(joints))
 
 
-def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: list[str]) -> Limits:
+def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[str, str]) -> Limits:
     joints = [robot.joint(name) for name in robot.actuated]
     none = (-np.inf, np.inf)
     velocity = np.array([joint.limits.velocity or np.inf for joint in joints])
@@ -201,7 +202,7 @@ def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: list[s
         raise IdimError(f"joint '{name}' has no velocity limit; add it under limits.velocity.")
     acceleration = np.array([joint.limits.acceleration or np.inf for joint in joints])
     if np.isinf(acceleration).any():
-        assumed.append("acceleration limits: where none is given, the speed limit is reached in 0.3 s")
+        assumed["acceleration"] = "acceleration limits: where none is given, the speed limit is reached in 0.3 s"
         acceleration = np.where(np.isinf(acceleration), velocity / 0.3, acceleration)
     effort = np.array([joint.limits.effort or np.inf for joint in joints]) / np.abs(gains)
     current = np.array([entry.current.get(name, limit) for name, limit in zip(robot.actuated, effort, strict=True)])
@@ -233,7 +234,7 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
 
 
 def _prior(
-    prior: Prior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: list[str]
+    prior: Prior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: dict[str, str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Base parameters, gains and noise."""
     base = base_parameters(model)
@@ -250,7 +251,7 @@ def _prior(
             carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
             rough, mass = rough_parameters(model, base, carried)
             chi = given_parameters(model, base, rough)
-            assumed.append(
+            assumed["parameters"] = (
                 f"parameters: every link a rod of {mass:.3g} kg, and friction a tenth of the torque; "
                 "give prior.parameters or prior.model for better predictions"
             )
@@ -259,9 +260,9 @@ def _prior(
             raise IdimError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
         gains = np.array([prior.gains.get(joint, 1.0) for joint in model.actuated])
         if missing:
-            assumed.append("gains: 1 N m/A or N/A in every joint; currents are torques then")
+            assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are torques then"
         sigma = rough_noise(model, base, chi) / np.abs(gains)
         if len(prior.noise) < len(gains):
-            assumed.append("noise of the currents: white, 0.5 % of the largest current, a sample")
+            assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
     sigma = np.array([prior.noise.get(joint, each) for joint, each in zip(model.actuated, sigma, strict=True)])
     return chi, gains, sigma

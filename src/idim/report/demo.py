@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -37,16 +38,21 @@ from idim.simulation.orthoglide_truth import (
 
 RATE = 1000.0  # Hz
 
-# Log, kind of trajectory, mass of the payload in kg.
-LOGS: tuple[tuple[str, str, float], ...] = (
-    ("exciting_1_unloaded", "sines", 0.0),
-    ("exciting_2_unloaded", "moves", 0.0),
-    ("exciting_3_loaded", "sines", PAYLOAD_MASS),
-    ("exciting_4_loaded", "moves", PAYLOAD_MASS),
-    ("validation_loaded", "sines", PAYLOAD_MASS),
-    ("second_payload", "sines", SECOND_PAYLOAD_MASS),
-    ("second_payload_unloaded", "sines", 0.0),
+# What a run carries, as a simulation file says it.
+EMPTY: dict[str, Any] = {}
+STEEL = {"payload": {"name": "steel", "mass": PAYLOAD_MASS, "mass_std": 0.001}}
+SECOND = {"payload": {"name": "second", "mass": SECOND_PAYLOAD_MASS}, "weigh": True}
+# Log, kind of trajectory, what is carried.
+LOGS: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("exciting_1_unloaded", "sines", EMPTY),
+    ("exciting_2_unloaded", "moves", EMPTY),
+    ("exciting_3_loaded", "sines", STEEL),
+    ("exciting_4_loaded", "moves", STEEL),
+    ("validation_loaded", "sines", STEEL),
+    ("second_payload", "sines", SECOND),
+    ("second_payload_unloaded", "sines", EMPTY),
 )
+VALIDATION = "validation_loaded"  # the log that is not identified from
 # Points (m) of joints 11, 12 and 13 on which control laws are compared: in a horizontal plane, where the vertical axis
 # 13 hardly moves, and in space.
 CONTROL: dict[str, tuple[tuple[float, float, float], ...]] = {
@@ -69,16 +75,16 @@ CONTROL: dict[str, tuple[tuple[float, float, float], ...]] = {
 }
 SIMULATION = """\
 # The robot that stands in for a real one: its true parameters, its drives and sensors, and the runs. Made again from
-# this file, the logs are the same: idim simulate simulation.yaml --out logs
+# this file, the logs are the same: idim simulate simulation.yaml --out simulated
 """
 
 SIGNALS = """\
 robot: orthoglide            # a name of the catalog, or a robot file
 signals:                     # columns of the logs
   time: t                                        # s
-  position: {"11": q11, "12": q12, "13": q13}    # m
-  current: {"11": v11, "12": v12, "13": v13}     # A, the references of the current loops
-prior_gains: {"11": 2001, "12": 2001, "13": 2001}    # N/A, the manufacturer's
+  position: {11: q11, 12: q12, 13: q13}          # m
+  current: {11: v11, 12: v12, 13: v13}           # A, the references of the current loops
+prior_gains: {11: 2001, 12: 2001, 13: 2001}      # N/A, the manufacturer's
 """
 EXPERIMENT = f"""\
 # What was logged, and what is known of it. Paths are relative to this file.
@@ -95,6 +101,18 @@ SECOND_PAYLOAD = f"""\
 {SIGNALS}runs:
   - {{log: logs/second_payload_unloaded.csv}}
   - {{log: logs/second_payload.csv, payload: {{name: second}}}}
+"""
+DESIGN = f"""\
+# The motion to log next: idim excite design.yaml --out design
+robot: orthoglide
+rate: {RATE:g}                   # of the controller, Hz
+period: 5                    # s
+harmonics: 8                 # sines and cosines of each joint
+runs:
+  - {{payload: none}}
+  - {{payload: {{name: steel, mass: {PAYLOAD_MASS}}}}}
+prior:
+  model: model.json          # of the identification: parameters, gains and noise
 """
 SAME_TRACKING = (
     "The manufacturer's gains track as well as the identified ones: each model was identified with its own gains, so",
@@ -158,7 +176,15 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     comparison = compare_control(out / "simulation.yaml", out / "experiment.yaml", progress, gains)
     outcome = Outcome(result, weighings, prediction, torque_errors(result, prediction), comparison)
     figures = write_figures(out, outcome, exciting, progress)
-    files = ["README.txt", "simulation.yaml", "experiment.yaml", "second_payload.yaml", "model.json", *figures]
+    files = [
+        "README.txt",
+        "simulation.yaml",
+        "experiment.yaml",
+        "second_payload.yaml",
+        "design.yaml",
+        "model.json",
+        *figures,
+    ]
     files += [f"logs/{name}.csv" for name, _, _ in LOGS]
     found = document(outcome, out, duration, files)
     text = report(found, table(comparison))
@@ -174,12 +200,13 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> Reference
     simulation = read_simulation(out / "simulation.yaml")
     model = InverseDynamics(load_robot(simulation.robot))
     folder_of(out / "logs")
-    for k, run in enumerate(simulation.runs):
-        progress("simulating", k, len(simulation.runs))
+    runs = (*simulation.runs, *simulation.validation)
+    for k, run in enumerate(runs):
+        progress("simulating", k, len(runs))
         write_log(make_run(simulation, model, run).run, out / "logs" / f"{run.name}.csv")
-    progress("simulating", len(simulation.runs), len(simulation.runs))
-    write_atomically(out / "experiment.yaml", EXPERIMENT)
-    write_atomically(out / "second_payload.yaml", SECOND_PAYLOAD)
+    progress("simulating", len(runs), len(runs))
+    for name, text in (("experiment", EXPERIMENT), ("second_payload", SECOND_PAYLOAD), ("design", DESIGN)):
+        write_atomically(out / f"{name}.yaml", text)
     exciting, _ = make_trajectory(simulation.runs[0].trajectory, model.robot, LOGS[0][0])
     return sample(exciting, duration, RATE)
 
@@ -187,11 +214,11 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> Reference
 def simulation_text(duration: float) -> str:
     """The simulation file of the demo, its logs ``duration`` s long."""
     runs = [
-        {"name": name, "trajectory": {kind: {"seed": seed, "duration": duration}}, **_carried(mass)}
-        for seed, (name, kind, mass) in enumerate(LOGS)
+        {"name": name, "trajectory": {kind: {"seed": seed, "duration": duration}}, **deepcopy(carried)}
+        for seed, (name, kind, carried) in enumerate(LOGS)
     ]
     control = [
-        {"name": name, "trajectory": {"points": {"through": _points(points)}}, **_carried(PAYLOAD_MASS)}
+        {"name": name, "trajectory": {"points": {"through": _points(points)}}, **deepcopy(STEEL)}
         for name, points in CONTROL.items()
     ]
     document = {
@@ -201,14 +228,11 @@ def simulation_text(duration: float) -> str:
         "prior_gains": PRIOR_GAINS,
         "drives": drives(),
         "parameters": standard_parameters(),
-        "runs": runs,
+        "runs": [run for run in runs if run["name"] != VALIDATION],
+        "validation": [run for run in runs if run["name"] == VALIDATION],
         "control": control,
     }
     return SIMULATION + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120)
-
-
-def _carried(mass: float) -> dict[str, Any]:
-    return {"payload": {"name": "payload", "mass": mass}} if mass else {}
 
 
 def _points(points: tuple[tuple[float, ...], ...]) -> list[dict[str, float]]:
@@ -230,7 +254,7 @@ def write_figures(out: Path, outcome: Outcome, exciting: Reference, progress: Pr
     made = {
         "gains": gains_figure(outcome.result.drive_gains, DRIVE_GAINS, PRIOR_GAINS),
         "payload": payload_figure(outcome.weighings["prior"], outcome.weighings["identified"], SECOND_PAYLOAD_MASS),
-        "torques": torques_figure(outcome.prediction, units, 0.0, min(6.0, exciting.time[-1])),
+        "torques": torques_figure(outcome.prediction, units, 0.0, min(6.0, exciting.time[-1]), VALIDATION),
         "trajectory": trajectory_figure(exciting.time[shown], motion, outcome.prediction.joints, "m"),
         "test_trajectories": references_figure(compared.references, compared.joints, compared.units),
         **{f"tracking_{name}": tracking_figure(compared, name) for name in compared.references},
@@ -325,6 +349,7 @@ def report(found: Mapping[str, Any], tracking: str) -> str:
         "  simulation.yaml        the robot that was simulated",
         "  experiment.yaml        the input; copy it for your own robot",
         "  second_payload.yaml    the same, for weighing",
+        "  design.yaml            the input of idim excite: what motion to log next",
         "  model.json             the identified robot",
         "  logs/                  what was logged",
     ]

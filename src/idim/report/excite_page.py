@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 CURVES = ("position", "velocity", "acceleration")
 DIGITS = 9
+MOST = 1000  # %, of an assumed value, that are worth printing
 
 
 def file_stems(task: Task) -> tuple[str, ...]:
@@ -54,7 +55,7 @@ def trajectory_figure(task: Task, time: np.ndarray, joints: np.ndarray) -> Figur
         rows = figure.subplots(3, 1, sharex=True)
         for order, (axes, what) in enumerate(zip(rows, CURVES, strict=True)):
             for k, joint in enumerate(task.model.actuated):
-                axes.plot(time, joints[order, k], label=joint, **LINES[k % len(LINES)])
+                axes.plot(time, joints[order, k], label=f"joint {joint}", **LINES[k % len(LINES)])
             axes.set_ylabel(f"{what}, {unit}" + ("", "/s", "/s²")[order])
             light_grid(axes)
         rows[-1].set_xlabel("time, s")
@@ -62,8 +63,12 @@ def trajectory_figure(task: Task, time: np.ndarray, joints: np.ndarray) -> Figur
     return figure
 
 
-def describe_design(design: Design, assumed: Sequence[str], masses: Sequence[float]) -> dict[str, Any]:
-    """What a design promises, as a JSON document; ``masses`` are those of other payloads to be tried with it."""
+def describe_design(design: Design, assumed: Mapping[str, str], masses: Sequence[float]) -> dict[str, Any]:
+    """What a design promises, as a JSON document.
+
+    ``assumed`` is what the design file left out, as :func:`idim.read_design` returns it, and ``masses`` are those of
+    other payloads to be tried with it.
+    """
     task, robot = design.task, design.task.model.robot
     expected = forecast(task, design.x)
     return {
@@ -77,8 +82,8 @@ def describe_design(design: Design, assumed: Sequence[str], masses: Sequence[flo
         "motions": "one" if task.one_motion else "each run",
         "runs": ["none" if payload is None else payload.name for payload in task.payloads],
         "gains_rms": _rms(expected),
-        "gains": [_entry(each, f"{torque_unit(robot, each.name)}/A") for each in expected.gains],
-        "parameters": [_entry(each, _unit(each.name, task)) for each in expected.parameters],
+        "gains": [_entry(each, f"{torque_unit(robot, each.name)}/A", "gains" in assumed) for each in expected.gains],
+        "parameters": [_entry(each, _unit(each.name, task), "parameters" in assumed) for each in expected.parameters],
         "rows_kept": [
             {"joint": joint, "share": float(kept)}
             for joint, kept in zip(task.model.actuated, expected.kept, strict=True)
@@ -90,12 +95,12 @@ def describe_design(design: Design, assumed: Sequence[str], masses: Sequence[flo
             for load in sorted(design.loads, key=lambda load: -load.excess)
         ],
         "payload_masses": [_with_mass(design, mass) for mass in masses],
-        "assumed": list(assumed),
+        "assumed": list(assumed.values()),
         "x": design.x.tolist(),
     }
 
 
-def _entry(each: Expected, unit: str) -> dict[str, Any]:
+def _entry(each: Expected, unit: str, assumed: bool) -> dict[str, Any]:
     known = bool(np.isfinite(each.std))
     return {
         "name": each.name,
@@ -103,6 +108,7 @@ def _entry(each: Expected, unit: str) -> dict[str, Any]:
         "std": each.std if known else None,
         "rel_std": each.relative if known and each.value else None,
         "unit": unit,
+        "assumed": assumed,
     }
 
 
@@ -153,16 +159,18 @@ def design_page(document: dict[str, Any]) -> str:
         "",
         f"  {'drive gain':<26}{'value':>11}{'std':>11}{'%':>9}   unit",
     ]
-    lines += [_row(each) for each in document["gains"]]
+    lines += [_gain_row(each) for each in document["gains"]]
     lines += ["", f"  {'parameter':<26}{'value':>11}{'std':>11}{'%':>9}   unit"]
     lines += [_row(each) for each in document["parameters"]]
+    if any(_meaningless(each) for each in document["parameters"]):
+        lines += ["", f"  -: of zero, or more than {MOST} % of a value that is only assumed"]
     lines += ["", "  most used limits:"]
     lines += [f"    {100 * each['used']:5.1f} %  {each['limit']}" for each in document["limits"][:6]]
     if document["weak"]:
         lines += ["", "  not identified (30 % or more, of the value or of a typical one):"]
         for advice in dict.fromkeys(each["advice"] for each in document["weak"]):
             alike = [
-                f"{each['name']} ({each['rel_std']:.3g}\N{NO-BREAK SPACE}%)"
+                f"{each['name']} ({_share(each['rel_std'])}\N{NO-BREAK SPACE}%)"
                 for each in document["weak"]
                 if each["advice"] == advice
             ]
@@ -177,6 +185,10 @@ def design_page(document: dict[str, Any]) -> str:
         for each in document["assumed"]:
             lines += _wrapped(each)
     return "\n".join(lines)
+
+
+def _share(relative: float) -> str:
+    return f"{relative:.3g}" if relative <= MOST else f"> {MOST}"
 
 
 def _wrapped(text: str) -> list[str]:
@@ -198,10 +210,25 @@ def _payload_table(document: dict[str, Any]) -> list[str]:
     return lines
 
 
+def _gain_row(each: dict[str, Any]) -> str:
+    """A row of a gain; of one that is only assumed, the relative deviation is all that can be told."""
+    if not each["assumed"]:
+        return _row(each)
+    return f"  {each['name']:<26}{'(assumed)':>11}{'-':>11}{_relative(each):>9}   {each['unit']}"
+
+
 def _row(each: dict[str, Any]) -> str:
     std = "-" if each["std"] is None else f"{each['std']:.3g}"
-    relative = "-" if each["rel_std"] is None else f"{each['rel_std']:.3g}"
+    relative = "-" if _meaningless(each) else _relative(each)
     return f"  {each['name']:<26}{each['value']:>11.4g}{std:>11}{relative:>9}   {each['unit']}"
+
+
+def _relative(each: dict[str, Any]) -> str:
+    return "-" if each["rel_std"] is None else f"{each['rel_std']:.3g}"
+
+
+def _meaningless(each: dict[str, Any]) -> bool:
+    return bool(each["assumed"] and (each["rel_std"] or 0.0) > MOST)
 
 
 def write_design(design: Design, document: dict[str, Any], folder: Path) -> tuple[Path, ...]:

@@ -31,7 +31,7 @@ INTERVAL = 1.96  # standard deviations to either side, 95 %
 
 
 def gains_figure(gains: Mapping[str, Estimate], truth: Mapping[str, float], prior: Mapping[str, float]) -> Figure:
-    """Identified drive gains with their 95 % intervals, and the prior ones, in per cent off the true gains.
+    """Identified drive gains with their 95 % intervals, and the manufacturer's, in per cent off the true gains.
 
     On the left both on one scale, on the right the identified ones alone on their own.
     """
@@ -60,14 +60,14 @@ def gains_figure(gains: Mapping[str, Estimate], truth: Mapping[str, float], prio
         wide.set_xlim(min(1.25 * off.min(), -1.0), max(1.25 * off.max(), 1.3))
         wide.set_yticks(rows, [f"joint {joint}" for joint in joints])
         wide.set_ylim(len(joints) - 0.6, -0.75)
-        wide.set_title("Prior gains (diamonds), true values at 0")
+        wide.set_title("Manufacturer's gains (diamonds)")
         close.set_title("Identified gains, 95 % intervals")
         figure.supxlabel("error of the drive gain, % of the true one", fontsize=9)
     return figure
 
 
 def torques_figure(
-    prediction: Prediction, units: Sequence[str], start: float, stop: float, kind: str = "current"
+    prediction: Prediction, units: Sequence[str], start: float, stop: float, title: str, kind: str = "current"
 ) -> Figure:
     """Measured and predicted torques of each joint between two instants, s, and what they differ by.
 
@@ -89,6 +89,8 @@ def torques_figure(
             above.plot(time, measured[:, j], color="#B8B8B8", linewidth=3.4, label=label)
             above.plot(time, predicted[:, j], color=BLUE, linewidth=1.1, label="predicted")
             above.set_ylabel(f"joint {joint}, {units[j]}")
+            if j == 0:
+                above.set_title(title)
             below.axhline(0.0, color=GREY, linewidth=0.8)
             below.plot(time, difference[:, j], color=VERMILION, linewidth=1.0, label="difference (reversals left out)")
             below.set_ylim(-limit, limit)
@@ -142,7 +144,7 @@ def _joint_lines(axes: Axes, time: np.ndarray, values: np.ndarray, joints: Seque
 
 
 def payload_figure(prior: Estimate, identified: Estimate, truth: float) -> Figure:
-    """Mass of a payload weighed with the prior and with the identified gains, and the true one, kg."""
+    """Mass of a payload weighed with the manufacturer's and with the identified gains, and the true one, kg."""
     with styled():
         figure = new_figure(7.2, 2.0)
         axes = figure.subplots()
@@ -153,7 +155,7 @@ def payload_figure(prior: Estimate, identified: Estimate, truth: float) -> Figur
             value_label(axes, f"{with_interval(value, half)} kg", value, row, look["color"])
         axes.annotate(f"true {truth:g} kg", (truth, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3),
                       textcoords="offset points", ha="center", va="bottom")  # fmt: skip
-        axes.set_yticks([0, 1], ["with the prior gains", "with the identified gains"])
+        axes.set_yticks([0, 1], ["with the manufacturer's gains", "with the identified gains"])
         axes.set_ylim(1.5, -0.9)
         axes.margins(x=0.25)
         axes.spines["left"].set_visible(False)

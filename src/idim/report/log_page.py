@@ -90,7 +90,8 @@ def log_page(document: dict[str, Any]) -> str:
 def _log_lines(log: dict[str, Any]) -> list[str]:
     payload = log["payload"]
     load = "no payload" if payload is None else f"payload '{payload['name']}'"
-    load += "" if payload is None or payload["mass"] is None else f" of {payload['mass']:g} kg"
+    if payload is not None:
+        load += " of unknown mass" if payload["mass"] is None else f" of {payload['mass']:g} kg"
     lines = [
         f"{log['log']} ({'validation' if log['validation'] else 'identification'}, {load}): {log['samples']} samples "
         f"at {log['rate']:.5g} Hz, {log['duration']:.4g} s; {log['rows']} rows a joint",
@@ -129,9 +130,8 @@ def log_figure(log: LogCheck, robot: Robot) -> Figure:
         for axes, (unit, joints) in zip(positions, units.items(), strict=True):
             for j in joints:
                 style = LINES[j % len(LINES)]
-                axes.plot(log.distances.time, log.position[j], label=log.joints[j].joint, **style)
+                axes.plot(log.distances.time, log.position[j], label=f"joint {log.joints[j].joint}", **style)
             axes.set_ylabel(f"position, {unit}")
-            axes.legend(loc="upper right", ncols=3)
             light_grid(axes)
         positions[0].set_title(log.run.name)
         for values, name, style in zip(log.distances.values.T, TYPES.values(), LINES[:2], strict=True):
@@ -143,6 +143,8 @@ def log_figure(log: LogCheck, robot: Robot) -> Figure:
         below.set_xlabel("time, s")
         below.legend(loc="lower right", ncols=2)
         light_grid(below)
+        handles = [line for axes in positions for line in axes.get_lines()]
+        figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from idim.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, new_figure, require_matplotlib, styled
 from idim.robots.assembly import assemble
 from idim.robots.geometry import Frame, attached, frames, home_configuration
-from idim.robots.robot import GROUND, Joint, Robot
+from idim.robots.robot import GROUND, Attachment, Joint, Robot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
-CLOSE = 0.18  # share of its size: names of joints as near as that to each other stand apart
+LETTER, AWAY = (
+    (4.6, 9.0),
+    6.0,
+)  # points: a letter of a joint's name, width and height, and how far off the joint it stands
+CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of a joint, in which its name may stand
 WIDTH, LOWEST, HIGHEST, KEY = 4.2, 1.3, 3.8, 1.05  # inches, of the page, of the drawing and of the key below it
 LETTERS = 16  # of a name in the legend
 PALE = "#BDBDBD"
@@ -85,15 +89,21 @@ def robot_figure(robot: Robot) -> Figure:
         if robot.tool not in {body for body, _ in lines} | {platform.name for platform in robot.platforms}:
             axes.plot(*(view @ found[robot.tool][1]), marker="o", **RING)
         _triad(axes, view @ found[robot.tool][1], 0.13 * size * view @ found[robot.tool][0], GREEN, zorder=8)
-        _joints(axes, view, robot, joints, found, size)
-        for closure in robot.closures:
-            axes.plot(*(view @ attached(closure.a, found)[1]), marker="D", **CLOSING)
+        places = _joints(axes, view, robot, joints, found, size)
+        closings = [view @ attached(closure.a, found)[1] for closure in robot.closures]
+        for place in closings:
+            axes.plot(*place, marker="D", **CLOSING)
+        tool = view @ found[robot.tool][1]
+        strokes = [np.linspace(line[0], line[1], 30) @ view.T for _, line in lines]
+        strokes += [np.linspace(view @ found[end.body][1], view @ attached(end, found)[1], 30) for end in _held(robot)]
+        point = 1.2 * size / (72 * WIDTH)
+        _names(axes, robot, places, np.array([*places.values(), *closings, tool]), np.vstack([*strokes, tool]), point)
         axes.margins(0.08)
         _scale(axes, low - [0.0, 0.15 * size], size)
         axes.set_axis_off()
         left, right = key.subplots(1, 2, width_ratios=(1, 2.6))
         _compass(left, view @ upright, bool(np.any(robot.gravity)))
-        _legend(right, robot, joints)
+        _legend(right, robot, joints, {body for body, _ in lines})
     return figure
 
 
@@ -158,11 +168,16 @@ def _stand(axes: Axes, point: np.ndarray, length: float) -> None:
     axes.plot([x - length / 2, x + length / 2], [y - length, y - length], **BASE)
 
 
+def _held(robot: Robot) -> list[Attachment]:
+    """Where platforms are held."""
+    platforms = {platform.name for platform in robot.platforms}
+    return [end for closure in robot.closures for end in (closure.a, closure.b) if end.body in platforms]
+
+
 def _platforms(axes: Axes, view: np.ndarray, robot: Robot, found: dict[str, Frame]) -> None:
     for platform in robot.platforms:
         color = GREEN if platform.name == robot.tool else SKY
-        ends = [end for closure in robot.closures for end in (closure.a, closure.b) if end.body == platform.name]
-        corners = np.array([attached(end, found)[1] for end in ends])
+        corners = np.array([attached(end, found)[1] for end in _held(robot) if end.body == platform.name])
         centre = corners.mean(axis=0)
         if np.linalg.norm(corners - centre, axis=1).max() < 1e-6:
             axes.plot(*(view @ centre), marker="h", markersize=11, color=color, markeredgecolor=BLACK, zorder=3)
@@ -174,8 +189,9 @@ def _platforms(axes: Axes, view: np.ndarray, robot: Robot, found: dict[str, Fram
 
 def _joints(
     axes: Axes, view: np.ndarray, robot: Robot, joints: list[Joint], found: dict[str, Frame], size: float
-) -> None:
-    named: dict[tuple[float, ...], list[str]] = {}
+) -> dict[str, np.ndarray]:
+    """Draw the joints; where they are on the page, by name."""
+    places = {}
     for joint in joints:
         R, p = found[joint.name]
         driven = joint.name in robot.driven
@@ -186,25 +202,46 @@ def _joints(
             _line(axes, view, p - half, p + half, color=BLACK, linewidth=1.0, zorder=4)
         style = DRIVEN if driven else PASSIVE
         axes.plot(*(view @ p), marker=SHAPES[joint.kind], zorder=6 if driven else 5, **style)
-        if driven:
-            named.setdefault(tuple(np.round(view @ p / size, 2)), []).append(joint.name)
-    places = np.array(list(named))
-    for place, names in zip(places, named.values(), strict=True):
-        others = places[np.hypot(*(places - place).T) < CLOSE] - place
-        left, below = others.mean(axis=0) > 0.01  # away from the names close by
-        text = axes.annotate(
-            ", ".join(names), size * place, (-6 if left else 6, -12 if below else 6), textcoords="offset points",
-            ha="right" if left else "left", fontsize=7.5, zorder=4.5,
+        places[joint.name] = view @ p
+    return places
+
+
+def _names(
+    axes: Axes, robot: Robot, places: dict[str, np.ndarray], marks: np.ndarray, strokes: np.ndarray, point: float
+) -> None:
+    """Name what motors move, each in the corner with the fewest marks, then lines, under it; a point is so many m."""
+    named: dict[tuple[float, ...], list[str]] = {}
+    for joint in places:
+        if joint in robot.driven:
+            named.setdefault(tuple(np.round(places[joint] / (3 * point))), []).append(joint)
+    for names in named.values():
+        place, text = places[names[0]], ", ".join(names)
+        half = point * np.array([LETTER[0] * len(text), LETTER[1]]) / 2
+        centres = place + np.array(CORNERS) * (half + AWAY * point)
+        covered = [(_within(marks, centre, half + 4 * point), _within(strokes, centre, half)) for centre in centres]
+        best = min(range(len(CORNERS)), key=covered.__getitem__)
+        right, up = CORNERS[best]
+        label = axes.annotate(
+            text, tuple(place), (right * AWAY, up * AWAY), textcoords="offset points",
+            ha="left" if right > 0 else "right", va="bottom" if up > 0 else "top", fontsize=7.5, zorder=4.5,
         )  # fmt: skip
-        text.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6})
+        label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6})
+        marks = np.vstack([marks, centres[best] + np.linspace(-half, half, 9)])  # no name hides another
+
+
+def _within(points: np.ndarray, centre: np.ndarray, half: np.ndarray) -> int:
+    """How many of the points (N, 2) are in a box."""
+    return int((np.abs(points - centre) < half).all(axis=1).sum())
 
 
 def _triad(axes: Axes, origin: np.ndarray, ends: np.ndarray, color: str, zorder: int = 1) -> None:
     """Three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
+    from matplotlib.patheffects import withStroke
+
     for end, name in zip(ends.T, "xyz", strict=True):
         axes.annotate(
             name, tuple(origin), tuple(origin + end), color=color, fontsize=7.5, zorder=zorder,
-            ha="center", va="center",
+            ha="center", va="center", path_effects=[withStroke(linewidth=1.6, foreground="white")],
             arrowprops={"arrowstyle": "-", "color": color, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
 
@@ -230,7 +267,8 @@ def _scale(axes: Axes, start: np.ndarray, size: float) -> None:
     axes.annotate(label, (x + length, y), (6, 0), textcoords="offset points", va="center", fontsize=7.5)
 
 
-def _legend(axes: Axes, robot: Robot, joints: list[Joint]) -> None:
+def _legend(axes: Axes, robot: Robot, joints: list[Joint], linked: set[str]) -> None:
+    """The key to what is drawn; ``linked`` are the bodies that have lines."""
     from matplotlib.lines import Line2D
 
     def mark(marker: str, **style: Any) -> Line2D:
@@ -245,15 +283,20 @@ def _legend(axes: Axes, robot: Robot, joints: list[Joint]) -> None:
         entries["closes a loop"] = mark("D", **CLOSING)
     if any(joint.limits.position for joint in joints if joint.kind == "prismatic"):
         entries["travel"] = Line2D([], [], **RAIL)
-    entries["link"] = Line2D([], [], color=BLUE, **LINK)
+    if linked - {robot.tool}:
+        entries["link"] = Line2D([], [], color=BLUE, **LINK)
     entries["base"] = Line2D([], [], **BASE)
     hexagon: dict[str, Any] = {"markeredgecolor": BLACK, "markersize": 9}
     if any(platform.name != robot.tool for platform in robot.platforms):
         entries["platform"] = mark("h", color=SKY, **hexagon)
     carrier = any(platform.name == robot.tool for platform in robot.platforms)
     tool = robot.tool if len(robot.tool) <= LETTERS else robot.tool[: LETTERS - 1] + "\u2026"
-    entries[f"payload on {tool}"] = (
-        mark("h", color=GREEN, **hexagon) if carrier else Line2D([], [], color=GREEN, **LINK)
-    )
+    if carrier:
+        carries = mark("h", color=GREEN, **hexagon)
+    elif robot.tool in linked:
+        carries = Line2D([], [], color=GREEN, **LINK)
+    else:
+        carries = mark("o", **(RING | {"markersize": 8, "markeredgewidth": 1.8}))
+    entries[f"payload on {tool}"] = carries
     axes.legend(list(entries.values()), list(entries), loc="center", ncols=2, handlelength=1.6, fontsize=7.5)
     axes.set_axis_off()

@@ -37,6 +37,7 @@ IDENTIFIED: dict[str, Any] = {"color": BLUE, "marker": "o"}
 
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
+    "text.parse_math": False,  # names of users may hold a $
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so that figures look the same everywhere
     "font.size": 9,
     "axes.titlesize": 9.5,

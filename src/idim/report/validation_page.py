@@ -75,7 +75,8 @@ def write_torques(validations: Sequence[Validation], folder: Path) -> list[Path]
         written.append(folder / f"torques_{each.run.name}{number}.png")
         start, stop = worst_stretch(each.prediction, SHOWN)
         units = [error.unit for error in each.errors]
-        save_figure(torques_figure(each.prediction, units, start, stop, each.run.kind), written[-1])
+        figure = torques_figure(each.prediction, units, start, stop, each.run.name, each.run.kind)
+        save_figure(figure, written[-1])
     return written
 
 

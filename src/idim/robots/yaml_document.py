@@ -137,6 +137,10 @@ class _Composer:
         if isinstance(event, yaml.ScalarEvent):
             if event.implicit[0] and not event.value:
                 key = keys[-1] if isinstance(keys[-1], str) else "-"
+                if key.count(")") > key.count("("):  # in braces, a comma ends a value
+                    raise self.error(
+                        event, f"the comma before '{key}' ends a value; quote the expression, as in s: 'atan2(h, a)'"
+                    )
                 raise self.error(event, f"nothing is written after '{key}'; write a value or remove the line")
             return event.value
         if isinstance(event, yaml.SequenceStartEvent):

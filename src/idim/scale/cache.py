@@ -26,8 +26,8 @@ WORTH = 1 << 17  # samples of a part: fewer are computed about as fast as they a
 
 def cache_folder() -> Path:
     """Where the cache lies: what IDIM_CACHE says, or a folder in the user's place for caches."""
-    if "IDIM_CACHE" in os.environ:
-        return Path(os.environ["IDIM_CACHE"])
+    if chosen := os.environ.get("IDIM_CACHE"):
+        return Path(chosen)
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "idim" / "cache"
     if sys.platform == "darwin":

@@ -308,6 +308,17 @@ class Experiment(_Keys):
         return runs
 
     @model_validator(mode="after")
+    def _validation_of_other_logs(self) -> Experiment:
+        used = {run.log for run in self.runs}
+        for run in self.validation:
+            if run.log in used:
+                raise ValueError(
+                    f"the log '{run.log[0]}' is listed under 'runs' and under 'validation'; remove one of them, as "
+                    "a run that was used proves nothing"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _one_payload_per_name(self) -> Experiment:
         payloads: dict[str, Payload] = {}
         for run in (*self.runs, *self.validation):
