@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 from math import acos, atan2, pi
@@ -279,6 +280,21 @@ def run(*arguments: str) -> str:
     result = CliRunner().invoke(app, list(arguments))
     assert result.exit_code == 0, result.stderr
     return result.stdout
+
+
+def test_a_check_tells_of_joints_that_have_too_few_rows(folder: Path, tmp_path: Path) -> None:
+    for name, payload, seed in (("free", None, 1), ("loaded", STEEL, 2), ("check", STEEL, 3)):
+        moving = Plant(noise=0.01).run(name, 6.0, payload, seed)
+        position = moving.position * [1, 0] + [0, moving.position[0, 1]]  # its second motor stands still
+        write_log(tmp_path / f"{name}.csv", replace(moving, position=position))
+    (tmp_path / "experiment.yaml").write_text(EXPERIMENT)
+    said = " ".join(run("check", str(tmp_path / "experiment.yaml")).split())
+    refused = CliRunner().invoke(app, ["identify", str(tmp_path / "experiment.yaml")])
+    assert refused.exit_code == 2
+    found = re.search(r"joint '(\w+)' has (\d+) usable rows in all runs together", refused.stderr)
+    assert found is not None, refused.stderr
+    assert found[0] in said
+    assert json.loads(run("check", str(folder / "experiment.yaml"), "--json"))["notes"] == []
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -16,6 +16,8 @@ from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.robot import INERTIAL
 from idim.signals.experiment import Payload
 
+FEWEST_ROWS = 50  # of a joint, in all runs together
+
 
 @dataclass(frozen=True, eq=False)
 class CarriedPayload:
@@ -161,7 +163,7 @@ def assemble(
     )
     problem = Problem(tuple(names), idm.actuated, np.concatenate(units)[filled], rows[filled], slowest)
     for joint, rows in zip(idm.actuated, problem.total_rows, strict=True):
-        if rows < 50:
+        if rows < FEWEST_ROWS:
             raise IdimError(
                 f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps; "
                 "add runs in which it moves, or longer ones."

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from idim.errors import IdimError
+from idim.estimation.assembly import FEWEST_ROWS
 from idim.estimation.data import Progress, at_rate_of, prepare_runs, read_runs, silent
 from idim.estimation.rows import Labels
 from idim.estimation.singular_poses import Distances, NearestPose, distances_of, nearest_poses
@@ -63,6 +64,21 @@ class ExperimentCheck:
     robot: Robot
     preparation: Preparation
     logs: tuple[LogCheck, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What an identification would refuse, of all its runs together."""
+        used = [log for log in self.logs if not log.validation]
+        rows = {
+            each[0].joint: sum(round(joint.usable * log.rows) for joint, log in zip(each, used, strict=True))
+            for each in zip(*(log.joints for log in used), strict=True)
+        }
+        return tuple(
+            f"joint '{joint}' has {count} usable rows in all runs together, too few for an identification (at least "
+            f"{FEWEST_ROWS}): add runs in which it moves, or longer ones"
+            for joint, count in rows.items()
+            if count < FEWEST_ROWS
+        )
 
 
 def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck:

@@ -35,6 +35,7 @@ def describe_logs(checked: ExperimentCheck) -> dict[str, Any]:
             "decimator": preparation.decimator.kind,
         },
         "logs": [_describe(log, checked.robot) for log in checked.logs],
+        "notes": list(checked.notes),
     }
 
 
@@ -84,6 +85,8 @@ def log_page(document: dict[str, Any]) -> str:
     ]
     for log in document["logs"]:
         lines += ["", *_log_lines(log)]
+    for note in document["notes"]:
+        lines += ["", *textwrap.wrap(note, WIDTH)]
     return "\n".join(line.rstrip() for line in lines)
 
 
