@@ -8,7 +8,8 @@ import pytest
 
 from idim.errors import IdimError
 from idim.robots.robot import Joint, Robot
-from idim.signals.experiment import Experiment, SampleRate, check_robot, read_experiment
+from idim.signals.columns import SampleRate
+from idim.signals.experiment import Experiment, check_robot, read_experiment
 
 GOOD = """\
 robot: orthoglide

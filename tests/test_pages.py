@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 from idim.cli.commands import app
-from idim.signals.experiment import Experiment, Payload, Prior, SampleRate, Signals, Units
+from idim.signals.columns import SampleRate, Signals, Units
+from idim.signals.experiment import Experiment, Payload, Prior
 from idim.simulation.description import (
     Fourier,
     Friction,

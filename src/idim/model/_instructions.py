@@ -118,7 +118,9 @@ def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], l
             elif identity in _SAME:
                 operation = _SAME[identity]
             else:
-                raise NotImplementedError(f"the interpreter lacks CasADi's operation {identity}")
+                raise ValueError(
+                    f"an expression has CasADi's operation {identity}, which the interpreter does not know"
+                )
             held[results[0]] = next(fresh)
             listing.append(Instruction(operation, [held[results[0]]], operands))
     return listing, constants, outputs

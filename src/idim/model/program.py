@@ -148,6 +148,16 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
         Expressions; their entries, structural zeros included, are stacked column by column.
     parameters : sequence of SX
         Symbols whose values are the same for all samples.
+
+    Returns
+    -------
+    Program
+        Takes inputs (sum of the inputs' entries, N) and gives (sum of the outputs' entries, N).
+
+    Raises
+    ------
+    ValueError
+        Where an expression has an operation that the interpreter does not know.
     """
     x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
     function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])

@@ -6,16 +6,12 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from glob import escape, has_magic
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import (
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
-    Discriminator,
     Field,
     FiniteFloat,
-    Tag,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -24,100 +20,11 @@ from pydantic import (
 from idim.errors import IdimError
 from idim.files import matching
 from idim.robots.robot import INERTIAL, Robot
-from idim.robots.yaml_document import Document, read_yaml, validate
-
-PositionUnit = Literal["rad", "deg", "m", "mm"]
-Positive = Annotated[FiniteFloat, Field(gt=0)]
+from idim.robots.yaml_document import read_yaml, validate
+from idim.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
 
 
-def _text_or_group(value: Any) -> str:
-    return "text" if isinstance(value, str) else "group"
-
-
-class _Keys(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SampleRate(_Keys):
-    """Sampling rate of a log without time column, Hz."""
-
-    rate: Positive
-
-
-class Signals(_Keys):
-    """Columns of a log: time, and the position and the current (or torque) of every actuated joint."""
-
-    time: Annotated[Annotated[str, Tag("text")] | Annotated[SampleRate, Tag("group")], Discriminator(_text_or_group)]
-    position: dict[str, str] = Field(min_length=1)
-    current: dict[str, str] | None = None
-    torque: dict[str, str] | None = None
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the joints, in the order of the file."""
-        return tuple(self.position)
-
-    @property
-    def kind(self) -> Literal["current", "torque"]:
-        """What the command columns hold."""
-        return "torque" if self.current is None else "current"
-
-    @property
-    def command(self) -> dict[str, str]:
-        """Columns of the currents or torques by joint."""
-        return (self.torque if self.current is None else self.current) or {}
-
-    @field_validator("position", "current", "torque")
-    @classmethod
-    def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
-        owners: dict[str, str] = {}
-        for joint, column in (columns or {}).items():
-            if column in owners:
-                raise ValueError(
-                    f"the column '{column}' is given for joints '{owners[column]}' and '{joint}'; "
-                    "give every joint its own"
-                )
-            owners[column] = joint
-        return columns
-
-    @model_validator(mode="after")
-    def _one_command_per_joint(self) -> Signals:
-        if (self.current is None) == (self.torque is None):
-            raise ValueError("give the columns of either 'current' or 'torque', one of the two")
-        missing = [joint for joint in self.position if joint not in self.command]
-        extra = [joint for joint in self.command if joint not in self.position]
-        if missing and extra:
-            raise ValueError(
-                f"joint '{missing[0]}' has a position but no {self.kind}, and '{extra[0]}' a {self.kind} but no "
-                "position; give both the same joints, those of the robot's motors"
-            )
-        if missing:
-            raise ValueError(f"joint '{missing[0]}' has a position but no {self.kind}; add its {self.kind} column")
-        if extra:
-            raise ValueError(f"joint '{extra[0]}' has a {self.kind} but no position; add its position column")
-        return self
-
-
-class Units(_Keys):
-    """Units of the log's columns; SI where nothing is said."""
-
-    time: Literal["s", "ms", "us", "ns"] | None = None
-    position: (
-        Annotated[
-            Annotated[PositionUnit, Tag("text")] | Annotated[dict[str, PositionUnit], Tag("group")],
-            Discriminator(_text_or_group),
-        ]
-        | None
-    ) = None
-    current: Literal["A", "mA"] | None = None
-    torque: Literal["N m", "Nm", "N"] | None = None
-
-    def of_position(self, joint: str) -> PositionUnit | None:
-        """Position unit of a joint; None where nothing is said."""
-        return self.position.get(joint) if isinstance(self.position, dict) else self.position
-
-
-class Payload(_Keys):
+class Payload(Keys):
     """A load on the robot's tool; without ``mass`` it is unknown and to be weighed.
 
     ``mass`` and its standard deviation in kg; ``parameters`` are further known inertial parameters
@@ -127,7 +34,7 @@ class Payload(_Keys):
     name: str
     mass: Positive | None = None
     mass_std: Annotated[FiniteFloat, Field(ge=0)] = 0.0
-    parameters: dict[str, FiniteFloat] = {}
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
 
     @field_validator("parameters")
     @classmethod
@@ -146,7 +53,7 @@ class Payload(_Keys):
         return self
 
 
-class Prior(_Keys):
+class Prior(Keys):
     """What is known of a standard parameter beforehand, SI units: a value with its standard deviation, or bounds."""
 
     value: FiniteFloat | None = None
@@ -186,7 +93,7 @@ def file_or_name(robot: str, folder: Path) -> str:
     return robot
 
 
-class LoggedRun(_Keys):
+class LoggedRun(Keys):
     """One run: its log, or two logs with positions and commands, and the payload carried, if any.
 
     In a file the logs may be patterns (``free_*.csv``): so many runs, of two patterns the first match of one with
@@ -244,7 +151,7 @@ def _close_file(path: Path) -> str:
     return "; paths are relative to the file that names them"
 
 
-class Experiment(_Keys):
+class Experiment(Keys):
     """An experiment file; its paths are relative to the working directory or absolute once read.
 
     ``priors`` say what is known of standard parameters, by name.
@@ -253,8 +160,8 @@ class Experiment(_Keys):
     robot: str
     signals: Signals
     units: Units = Units()
-    prior_gains: dict[str, FiniteFloat] = {}
-    priors: dict[str, Prior] = {}
+    prior_gains: dict[str, FiniteFloat] = Field(default_factory=dict)
+    priors: dict[str, Prior] = Field(default_factory=dict)
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
 
@@ -361,25 +268,11 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     return validate(Experiment, read_yaml(path), context=Folders(folder, folder if logs is None else logs))
 
 
-def as_signals(signals: Signals | Mapping[str, Any]) -> Signals:
-    """Column map from a mapping as in the experiment file; raises IdimError."""
-    return signals if isinstance(signals, Signals) else validate(Signals, _document("signals", signals))
-
-
-def as_units(units: Units | Mapping[str, Any] | None) -> Units:
-    """Units from a mapping as in the experiment file; raises IdimError."""
-    return units if isinstance(units, Units) else validate(Units, _document("units", units or {}))
-
-
 def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
     """Payload from a mapping as in the experiment file; raises IdimError."""
     if payload is None or isinstance(payload, Payload):
         return payload
-    return validate(Payload, _document("payload", payload))
-
-
-def _document(name: str, data: Mapping[str, Any]) -> Document:
-    return Document(Path(name), dict(data), {})
+    return validate(Payload, document_of("payload", payload))
 
 
 def check_robot(experiment: Experiment, robot: Robot) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.signals.checks import check
-from idim.signals.experiment import Payload, SampleRate, Signals, Units, as_payload, as_signals, as_units
+from idim.signals.columns import SampleRate, Signals, Units, as_signals, as_units
+from idim.signals.experiment import Payload, as_payload
 from idim.signals.log_file import LogFile, read_log
 from idim.signals.samples import Source
 from idim.signals.storage import block, spans, store

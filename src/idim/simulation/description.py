@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, 
 from idim.errors import IdimError
 from idim.robots.robot import Robot
 from idim.robots.yaml_document import read_yaml, validate
-from idim.signals.experiment import Payload, Positive, file_or_name
+from idim.signals.columns import Positive
+from idim.signals.experiment import Payload, file_or_name
 from idim.simulation.controllers import BANDWIDTH
 from idim.simulation.drive import Drive, Sensors
 from idim.simulation.plant import WIDTH
