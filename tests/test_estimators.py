@@ -408,3 +408,15 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
     monkeypatch.setattr(newton, "curvature_of_delays", lambda blocks, *others: np.zeros(blocks.shape[:-2]))
     assert solution.settled
     assert not newton.solve(problem, far, weights, True).settled  # in 150 steps and more it would
+
+
+def test_columns_told_apart_without_some_parameters_are_those_found_afresh(rng: np.random.Generator) -> None:
+    """Whether what is left out was one of them or not; for joint 1 alone, p3 and p5 depend on the others."""
+    units = noisy(exact_rows(rng), rng)
+    units[:, 0, :, 2] = units[:, 0, :, 0] - 2 * units[:, 0, :, 1]
+    units[:, 0, :, 4] = 3 * units[:, 0, :, 3]
+    problem = problem_of(units)
+    assert [len(own) for own in problem.own_columns] == [4, N_THETA]
+    for gone in (["p1"], ["p3"], ["p4"], ["p3", "p5"], ["p1", "p4"], list(problem.parameters)):
+        less = problem.without(gone)
+        assert less.own_columns == replace(less).own_columns

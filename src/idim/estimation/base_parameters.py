@@ -125,20 +125,20 @@ def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]
     norms = np.linalg.norm(A, axis=0)
     idle = norms <= 1e-12 * norms.max(initial=0.0)
     units = A / np.where(idle, 1.0, norms)
-    Q = np.zeros((A.shape[0], 0))
+    Q = np.zeros((min(A.shape), A.shape[0]))  # orthonormal rows, the first len(kept) of them
     kept: list[int] = []
     triangle = np.zeros((min(A.shape), A.shape[1]))
     for k in np.flatnonzero(~idle):
-        rest = units[:, k].copy()
+        rest, basis = units[:, k].copy(), Q[: len(kept)]
         for _ in range(2):  # twice is enough to stay orthogonal
-            along = Q.T @ rest
-            rest -= Q @ along
+            along = basis @ rest
+            rest -= along @ basis
             triangle[: len(kept), k] += along
         size = np.linalg.norm(rest)
         if size > DEPENDENT:
             triangle[len(kept), k] = size
+            Q[len(kept)] = rest / size
             kept.append(int(k))
-            Q = np.column_stack([Q, rest / size])
     b = len(kept)
     coefficients = np.linalg.solve(triangle[:b, kept], triangle[:b]) if b else np.zeros((0, A.shape[1]))
     coefficients[np.abs(coefficients) < 1e-7] = 0.0

@@ -59,7 +59,7 @@ class Problem:
     @cached_property
     def own_columns(self) -> tuple[list[int], ...]:
         """For each joint, the columns of [W_theta | known] that its equations alone can tell apart."""
-        return tuple(independent_columns(R[:, : self.n_theta + 1])[0] for R in self.triangles)
+        return tuple(_told_apart(R, self.n_theta) for R in self.triangles)
 
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
@@ -124,7 +124,18 @@ class Problem:
         less = replace(self, parameters=tuple(self.parameters[k] for k in keep), units=self.units[..., columns])
         # the triangles of fewer columns follow from those of all: the units need not be looked at again
         less.__dict__["triangles"] = tuple(triangle(R[:, columns]) for R in self.triangles)
+        # columns that depended on others still do if these are all there
+        now = {old: new for new, old in enumerate(columns)}
+        less.__dict__["own_columns"] = tuple(
+            [now[k] for k in own] if now.keys() >= set(own) else _told_apart(R, less.n_theta)
+            for own, R in zip(self.own_columns, less.triangles, strict=True)
+        )
         return less
+
+
+def _told_apart(R: np.ndarray, n_theta: int) -> list[int]:
+    """Columns of [W_theta | known] that the equations with the triangle R can tell apart."""
+    return independent_columns(R[:, : n_theta + 1])[0]
 
 
 def delayed(d: float) -> np.ndarray:

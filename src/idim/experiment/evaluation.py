@@ -66,7 +66,7 @@ class Point:
             c[motors], yd[motors], ydd[motors] = by
             J = np.zeros((len(model.passive), len(model.actuated), c.shape[1]))
             by = np.stack(self.task.platform_pullback(self.platform, Slopes(c, yd, ydd, J)))
-        rows = np.einsum("dmt,dtf->tmf", by, self.grid.basis[:3], optimize=True) * series.half[:, None]
+        rows = by.transpose(2, 1, 0) @ self.grid.basis[:3].transpose(1, 0, 2) * series.half[:, None]
         return np.asarray(rows.reshape(len(self.grid.time), series.size))
 
     def jerk_rows(self, joint: int) -> np.ndarray:
@@ -99,7 +99,8 @@ def evaluate(task: Task, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) 
 def evaluate_one(task: Task, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None) -> Point:
     """The motion of the ``runs``, for the numbers x (series.size,) of its series; see :func:`evaluate`."""
     series, platform = task.series, None
-    table = np.einsum("dtf,mf->dmt", grid.basis, x.reshape(-1, series.free) * series.half[:, None], optimize=True)
+    numbers = x.reshape(-1, series.free) * series.half[:, None]
+    table = (grid.basis @ numbers.T).transpose(0, 2, 1)
     table[0] += series.center[:, None]
     if task.platform_model is not None:
         before = near.platform.c if near is not None and near.platform is not None else None

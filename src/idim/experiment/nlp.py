@@ -39,7 +39,7 @@ class Programme:
         self._x = np.array([])
         self._last: tuple[Point, ...] = ()
         self._closed: tuple[Point, ...] = ()  # the last motions whose loops could be closed
-        self._loads: tuple[Load, ...] = ()
+        self._loads: tuple[Load, ...] | None = None
 
     def points(self, x: np.ndarray) -> tuple[Point, ...]:
         """The motions for x; none where they leave what the robot can reach."""
@@ -49,18 +49,21 @@ class Programme:
                 self._last = self._closed = evaluate(self.task, x, self.grid, self._closed)
             except IdimError:
                 self._last = ()
-            self._loads = tuple(loads(self._last))
+            self._loads = None
         return self._last
 
     def loads(self, x: np.ndarray) -> tuple[Load, ...]:
         """Loads of all limits; none where the robot cannot go."""
-        return self._loads if self.points(x) else ()
+        points = self.points(x)
+        if self._loads is None:
+            self._loads = tuple(loads(points))
+        return self._loads
 
     def excess(self, x: np.ndarray) -> float:
         """Largest load over what the tightness allows; infinite where the robot cannot go."""
         if not self.points(x):
             return float("inf")
-        return max((load.excess / self.tightness[load.what] for load in self._loads), default=0.0)
+        return max((load.excess / self.tightness[load.what] for load in self.loads(x)), default=0.0)
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Logarithm of the criterion and its gradient; nan where the robot cannot go."""

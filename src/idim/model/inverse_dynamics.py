@@ -66,8 +66,14 @@ class Regressor:
 
     def fill(self, layout: Coordinates, motion: Motion, W: np.ndarray) -> None:
         """Put the entries into ``W`` (N, n, columns), whose other entries are zero."""
-        places = self.rows * W.shape[2] + self.columns
-        self.program.fill(W.reshape(len(W), -1), places, *self._sources(layout, motion))
+        self.program.fill(W.reshape(len(W), -1), *self._places, *self._sources(layout, motion))
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """The entries in the order of a sample's numbers in memory, and their places there."""
+        places = self.rows * len(self.names) + self.columns
+        order = np.argsort(places)
+        return order, places[order]
 
     def _sources(self, layout: Coordinates, motion: Motion) -> tuple[np.ndarray, ...]:
         passive = motion.J[layout.passive].reshape(layout.passive.size * len(layout.actuated), motion.c.shape[1])

@@ -65,11 +65,13 @@ class Program:
         share(run, result.shape[1])
         return result[:, :samples]
 
-    def fill(self, table: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
-        """Put the outputs of every sample at ``places`` (outputs,) of its row of ``table`` (N, columns)."""
+    def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
+        """Put the outputs, in ``order`` (outputs,), of every sample at ``places`` (outputs,) of its row of ``table``.
+
+        ``table`` is (N, columns), and the places rise.
+        """
         sources, samples = self._sources(inputs)
         whole = table if samples >= LANES else np.zeros((LANES, table.shape[1]))
-        order = np.argsort(places)
 
         def run(start: int, stop: int) -> None:
             made = aligned(self.outputs)  # it stays in the cache
@@ -77,7 +79,7 @@ class Program:
             made[outputs] = values[:, None]
             bound = Bound(self, _rows(sources), addresses(made))
             long = bound.own + self.inputs
-            scatter(MACHINE, bound.code, bound.rows, bound.own, long, start, stop, made, order, places[order], whole)
+            scatter(MACHINE, bound.code, bound.rows, bound.own, long, start, stop, made, order, places, whole)
 
         share(run, len(whole))
         if whole is not table:
