@@ -53,6 +53,13 @@ def turn(axis: np.ndarray, angle: float) -> np.ndarray:
     return np.eye(3) + sin(angle) * K + (1.0 - cos(angle)) * (K @ K)
 
 
+def euler_angles(rotation: np.ndarray) -> np.ndarray:
+    """Angles (3,) about x, then the y and z that turned with it, which make a rotation (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_euler("XYZ"))
+
+
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     """Axis times angle (3,) of a rotation (3, 3)."""
     from scipy.spatial.transform import Rotation

@@ -1,7 +1,8 @@
 """Pins that move nothing but themselves: locked, and said so.
 
 Drawing programs put a hinge on both parts that a loop joins. The closure then ties two coaxial pins, and the piece
-between them can turn freely; likewise a pin through the centre of a ball. Such a freedom is none of the robot's.
+between them can turn freely; likewise a pin through the centre of a ball, and a rod between two balls about itself.
+Such a freedom is none of the robot's.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from idim.robots.geometry import compose
-from idim.robots.robot import Attachment, Closure, Joint, Robot
+from idim.robots.geometry import compose, euler_angles, rounded, turn
+from idim.robots.robot import Attachment, Closure, Joint, Pose, Robot
 
 COAXIAL = 1e-8  # rad, and share of the length of the closure's arms
 
@@ -19,7 +20,8 @@ COAXIAL = 1e-8  # rad, and share of the length of the closure's arms
 def without_idle_pins(robot: Robot) -> Robot:
     """Lock, at zero, one of two coaxial pins at each closure, and pins through the point of a ``connect``.
 
-    Only passive revolute joints that carry nothing but the closure count as pins.
+    Only passive revolute joints that carry nothing but the closure count as pins. Where a pin is the last of three that
+    make up a ball, their axes are chosen so that it is idle.
 
     Returns
     -------
@@ -32,6 +34,8 @@ def without_idle_pins(robot: Robot) -> Robot:
             pin = _pin(robot, end)
             if pin is None:
                 continue
+            if closure.kind == "connect" and (aimed := _aimed(robot, pin, end.placement.position)) is not robot:
+                return without_idle_pins(aimed)
             direction, point = _line(pin, end)
             if closure.kind == "connect":
                 idle = np.linalg.norm(np.cross(point, direction)) < COAXIAL
@@ -46,6 +50,7 @@ def without_idle_pins(robot: Robot) -> Robot:
                 why = f"it is coaxial with '{twin.name}'"
             if idle:
                 note = f"joint '{pin.name}' is idle, since {why} in closure {number + 1}; it was locked at zero"
+                note += f", its link a part of '{pin.antecedent}'" * pin.has_mass
                 return without_idle_pins(replace(_locked(robot, pin), notes=(*robot.notes, note)))
     return robot
 
@@ -67,14 +72,54 @@ def _line(pin: Joint, end: Attachment) -> tuple[np.ndarray, np.ndarray]:
     return to_end @ np.array(pin.axis), to_end @ -end.placement.position
 
 
+def _aimed(robot: Robot, pin: Joint, point: np.ndarray) -> Robot:
+    """The robot with the axes of a ball chosen anew: that of ``pin``, its last, through ``point`` (3,) of its link.
+
+    The robot itself where the pin is not the last of a ball, or its axis passes through the point.
+    """
+    moved = [joint.name for joint in robot.joints]
+    if pin.antecedent not in moved or robot.joint(pin.antecedent).antecedent not in moved:
+        return robot
+    middle = robot.joint(pin.antecedent)
+    first = robot.joint(middle.antecedent)
+    axes = np.array([first.axis, middle.axis, pin.axis]).T
+    is_ball = pin.placement == middle.placement == Pose() and np.allclose(axes.T @ axes, np.eye(3), atol=COAXIAL)
+    inner = all(joint.parameters == "none" and _pin(robot, Attachment(joint.name)) for joint in (first, middle))
+    length = np.linalg.norm(point)
+    if not (is_ball and inner) or np.linalg.norm(np.cross(axes[:, 2], point)) <= COAXIAL * length:
+        return robot
+    ball, along = (first, middle, pin), point / length
+    orientation = np.linalg.multi_dot([turn(axis, joint.home) for axis, joint in zip(axes.T, ball, strict=True)])
+    # the first axis is square to the rod at home, far from where the first and last would be one
+    across = np.cross(along, orientation @ along)
+    if np.linalg.norm(across) < 0.1:
+        across = np.cross(along, axes[:, np.argmin(np.abs(along @ axes))])
+    across /= np.linalg.norm(across)
+    now = np.array([across, np.cross(along, across), along]).T
+    homes = euler_angles(now.T @ orientation @ now)
+    made = {
+        joint.name: replace(joint, axis=(rounded(x), rounded(y), rounded(z)), home=rounded(home))
+        for joint, (x, y, z), home in zip(ball, now.T, homes, strict=True)
+    }
+    return replace(robot, joints=tuple(made.get(joint.name, joint) for joint in robot.joints))
+
+
 def _locked(robot: Robot, pin: Joint) -> Robot:
+    """The robot with a pin's link a part of its antecedent's, which has a mass if the pin's has one."""
+
     def moved(end: Attachment) -> Attachment:
         if end.body != pin.name:
             return end
         return Attachment(pin.antecedent, compose(pin.placement, end.placement))
 
+    def joined(joint: Joint) -> Joint:
+        if joint.name != pin.antecedent or not pin.has_mass or joint.has_mass:
+            return joint
+        return replace(joint, parameters="all" if joint.parameters == "drive" else "inertial")
+
     return replace(
         robot,
-        joints=tuple(joint for joint in robot.joints if joint is not pin),
+        joints=tuple(joined(joint) for joint in robot.joints if joint is not pin),
         closures=tuple(Closure(closure.kind, moved(closure.a), moved(closure.b)) for closure in robot.closures),
+        named_tool=pin.antecedent if robot.named_tool == pin.name else robot.named_tool,
     )
