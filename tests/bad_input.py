@@ -253,8 +253,9 @@ EXPERIMENTS = [
     Case("ols without gains", "joint 'left' has none; add 'prior_gains'", experiment((PRIOR, "")), method("ols")),
     Case(
         "torques by ml",
-        "hold torques, whose gain is 1, so there is nothing for method 'ml' to find; use --method wls",
+        "hold torques, whose gain is 1, so there is nothing for method 'ml' to find; leave out --method, or use",
         experiment(("current:", "torque:"), (PRIOR, "")),
+        method("ml"),
     ),
     Case(
         "no way to make the folder",

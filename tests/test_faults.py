@@ -85,6 +85,16 @@ def warm_up(run: Run) -> Run:
     return replace(run, command=run.command * np.linspace(1.0, 1.05, len(run.time))[:, None])
 
 
+def warmer(run: Run, share: float) -> Run:
+    """Of a motor whose torque constant has fallen by a share."""
+    return replace(run, command=run.command * (1 + share))
+
+
+def saturating(run: Run) -> Run:
+    """Of motors whose torque constants fall by 5 % up to the largest currents."""
+    return replace(run, command=run.command * (1 + 0.05 * np.abs(run.command) / np.abs(run.command).max(axis=0)))
+
+
 def turned(robot: Robot) -> Robot:
     x, y, z = robot.gravity
     return replace(robot, gravity=(z, x, y))
@@ -130,7 +140,17 @@ FAULTS: dict[str, tuple[Fault, Outcome, str]] = {
     "a robot that warms up in a run": (
         lambda runs: (ROBOT, only(runs, 0, warm_up)),
         Outcome.CONTRADICTORY,
-        "let the robot warm up",
+        "let the robot warm up before",
+    ),
+    "a robot that warms up from run to run": (
+        lambda runs: (ROBOT, [warmer(run, 0.01 * k) for k, run in enumerate(runs)]),
+        Outcome.CONTRADICTORY,
+        "let the robot warm up, and make loaded and unloaded runs in turn",
+    ),
+    "a torque constant that falls with the current": (
+        lambda runs: (ROBOT, list(map(saturating, runs))),
+        Outcome.CONTRADICTORY,
+        "stay at lower currents",
     ),
 }
 
@@ -166,12 +186,15 @@ def longer(names: Sequence[str], factor: float) -> Robot:
     return replace(ROBOT, joints=tuple(joints))
 
 
-@pytest.mark.parametrize("names", [["42"], [joint.name for joint in ROBOT.joints]])
+@pytest.mark.parametrize("names", [["41"], ["42"], ["43"], [joint.name for joint in ROBOT.joints]])
 def test_a_link_two_per_cent_off_is_found(names: list[str], runs: list[Run]) -> None:
     result = identify(longer(names, 1.02), runs)
     assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
     assert "check the robot's geometry" in sentences(result)
     assert "variance would go with other lengths" in sentences(result)
+    if len(names) == 1:
+        assert f"such as the length of 316.2 mm at '{names[0]}'" in sentences(result)
+        assert " % shorter" in sentences(result)
 
 
 def test_millimetres_read_as_metres_are_refused(runs: list[Run]) -> None:

@@ -16,7 +16,8 @@ from idim.robots.assembly import assemble
 from idim.robots.geometry import characteristic_length, home_configuration, loop_errors
 from idim.robots.idle_pins import without_idle_pins
 from idim.robots.load import load_robot
-from idim.robots.native import read_native, write_native
+from idim.robots.native import read_native
+from idim.robots.native_text import write_native
 from idim.robots.robot import Attachment, Closure, Joint, Mdh, Pose, Robot
 
 MODELS = ("5bar_linkage", "robot_delta")

@@ -12,8 +12,9 @@ from idim.errors import IdimError
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.geometry import Configuration, frames, home_configuration, loop_errors
 from idim.robots.load import load_robot
-from idim.robots.native import read_native, write_native
-from idim.robots.robot import GROUND, Coupling, Robot
+from idim.robots.native import read_native
+from idim.robots.native_text import write_native
+from idim.robots.robot import GROUND, INERTIAL, Coupling, Robot
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -239,3 +240,60 @@ def test_without_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(IdimError, match="read with MuJoCo; install it with 'pip install idim"):
         load(BODY % ("", ""), tmp_path)
+
+
+def four_bar(joint: str, turned: float, tip: str) -> str:
+    return f"""<mujoco><compiler angle="radian"/><worldbody>
+      <body name="crank"><joint name="crank" axis="0 1 0"/><geom size="0.1"/>
+        <body name="rod" pos="0 0 0.2" euler="0 {1.1902899497 + turned} 0"><joint name="rod" {joint}/><geom size="0.1"/>
+          <site name="a" pos="{tip}"/></body></body>
+      <body name="rocker" pos="0.5 0 0"><joint name="rocker" axis="0 1 0"/><geom size="0.1"/>
+        <site name="b" pos="0 0 0.4"/></body></worldbody>
+      <equality><connect site1="a" site2="b"/></equality><actuator><motor joint="crank"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("turned", "tip"),
+    [(0.0, "0 0 0.5385164807"), (-np.pi / 2, "0.5385164807 0 0"), (-0.7, "0.3469228389 0 0.4118788645")],
+)
+def test_a_rod_on_a_ball_keeps_its_mass(turned: float, tip: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """It spins idly about its axis, however drawn: one pin is locked. In a plane, the ball does what a hinge does."""
+    hinged, balled = (load(four_bar(joint, turned, tip), tmp_path) for joint in ('axis="0 1 0"', 'type="ball"'))
+    assert [note for note in balled.notes if "idle" in note]
+    (rod,) = (joint.name for joint in balled.joints if joint.has_mass and joint.name not in ("crank", "rocker"))
+    chi = random_parameters(hinged, rng)
+    q, qd, qdd = rng.uniform(-0.3, 0.3, (3, 50, 1))
+    expected = InverseDynamics(hinged, "inertial").torques(q, qd, qdd, inertial(chi))
+    renamed = {key.replace("_rod", f"_{rod}"): value for key, value in inertial(chi).items()}
+    found = InverseDynamics(balled, "inertial").torques(q, qd, qdd, renamed)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("axis", ["0 0 1", "1 0 0"])
+def test_a_leg_that_slides_between_two_balls(axis: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """It spins idly too, whichever axis of its frame it lies along; compared with a leg on a hinge."""
+
+    def leg(joint: str) -> str:
+        tip = axis.replace("1", "0.4")
+        turned = 1.1071487178 - (0.0 if axis == "0 0 1" else np.pi / 2)  # towards the rocker's tip
+        return f"""<mujoco><compiler angle="radian"/><worldbody>
+          <body name="leg" euler="0 {turned} 0"><joint name="leg" {joint}/><geom size="0.1"/>
+            <body name="rod" pos="{axis.replace("1", "0.4944271910")}"><joint name="rod" type="slide" axis="{axis}"/>
+              <geom size="0.1"/><site name="a" pos="{tip}"/></body></body>
+          <body name="rocker" pos="0.8 0 0"><joint name="rocker" axis="0 1 0"/><geom size="0.1"/>
+            <site name="b" pos="0 0 0.4"/></body></worldbody>
+          <equality><connect site1="a" site2="b"/></equality><actuator><motor joint="rod"/></actuator></mujoco>"""
+
+    hinged, balled = (load(leg(joint), tmp_path) for joint in ('axis="0 1 0"', 'type="ball"'))
+    (lower,) = (joint.name for joint in balled.joints if joint.has_mass and joint.name not in ("rod", "rocker"))
+    chi = inertial(random_parameters(hinged, rng))
+    q, qd, qdd = rng.uniform(-0.1, 0.1, (3, 50, 1))
+    expected = InverseDynamics(hinged, "inertial").torques(q, qd, qdd, chi)
+    renamed = {key.replace("_leg", f"_{lower}"): value for key, value in chi.items()}
+    found = InverseDynamics(balled, "inertial").torques(q, qd, qdd, renamed)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def inertial(chi: dict[str, float]) -> dict[str, float]:
+    """Those of the links alone: a ball has no friction."""
+    return {key: value for key, value in chi.items() if key.split("_")[0] in INERTIAL}

@@ -14,7 +14,8 @@ from engines import closed_torques, random_parameters
 from idim.errors import IdimError
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
-from idim.robots.native import read_native, write_native
+from idim.robots.native import read_native
+from idim.robots.native_text import write_native
 from idim.robots.robot import Attachment, Mdh, Robot
 
 HEADER = "j,a,mu,sigma,gamma,b,alpha,d,theta,r\n"

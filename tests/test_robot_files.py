@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from idim.errors import IdimError
 from idim.robots.load import catalog_names, load_robot
-from idim.robots.native import native_text, read_native, write_native
+from idim.robots.native import read_native
+from idim.robots.native_text import native_text, write_native
 from idim.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Limits, Mdh, Platform, Pose, Robot
 from idim.robots.urdf import read_urdf
 from idim.robots.yaml_document import read_yaml
@@ -267,6 +268,7 @@ def test_the_command_saves_and_draws(tmp_path: Path) -> None:
     assert quiet.exit_code == 0
     assert "written:" not in quiet.output
     assert read_native(saved) == load_robot("five-bar")
+    assert "\n  11: {antecedent: ground, " in native_text(load_robot("orthoglide"))  # a number, without quotes
     assert drawn.read_bytes()[:4] == b"\x89PNG"
     # what cannot be moved yet, such as a table to which closures will be added, can be saved all the same
     table = tmp_path / "table.csv"
@@ -334,6 +336,11 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
         "comma in an expression",
         "name: r\nconstants: {h: 0.3, a: 0.4, s: atan2(h, a)}\n",
         ", line 2: the comma before 'a)' ends a value; quote the expression, as in s: 'atan2(h, a)'.",
+    ),
+    (
+        "comma in an expression in a list",
+        "name: r\njoints:\n  a: {xyz: [0, atan2(h, a), 0]}\n",
+        ", line 3: the comma before 'a)' ends a value; quote the expression, as in s: 'atan2(h, a)'.",
     ),
     ("empty item", good("{dof: [x, z]}", "\n    dof:\n      - x\n      -"), ", line 10: nothing is written after '-';"),
     # Keys

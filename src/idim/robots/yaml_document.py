@@ -137,15 +137,14 @@ class _Composer:
         if isinstance(event, yaml.ScalarEvent):
             if event.implicit[0] and not event.value:
                 key = keys[-1] if isinstance(keys[-1], str) else "-"
-                if key.count(")") > key.count("("):  # in braces, a comma ends a value
-                    raise self.error(
-                        event, f"the comma before '{key}' ends a value; quote the expression, as in s: 'atan2(h, a)'"
-                    )
+                self.refuse_rest(event, key)
                 raise self.error(event, f"nothing is written after '{key}'; write a value or remove the line")
             return event.value
         if isinstance(event, yaml.SequenceStartEvent):
             items: list[Any] = []
             while not isinstance(item := next(self.events), yaml.SequenceEndEvent):
+                if event.flow_style and items and isinstance(item, yaml.ScalarEvent) and item.implicit[0]:
+                    self.refuse_rest(item, item.value)
                 items.append(self.value(item, (*keys, len(items))))
             return items
         mapping: dict[str, Any] = {}
@@ -158,6 +157,13 @@ class _Composer:
             # The key's line is where a person looks, also when its value begins below it.
             self.lines[(*keys, key.value)] = key.start_mark.line + 1
         return mapping
+
+    def refuse_rest(self, event: Any, text: str) -> None:
+        """Refuse the end of an expression: in braces and brackets, a comma ends a value."""
+        if text.count(")") > text.count("("):
+            raise self.error(
+                event, f"the comma before '{text}' ends a value; quote the expression, as in s: 'atan2(h, a)'"
+            )
 
     def error(self, event: Any, problem: str) -> IdimError:
         return IdimError(f"{self.path}, line {event.start_mark.line + 1}: {problem}.")
