@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from idim.scale import workers
 from idim.scale.processes import LIMITS, deaf_children
 from idim.scale.spread import in_turn
 from idim.scale.workers import connected, on_workers
+from idim.signals.run import read_run
 from spread_work import away, fragile, refusing
 
 distributed = pytest.importorskip("distributed")
@@ -90,6 +92,37 @@ def test_refusals_and_lost_items_are_told_and_the_others_are_done(client) -> Non
 
 def test_an_error_that_goes_away_is_tried_again(client, tmp_path: Path) -> None:
     assert dict(on_workers(away, [tmp_path], client)) == {0: "read"}
+
+
+def test_a_worker_that_does_not_see_the_log_is_named(client, tmp_path: Path) -> None:
+    signals = {"time": "t", "position": {"left": "q1"}, "current": {"left": "v1"}}
+    path = write_log(tmp_path / "log.csv", Plant(noise=0.01).run("log", seconds=3.0))
+    run = read_run(path, signals)
+    path.rename(tmp_path / "elsewhere.csv")
+    (refused,) = dict(on_workers(refusing, [run], client)).values()
+    says = (
+        rf"on the Dask worker tcp://\S+, there is no log {path}; share its folder with all workers under that path, or"
+    )
+    assert re.match(says, str(refused))
+
+
+def test_an_error_that_stays_is_told(client, tmp_path: Path) -> None:
+    (refused,) = dict(on_workers(away, [tmp_path / "missing"], client)).values()
+    assert re.match(r"the Dask worker tcp://\S+ failed \(.*No such file.*\); see to its disks", str(refused))
+
+
+def test_workers_that_do_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "LONELY", 2.0)
+    with deaf_children():
+        cluster = distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
+        )
+    with cluster, distributed.Client(cluster) as client:
+        made = on_workers(time.sleep, [0.01, 60], client)
+        next(made)
+        cluster.scale(0)
+        with pytest.raises(IdimError, match="the Dask scheduler has had no workers for 2 s; see whether they"):
+            next(made)
 
 
 def test_what_is_not_wanted_any_more_is_cancelled(client) -> None:

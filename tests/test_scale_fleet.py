@@ -50,6 +50,12 @@ def run(*arguments: str):
     return result
 
 
+def test_a_member_is_found_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    member = Member("one", Path("e.yaml"), Path("logs")).anywhere
+    assert (member.name, member.experiment, member.logs) == ("one", tmp_path / "e.yaml", tmp_path / "logs")
+
+
 def test_the_two_that_are_off_are_found(cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     arguments = (str(cells / "*" / "experiment.yaml"), "--out", str(out))
@@ -148,7 +154,7 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
         method = "mixed"
     else:
         from idim.robots.load import load_robot
-        from idim.robots.native import native_text
+        from idim.robots.native_text import native_text
 
         (tmp_path / "five-bar").write_text(native_text(load_robot("five-bar")).replace("0.35", "0.36"))
         (tmp_path / "five-bar").rename(tmp_path / "other.yaml")

@@ -9,12 +9,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-import idim.signals.run
 from five_bar_logs import EXPERIMENT, Plant, write_log
 from idim.errors import IdimError
 from idim.estimation.data import read_runs
 from idim.files import in_order
+from idim.signals.excerpt import read_excerpt
 from idim.signals.experiment import Experiment, read_experiment
+from idim.signals.log_file import read_log
 
 HEAD = EXPERIMENT.split("runs:")[0] + "runs:\n"
 
@@ -44,6 +45,23 @@ def test_a_pattern_is_many_runs_with_one_payload(folder: Path) -> None:
     assert [run.payload is not None for run in found.runs] == [False] * 3 + [True] * 2
     assert all(log.is_file() for run in found.runs for log in run.log)
     assert names(read(folder, "  - log: '**/free_[12].csv'\n")) == ["free_1", "free_2"]
+
+
+def test_a_pattern_leaves_out_the_file_that_it_stands_in(folder: Path) -> None:
+    for path in (folder / "logs").iterdir():
+        path.rename(folder / path.name)
+    (folder / "logs").rmdir()
+    (folder / "robot.yml").touch()
+    assert names(read(folder, "  - log: '*'\n")) == ["free_1", "free_2", "free_10", "loaded_1", "loaded_2"]
+
+
+@pytest.mark.parametrize("kind", [pl.Datetime("us"), pl.Duration("ms"), pl.Date, pl.Time])
+def test_times_of_day_are_no_seconds(tmp_path: Path, kind: pl.DataType) -> None:
+    pl.DataFrame({"t": [0, 1], "q": [0.0, 1.0]}).cast({"t": kind}).write_parquet(tmp_path / "a.parquet")
+    with pytest.raises(
+        IdimError, match=r"column 't' holds dates or times \(.*write the seconds since the first sample"
+    ):
+        read_log(tmp_path / "a.parquet", ["t", "q"])
 
 
 def test_of_two_patterns_the_matches_are_pairs(folder: Path) -> None:
@@ -104,6 +122,6 @@ def test_a_run_sent_to_another_process_is_of_the_same_log(tmp_path: Path) -> Non
     assert np.array_equal(pickle.loads(pickle.dumps(changed)).command, changed.command)
     write_log(tmp_path / "a.csv", Plant(noise=0.03).run("a", seconds=6.0))
     assert np.array_equal(pickle.loads(pickle.dumps(changed)).command, changed.command)  # it was read in time
-    idim.signals.run._read_once.cache_clear()  # as in a process that has not read it
+    read_excerpt.cache_clear()  # as in a process that has not read it
     with pytest.raises(IdimError, match=r"a\.csv is not the one that was read where this was begun, or has"):
         pickle.loads(pickle.dumps(changed))

@@ -24,7 +24,7 @@ from idim.estimation.data import cut, joined, reduce_part, reduce_runs
 from idim.estimation.factors import STRETCHES, Weigh
 from idim.signals.filters import SEGMENT, joint_bandwidths, position_filter
 from idim.signals.preparation import Preparation, choose_preparation, prepare
-from idim.signals.quantiles import Quantiles
+from idim.signals.quantiles import Quantiles, medians
 from idim.signals.run import Run, arrange, read_run
 from idim.signals.storage import Store, block, store
 
@@ -167,6 +167,19 @@ def test_quantiles_of_what_goes_by(rng: np.random.Generator) -> None:
         found.add(part)
     for share in (0.5, 0.9, 0.999):
         np.testing.assert_allclose(found.quantile(share), np.quantile(values, share, axis=0), rtol=0.02)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4999, 5000])
+def test_medians_of_what_goes_by_are_exact(count: int, rng: np.random.Generator) -> None:
+    values = np.abs(rng.standard_normal((count, 4))) * [1.0, 1e-9, 0.0, 1.0]
+    values[:: 3 if count > 2 else count, 1] = np.nan
+    values[:, 3] = np.round(values[:, 3])  # many alike
+    expected = np.nanmedian(values[:, [0, 2, 3]], axis=0)
+    np.testing.assert_array_equal(medians(lambda: np.array_split(values, 7))[[0, 2, 3]], expected)
+    if count > 1:
+        assert medians(lambda: [values])[1] == np.nanmedian(values[:, 1])
+    else:
+        assert np.isnan(medians(lambda: [values])[1])
 
 
 def test_a_stored_array_is_what_was_written(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:

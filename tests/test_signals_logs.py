@@ -210,6 +210,7 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
     ),
     ("nothing moves", lambda x: _set(1, "1")(_set(2, "2")(x)), HEADER, "no position ever changes"),
     ("stuck current", _set(3, "0.25"), HEADER, "column 'va' (joint 'a') is stuck at 0.25"),
+    ("no current", _set(3, "-0.0"), HEADER, "column 'va' (joint 'a') is stuck at 0;"),
     (
         "time reversed",
         lambda x: x[:500] + x[100:],

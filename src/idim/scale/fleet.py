@@ -31,6 +31,13 @@ class Member:
     experiment: Path
     logs: Path | None = None
 
+    @property
+    def anywhere(self) -> Member:
+        """The same for a process that stands in another folder."""
+        return replace(
+            self, experiment=self.experiment.absolute(), logs=None if self.logs is None else self.logs.absolute()
+        )
+
     def read(self) -> Experiment:
         """Its experiment; raises IdimError."""
         return read_experiment(self.experiment, self.logs)
@@ -171,7 +178,8 @@ def identify_fleet(
     known = [_read_text(_key_file(out, member)) if _model_file(out, member).is_file() else "" for member in members]
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
-    for k, found in spread(partial(_identify_member, method), list(zip(members, known, strict=True))):
+    items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
+    for k, found in spread(partial(_identify_member, method), items):
         made = Identified(sentence=str(found)) if isinstance(found, IdimError) else found
         reports[k] = _keep(out, members[k], made)
         progress("robots", len(reports), len(members))
@@ -185,6 +193,11 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
     (member, known), begun = item, time.perf_counter()
     try:
         experiment = member.read()
+        if experiment.signals.kind == "torque":
+            raise IdimError(
+                f"{member.experiment}: the logs hold torques, so there are no drive gains to compare in a fleet; use "
+                "'idim identify'."
+            )
         inputs = experiment.model_copy(update={"validation": ()})
         names = [log.name for run in inputs.runs for log in run.log]
         key = content_key((method, inputs, names, replace(load_robot(experiment.robot), source="")))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from idim.errors import IdimError
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 PATIENCE = 15.0  # s to wait for a scheduler, and for its first worker
+LONELY = 60.0  # s without any worker, which may be starting again
 RETRIES = 2  # after an error that is not idim's own: a network drive that was away, a full disk
 _ONE_AT_A_TIME = threading.Lock()  # in a process: symbolic expressions are not made for threads
 
@@ -53,9 +57,21 @@ def connected(address: str) -> Iterator[Client]:
             yield client
         return
     _check_scheduler(address)
-    with Client(address, timeout=PATIENCE) as client:
+    with _quiet("distributed.client"), Client(address, timeout=PATIENCE) as client:
         _check_workers(client, address)
         yield client
+
+
+@contextmanager
+def _quiet(logger: str) -> Iterator[None]:
+    """What goes wrong with a scheduler is said in a sentence, and not with a traceback in a log."""
+    known = logging.getLogger(logger)
+    before = known.level
+    known.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        known.setLevel(before)
 
 
 @contextmanager
@@ -146,13 +162,15 @@ class Lost(IdimError):
 def _on_workers(
     function: Callable[[Item], Made], items: Sequence[Item], client: Client
 ) -> Iterator[tuple[int, Made | IdimError]]:
-    from distributed import as_completed
-
     sent = [pickle.dumps(item) for item in items]  # to be opened by a worker, and not by the scheduler on the way
     begun = client.map(partial(_work, function, installed()), sent, pure=False, retries=RETRIES)
     number = {future.key: k for k, future in enumerate(begun)}
+    finished: Queue[Future[Any]] = Queue()
+    for future in begun:
+        future.add_done_callback(finished.put)
     try:
-        for future in as_completed(begun):
+        for _ in begun:
+            future = _next(finished, client)
             yield number[future.key], _result(future)
             future.release()
     finally:
@@ -160,17 +178,44 @@ def _on_workers(
             client.cancel([future for future in begun if not future.done()])
 
 
+def _next(finished: Queue[Future[Any]], client: Client) -> Future[Any]:
+    """The next one that is finished; raises IdimError where for too long there has been no worker to finish one."""
+    seen = time.monotonic()
+    while True:
+        try:
+            return finished.get(timeout=1.0)
+        except Empty:
+            if client.status == "running" and client.scheduler_info()["workers"]:
+                seen = time.monotonic()
+            elif time.monotonic() > seen + LONELY:
+                raise IdimError(
+                    f"the Dask scheduler has had no workers for {LONELY:.0f} s; see whether they or the network "
+                    "are down, start them, and the same command again."
+                ) from None
+
+
 def _work(function: Callable[[Item], Made], expected: str, sent: bytes) -> Made | IdimError:
     """What a worker does; a refusal is a result, as there is no use in trying again."""
-    if installed() != expected:
-        from distributed import get_worker
+    from distributed import get_worker
 
-        return _other_version(get_worker().address, installed(), expected)
+    address = get_worker().address
+    if installed() != expected:
+        return _other_version(address, installed(), expected)
     with _ONE_AT_A_TIME:
         try:
-            return function(pickle.loads(sent))
+            return function(_opened(sent, address))
         except IdimError as error:
             return error
+        except OSError as error:
+            raise OSError(f"the Dask worker {address} failed ({error}); see to its disks and network.") from None
+
+
+def _opened(sent: bytes, address: str) -> Any:
+    """An item as it was before it was sent; what it needs of a log is read now."""
+    try:
+        return pickle.loads(sent)
+    except IdimError as error:
+        raise IdimError(f"on the Dask worker {address}, {error}") from None
 
 
 def _result(future: Future[Any]) -> Any:
@@ -188,3 +233,5 @@ def _result(future: Future[Any]) -> Any:
         raise IdimError(
             "the Dask scheduler went away or cancelled the work; start it, and the same command again."
         ) from None
+    except OSError as error:  # again and again
+        return IdimError(str(error))

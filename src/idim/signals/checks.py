@@ -55,13 +55,14 @@ def check(source: Source, blocks: Iterable[np.ndarray]) -> UniformSamples:
     notes: list[str] = []
     samples = complete(source, blocks, notes)
     _refuse_stuck(samples, notes)
-    samples = _drop_repeated(samples, notes)
+    samples = drop_repeated(samples, notes)
     clock = clock_of(samples.time)
     _refuse_rates(samples, clock)
-    samples = _unwrap(samples, notes)
+    wraps = _wraps(samples, notes)
+    samples = unwrapped(samples, wraps)
     _refuse_slips(samples)
     masked = clipped(samples, notes)
-    return uniform(samples, masked, clock, notes)
+    return uniform(samples, wraps, masked, clock, notes)
 
 
 def _refuse_stuck(samples: Samples, notes: list[str]) -> None:
@@ -80,7 +81,7 @@ def _refuse_stuck(samples: Samples, notes: list[str]) -> None:
     for joint, column, least, most in zip(source.joints, source.columns[n:], low[n:], high[n:], strict=False):
         if least == most:
             raise IdimError(
-                f"{source.name}, column '{column}' (joint '{joint}') is stuck at {least:g}; "
+                f"{source.name}, column '{column}' (joint '{joint}') is stuck at {least + 0.0:g}; "
                 "give the column with the measured values, or record the log again."
             )
     if still.any():
@@ -92,7 +93,8 @@ def _quoted(names: Sequence[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 
-def _drop_repeated(samples: Samples, notes: list[str]) -> Samples:
+def drop_repeated(samples: Samples, notes: list[str]) -> Samples:
+    """Of samples with the same time and values only the first; raises IdimError where time goes back."""
     source, time = samples.source, samples.time
     repeated: list[int] = []
     for start, stop in ahead(len(time)):
@@ -132,26 +134,36 @@ def _drop_repeated(samples: Samples, notes: list[str]) -> Samples:
     return samples
 
 
-def _unwrap(samples: Samples, notes: list[str]) -> Samples:
+def _wraps(samples: Samples, notes: list[str]) -> np.ndarray:
+    """Whether each joint's angle jumps by a turn, (n,)."""
     position, source = samples.position, samples.source
     wraps = np.zeros(len(source.joints), dtype=bool)
     for span in ahead(len(position)):
         jump = np.abs(np.diff(block(position, *span), axis=0))
         wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
+    if wraps.any():
+        names = _quoted([joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap])
+        notes.append(f"unwrapped the angle of joint {names}, which jumped by a turn")
+    return wraps
+
+
+def unwrapped(samples: Samples, wraps: np.ndarray, first: np.ndarray | None = None) -> Samples:
+    """The samples without jumps of the joints that have ``wraps``, from a ``first`` position (n,) on if it is known."""
     if not wraps.any():
         return samples
-    names = _quoted([joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap])
-    notes.append(f"unwrapped the angle of joint {names}, which jumped by a turn")
+    position = samples.position
 
-    def unwrapped() -> Iterator[np.ndarray]:
+    def parts() -> Iterator[np.ndarray]:
         turns = np.zeros(len(wraps))  # as far as the sample before
+        if first is not None:
+            turns += np.where(wraps, 2 * np.pi * np.round((first - position[0]) / (2 * np.pi)), 0.0)
         for start, stop in ahead(len(position)):
             part = block(position, start, stop)
             more = np.where(wraps, np.unwrap(part, axis=0), part) + turns
             turns = more[-1] - part[-1]
             yield more[min(start, 1) :]
 
-    return replace(samples, position=store(unwrapped(), wraps.shape))
+    return replace(samples, position=store(parts(), wraps.shape))
 
 
 def _refuse_slips(samples: Samples) -> None:

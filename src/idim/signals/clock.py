@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -14,15 +15,17 @@ from idim.signals.storage import block, spans, store
 class Clock:
     """When the samples of a log were taken.
 
-    ``regular``: their ``instants`` (N,) are multiples of the ``period``, by which time columns are then corrected;
-    otherwise the period is the mean one. ``count`` samples of that period begin at ``start`` and reach to the last
-    one. ``shortest`` and ``longest`` step, and the sample before the latter. Times in s.
+    ``regular``: their instants are multiples of the ``period``, by which time columns are then corrected, and none is
+    missing where the log is ``gapless``; otherwise the period is the mean one. ``count`` samples of that period begin
+    at ``start`` and reach to the last one. ``usual``, ``shortest`` and ``longest`` step, and the sample before the
+    latter. Times in s.
     """
 
     period: float
+    usual: float
     regular: bool
+    gapless: bool
     start: float
-    instants: np.ndarray
     count: int
     shortest: float
     longest: float
@@ -32,6 +35,17 @@ class Clock:
     def rate(self) -> float:
         """Samples a second, Hz."""
         return 1 / self.period
+
+    def time(self, first: int, stop: int) -> np.ndarray:
+        """Times of samples, s, by their numbers from the start."""
+        return self.start + self.period * np.arange(first, stop)
+
+    def instants(self, time: np.ndarray, first: float | None = None) -> np.ndarray:
+        """When samples were taken by this clock (N,), s, from their times; the ``first`` of them, if not ``start``."""
+        if not self.regular or self.gapless:
+            return time
+        begin = 0.0 if first is None else round((first - self.start) / self.period)
+        return store(self.start + self.period * (begin + number) for number, _ in _numbered(time, self.usual))
 
 
 def clock_of(time: np.ndarray) -> Clock:
@@ -57,11 +71,9 @@ def clock_of(time: np.ndarray) -> Clock:
         resolution = np.maximum(resolution, np.abs(scaled - np.round(scaled)).max(axis=1))
     if off > max(1e-3 * period, min(_last_decimal(resolution), 0.5 * period)):
         count = int((time[-1] - start) / period) + 1
-        return Clock(period, False, start, time, count, *_steps(time))
-    if last + 1 == samples:
-        return Clock(period, True, start, time, samples, period, period, 0)
-    instants = store(start + period * number for number, _ in _numbered(time, usual))
-    return Clock(period, True, start, instants, last + 1, *_steps(instants))
+        return Clock(period, usual, False, False, start, count, **_steps(time))
+    clock = Clock(period, usual, True, last + 1 == samples, start, last + 1, period, period, 0)
+    return clock if clock.gapless else replace(clock, **_steps(clock.instants(time)))
 
 
 DECIMALS = 10.0 ** np.arange(6)
@@ -91,7 +103,7 @@ def _numbered(time: np.ndarray, usual: float) -> Iterator[tuple[np.ndarray, np.n
         yield numbers, part - time[0]
 
 
-def _steps(instants: np.ndarray) -> tuple[float, float, int]:
+def _steps(instants: np.ndarray) -> dict[str, Any]:
     """Shortest and longest step, and the sample before the latter."""
     shortest, longest, before, at = np.inf, 0.0, 0, 0
     for part in _overlapping(instants):
@@ -100,4 +112,4 @@ def _steps(instants: np.ndarray) -> tuple[float, float, int]:
         if step[k] > longest:
             longest, before = float(step[k]), at + k
         shortest, at = min(shortest, float(step.min())), at + len(step)
-    return shortest, longest, before
+    return {"shortest": shortest, "longest": longest, "before_longest": before}

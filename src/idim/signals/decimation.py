@@ -69,6 +69,10 @@ class Decimator:
             begin = max(0, first - self.warm_up)
             yield Block(slice(begin, min(n, last + self.warm_up + 1)), slice(start, stop), first - begin)
 
+    def reach(self, n: int, outputs: range) -> slice:
+        """Samples of a log of `n` that these ``outputs`` are made from."""
+        return next((block.samples for block in self.blocks(n, max(len(outputs), 1), outputs)), slice(0, 0))
+
     def apply(self, columns: np.ndarray, block: Block | None = None) -> np.ndarray:
         """Outputs of a block.
 

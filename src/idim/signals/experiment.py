@@ -113,7 +113,7 @@ class LoggedRun(Keys):
         if info.context is None:
             return log
         placed = tuple(_placed(info.context.logs, path) for path in log)
-        matches = [matching(path) for path in placed]
+        matches = [_logs_at(path) for path in placed]
         for written, found in zip(log, matches, strict=True):
             path = info.context.logs / written
             if not found and has_magic(str(written)):
@@ -134,13 +134,18 @@ class LoggedRun(Keys):
 
     def each(self) -> list[LoggedRun]:
         """The runs, one for each match of the patterns."""
-        pairs = zip(*(matching(path) for path in self.log), strict=True)
+        pairs = zip(*(_logs_at(path) for path in self.log), strict=True)
         return [self.model_copy(update={"log": logs}) for logs in pairs]
 
 
 def _placed(folder: Path, path: Path) -> Path:
     """A path in a folder, whose own name is no pattern."""
     return folder / path if (folder / path).exists() else Path(escape(str(folder))) / path
+
+
+def _logs_at(path: Path) -> list[Path]:
+    """What a path or a pattern stands for; a pattern matches no YAML files, as the one it stands in is no log."""
+    return [each for each in matching(path) if each == path or each.suffix not in (".yaml", ".yml")]
 
 
 def _close_file(path: Path) -> str:

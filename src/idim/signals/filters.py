@@ -104,6 +104,11 @@ def filter_edge(rate: float, cutoff: float | None) -> int:
     return STENCIL + (0 if cutoff is None else ceil(3 * rate / cutoff))
 
 
+def filter_margin(rate: float, cutoff: float | None) -> int:
+    """Samples to either side of one that act on its filtered position, speed and acceleration by more than 1e-18."""
+    return STENCIL + (0 if cutoff is None else ceil(FORGOTTEN * rate / cutoff))
+
+
 def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """First and second derivative along the first axis by central differences of fourth order.
 
@@ -142,7 +147,7 @@ def position_filter(
         In the position's unit, per s and per s2.
     """
     stop = len(position) if stop is None else stop
-    margin = STENCIL + (0 if cutoff is None else ceil(FORGOTTEN * rate / cutoff))
+    margin = filter_margin(rate, cutoff)
     begin = max(0, start - margin)
     x = block(position, begin, min(len(position), stop + margin))
     q = x if cutoff is None else low_pass(x, rate, cutoff)

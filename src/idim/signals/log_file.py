@@ -13,7 +13,7 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.files import in_order
-from idim.signals.storage import spans, store
+from idim.signals.storage import store
 
 if TYPE_CHECKING:
     import polars as pl
@@ -22,6 +22,10 @@ SEPARATORS = ";\t, "  # a semicolon or tab first: their files may hold decimal c
 MISSING = ("", "na", "n/a", "null", "none")
 BYTES = 1 << 22  # of a CSV file that are read at once
 ROWS = 1 << 16  # of a Parquet file
+ALL = range(1 << 62)  # rows
+
+Place = tuple[int, int]
+"""A row of a text file and the byte at which it begins."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +34,27 @@ class LogFile:
 
     ``texts`` holds, as far as the log has been read, for every column with a value that is missing or no
     number, the first one as written. Row 0 stands in ``first_line`` of a text file; a Parquet file has rows,
-    counted from 1. ``frames`` gives tables of all these columns with the part of the log that is then done.
+    counted from 1. ``frames`` gives tables of all these columns, of some rows, with the part of the log that is then
+    done. ``places`` holds, as far as a text file has been read, rows and the bytes at which they begin.
     """
 
     path: Path
     names: tuple[str, ...]
     texts: dict[str, str]
-    frames: Callable[[], Iterator[tuple[pl.DataFrame, float]]]
+    places: list[Place]
+    frames: Callable[[range, Place], Iterator[tuple[pl.DataFrame, float]]]
     first_line: int = 1
     line_word: str = "line"
 
-    def blocks(self) -> Iterator[tuple[np.ndarray, float]]:
+    def blocks(self, rows: range = ALL, place: Place = (0, 0)) -> Iterator[tuple[np.ndarray, float]]:
         """Numbers (M, columns), nan where a value is missing or no number, with the part of the log then done.
+
+        Parameters
+        ----------
+        rows : range
+            Those wanted.
+        place : tuple of int
+            One of the ``places``, at or before the first of them, found when the log was read before.
 
         Raises
         ------
@@ -49,7 +62,7 @@ class LogFile:
             Where the file cannot be read on.
         """
         with _refusals(self.path):
-            for frame, done in self.frames():
+            for frame, done in self.frames(rows, place):
                 values = np.empty((len(frame), len(self.names)))
                 for k, name in enumerate(self.names):
                     values[:, k], text = _numbers(frame[:, k])
@@ -116,52 +129,68 @@ def _of_csv(path: Path, names: tuple[str, ...]) -> LogFile:
     header = not all(_is_number(field) or field.lower() in MISSING for field in fields)
     index = _find(path, names, fields if header else [str(i + 1) for i in range(len(fields))], header)
 
-    def frames() -> Iterator[tuple[pl.DataFrame, float]]:
-        return _csv_frames(path, separator, len(fields), [index[name] for name in names], header)
+    places: list[Place] = []
 
-    return LogFile(path, names, {}, frames, first_line=1 + header)
+    def frames(rows: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+        first = place[0]
+        for begin, text, done in _whole_lines(path, header, place[1]):
+            if not places or places[-1][0] < first:
+                places.append((first, begin))
+            frame = _csv_frame(path, text, separator, len(fields), [index[name] for name in names])
+            wanted = frame[max(rows.start - first, 0) : max(rows.stop - first, 0)]
+            first += len(frame)
+            if len(wanted):
+                yield wanted, done
+            if first >= rows.stop:
+                return
+
+    return LogFile(path, names, {}, places, frames, first_line=1 + header)
 
 
-def _csv_frames(
-    path: Path, separator: str, count: int, wanted: list[int], header: bool
-) -> Iterator[tuple[pl.DataFrame, float]]:
+def _csv_frame(path: Path, text: bytes, separator: str, count: int, wanted: list[int]) -> pl.DataFrame:
     import polars as pl
 
     columns = [f"column_{i + 1}" for i in range(count)]
-    for text, done in _whole_lines(path, header):
-        try:
-            frame = pl.read_csv(
-                text,
-                has_header=False,
-                separator=separator,
-                schema=dict.fromkeys(columns, pl.String),
-                columns=sorted(columns[i] for i in wanted),
-                raise_if_empty=False,
-            )
-        except pl.exceptions.PolarsError as error:
-            raise IdimError(_unreadable_line(path, separator, count, str(error))) from None
-        entries = pl.col(pl.String).str.strip_chars()
-        if separator != ",":
-            entries = entries.str.replace(",", ".", literal=True)
-        yield frame.select(columns[i] for i in wanted).select(entries), done
+    try:
+        frame = pl.read_csv(
+            text,
+            has_header=False,
+            separator=separator,
+            schema=dict.fromkeys(columns, pl.String),
+            columns=sorted(columns[i] for i in wanted),
+            raise_if_empty=False,
+        )
+    except pl.exceptions.PolarsError as error:
+        raise IdimError(_unreadable_line(path, separator, count, str(error))) from None
+    entries = pl.col(pl.String).str.strip_chars()
+    if separator != ",":
+        entries = entries.str.replace(",", ".", literal=True)
+    return frame.select(columns[i] for i in wanted).select(entries)
 
 
-def _whole_lines(path: Path, header: bool) -> Iterator[tuple[bytes, float]]:
-    """Lines of a text file, many at once and each of them whole, with the part of the file that is then done."""
+def _whole_lines(path: Path, header: bool, begin: int) -> Iterator[tuple[int, bytes, float]]:
+    """Lines of a text file from the byte ``begin`` on, many at once and each of them whole.
+
+    With the byte at which they begin, and the part of the file that is then done.
+    """
     size, torn = path.stat().st_size, b""
     with path.open("rb") as file:
-        if header:
+        if begin:
+            file.seek(begin)
+        elif header:
             file.readline()
         elif file.read(3) != b"\xef\xbb\xbf":  # a byte-order mark
             file.seek(0)
+        begin = file.tell()
         while read := file.read(BYTES):
             end = read.rfind(b"\n") + 1
             if end:
-                yield torn + read[:end], file.tell() / size
-                torn = b""
+                text, torn = torn + read[:end], b""
+                yield begin, text, file.tell() / size
+                begin += len(text)
             torn += read[end:]
     if torn:
-        yield torn, 1.0
+        yield begin, torn, 1.0
 
 
 def _of_parquet(path: Path, names: tuple[str, ...]) -> LogFile:
@@ -176,21 +205,28 @@ def _of_parquet(path: Path, names: tuple[str, ...]) -> LogFile:
     except pl.exceptions.PolarsError as error:
         raise _no_parquet(path, error) from None
     for name in _find(path, names, list(schema), header=True):
+        if schema[name].is_temporal():
+            raise IdimError(
+                f"{path}, column '{name}' holds dates or times ({schema[name]}); write the seconds since the first "
+                "sample, as numbers."
+            )
         if not (schema[name].is_numeric() or schema[name] == pl.String):
             raise IdimError(f"{path}, column '{name}' holds {schema[name]} values; write it as numbers.")
 
-    def frames() -> Iterator[tuple[pl.DataFrame, float]]:
-        done = 0
+    def frames(rows: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+        first = 0  # row of the part
         for part, length in zip(parts, lengths, strict=True):
-            for start, stop in spans(length, ROWS):
+            begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
+            for start in range(begin, end, ROWS):
+                stop = min(start + ROWS, end)
                 try:
                     frame = pl.scan_parquet(part).select(names).slice(start, stop - start).collect()
                 except pl.exceptions.PolarsError as error:
                     raise _no_parquet(path, error) from None
-                done += stop - start
-                yield frame, done / sum(lengths)
+                yield frame, (first + stop) / sum(lengths)
+            first += length
 
-    return LogFile(path, names, {}, frames, line_word="row")
+    return LogFile(path, names, {}, [], frames, line_word="row")
 
 
 def _no_parquet(path: Path, error: Exception) -> IdimError:

@@ -16,11 +16,12 @@ from idim.signals.filters import (
     cutoff_frequency,
     differentiate,
     filter_edge,
+    filter_margin,
     joint_bandwidths,
     position_filter,
 )
 from idim.signals.run import Run
-from idim.signals.storage import block, spans
+from idim.signals.storage import block, spans, stored
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,11 @@ class Prepared:
         """Instants of the samples that are used, (N,) in s."""
         return self.run.time[self.kept.start : self.kept.stop]
 
+    def needed(self, start: int, stop: int) -> range:
+        """Samples of the run that those from ``start`` to before ``stop`` are made from."""
+        at, margin = self.kept[start:stop], filter_margin(self.run.rate, self.preparation.cutoff)
+        return range(max(0, at.start - margin), min(len(self.run.time), at.stop + margin))
+
     def samples(self, start: int = 0, stop: int | None = None) -> Sampled:
         """Samples from ``start`` to before ``stop`` of those that are used; what stands around them is seen to."""
         at = self.kept[start:stop]
@@ -115,7 +121,7 @@ class Prepared:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A run ready for the model along a motion that was made, all of it in memory; to be used as :class:`Prepared`."""
+    """A run ready for the model along a motion that was made, all of it there; to be used as :class:`Prepared`."""
 
     run: Run
     all: Sampled
@@ -125,7 +131,10 @@ class Held:
 
     def samples(self, start: int = 0, stop: int | None = None) -> Sampled:
         """Samples from ``start`` to before ``stop``."""
-        return self.all[start:stop]
+        stop = len(self) if stop is None else stop
+        if stored(self.all.q) is None:
+            return self.all[start:stop]
+        return Sampled(*(block(getattr(self.all, field.name), start, stop) for field in fields(Sampled)))
 
 
 def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:

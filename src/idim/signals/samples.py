@@ -59,8 +59,22 @@ def refuse_short(source: Source, count: int) -> None:
         )
 
 
-def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str]) -> Samples:
-    """The samples none of whose values is missing."""
+@dataclass(frozen=True)
+class Incomplete:
+    """Of ``count`` rows, the number ``of_rows`` that lack a value, the ``first`` of them, and the column that it lacks.
+
+    ``numbers`` are those in each column.
+    """
+
+    count: int
+    of_rows: int
+    first: Sequence[int]
+    column: int
+    numbers: Sequence[int]
+
+
+def gathered(source: Source, blocks: Iterable[np.ndarray]) -> tuple[Samples, Incomplete]:
+    """The samples of a log, or of a part of it, none of whose values is missing."""
     n, count = len(source.joints), 0
     stores = Store(dtype=int), Store(), Store((n,)), Store((n,))
     numbers = np.zeros(2 * n + 1, dtype=int)  # in each column
@@ -80,8 +94,15 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str]) -> 
         for each, part in zip(stores, parts, strict=True):
             each.append(part)
         count += len(values)
-    refuse_short(source, count)
-    for column, number in zip(source.columns, numbers, strict=True):
+    samples = Samples(source, *(each.array() for each in stores))
+    return samples, Incomplete(count, bad_count, bad, bad_column, numbers.tolist())
+
+
+def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str]) -> Samples:
+    """The samples none of whose values is missing; raises IdimError where there are too few."""
+    samples, lacking = gathered(source, blocks)
+    refuse_short(source, lacking.count)
+    for column, number in zip(source.columns, lacking.numbers, strict=True):
         if not number:
             entry = source.texts.get(column, "")
             raise IdimError(
@@ -89,19 +110,19 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str]) -> 
                 + (f" (it begins with '{entry}')" if entry else "")
                 + "; give the column that holds them."
             )
-    if bad_count > MAX_MISSING * count:
-        column = source.columns[bad_column]
+    if lacking.of_rows > MAX_MISSING * lacking.count:
+        column = source.columns[lacking.column]
         entry = source.texts.get(column, "")
         raise IdimError(
-            f"{source.name} has {bad_count} of {count} rows with missing or non-numeric values (first in "
-            f"{source.places(bad[:1], 1)}, column '{column}'"
+            f"{source.name} has {lacking.of_rows} of {lacking.count} rows with missing or non-numeric values (first in "
+            f"{source.places(lacking.first[:1], 1)}, column '{column}'"
             + (f": '{entry}'" if entry else "")
             + "); record it again."
         )
-    if bad_count:
-        places = source.places(bad, bad_count)
-        notes.append(f"dropped {counted(bad_count, 'row')} with missing or non-numeric values ({places})")
-    return Samples(source, *(each.array() for each in stores))
+    if lacking.of_rows:
+        places = source.places(lacking.first, lacking.of_rows)
+        notes.append(f"dropped {counted(lacking.of_rows, 'row')} with missing or non-numeric values ({places})")
+    return samples
 
 
 def counted(number: int, noun: str) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import mmap
 import tempfile
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import BinaryIO, cast
 
 import numpy as np
@@ -54,24 +56,33 @@ class Store:
         if self._file is None:
             return np.concatenate([np.zeros((0, *self._width), self._dtype), *self._held])
         self._write()
-        with self._file:
-            mapped = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
-        return np.ndarray((self._rows, *self._width), self._dtype, mapped)
+        return _mapped(self._file, (self._rows, *self._width), self._dtype)
 
     def _write(self) -> None:
-        try:
+        with _room():
             if self._file is None:
                 self._file = cast(BinaryIO, tempfile.TemporaryFile())  # noqa: SIM115 (it lives as long as what is mapped)
             for rows in self._held:
                 self._file.write(rows.tobytes())
             self._file.flush()
-        except OSError as error:
-            raise IdimError(
-                f"a long log needs some GB in the folder for temporary files, {tempfile.gettempdir()}, where nothing "
-                f"more can be written ({(error.strerror or str(error)).lower()}); make room there, or set TMPDIR to "
-                "another folder."
-            ) from None
         self._held.clear()
+
+
+@contextmanager
+def _room() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise IdimError(
+            f"a long log needs some GB in the folder for temporary files, {tempfile.gettempdir()}, where nothing "
+            f"more can be written ({(error.strerror or str(error)).lower()}); make room there, or set TMPDIR to "
+            "another folder."
+        ) from None
+
+
+def _mapped(file: BinaryIO, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+    with file:
+        return np.ndarray(shape, dtype, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 def store(blocks: Iterable[np.ndarray], width: tuple[int, ...] = (), dtype: type = float) -> np.ndarray:
@@ -80,6 +91,48 @@ def store(blocks: Iterable[np.ndarray], width: tuple[int, ...] = (), dtype: type
     for each in blocks:
         rows.append(each)
     return rows.array()
+
+
+class Placed:
+    """An array of ``samples`` rows of which only some are put in; the others are zero, and take no room.
+
+    Parameters
+    ----------
+    samples : int
+        Rows.
+    width : tuple of int
+        Shape of a row.
+    dtype : type
+        Of the entries.
+    """
+
+    def __init__(self, samples: int, width: tuple[int, ...] = (), dtype: type = float):
+        self._shape, self._dtype = (samples, *width), dtype
+        self._row = np.dtype(dtype).itemsize * math.prod(width)
+        self._file: BinaryIO | None = None
+        if samples * self._row <= IN_MEMORY:
+            self._held: np.ndarray = np.zeros(self._shape, dtype)
+            return
+        with _room():
+            self._file = cast(BinaryIO, tempfile.TemporaryFile())  # noqa: SIM115 (it lives as long as what is mapped)
+            self._file.truncate(samples * self._row)
+
+    def put(self, first: int, rows: np.ndarray) -> None:
+        """Put rows in, the first as row ``first``; raises IdimError where the folder for temporary files is full."""
+        if self._file is None:
+            self._held[first : first + len(rows)] = rows
+            return
+        with _room():
+            self._file.seek(first * self._row)
+            self._file.write(np.ascontiguousarray(rows, self._dtype).tobytes())
+
+    def array(self) -> np.ndarray:
+        """All rows; raises IdimError where the folder for temporary files is full."""
+        if self._file is None:
+            return self._held
+        with _room():
+            self._file.flush()
+        return _mapped(self._file, self._shape, self._dtype)
 
 
 def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -94,9 +147,15 @@ def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
 def block(array: np.ndarray, start: int, stop: int) -> np.ndarray:
     """A copy of some rows of an array; those of a stored one need no memory afterwards."""
     copy = array[start:stop].copy()
+    file = stored(array)
+    if file is not None and hasattr(mmap, "MADV_DONTNEED"):
+        file.madvise(mmap.MADV_DONTNEED)
+    return copy
+
+
+def stored(array: np.ndarray) -> mmap.mmap | None:
+    """The file that an array lies in, if it does not lie in memory."""
     owner: object = array
     while isinstance(owner, np.ndarray):
         owner = owner.base
-    if isinstance(owner, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
-        owner.madvise(mmap.MADV_DONTNEED)
-    return copy
+    return owner if isinstance(owner, mmap.mmap) else None
