@@ -31,7 +31,9 @@ from idim.estimation.delays import delay_verdicts
 from idim.estimation.factors import CURRENTS, EXTRA, STRETCHES, Factors
 from idim.estimation.freedom import freedom
 from idim.estimation.friction import Friction
+from idim.estimation.position_locked import Locked, position_locked
 from idim.estimation.rows import stream_rows
+from idim.estimation.solution import Solution
 from idim.estimation.triangle import triangle
 from idim.estimation.verdicts import GOOD, Outcome, gain_verdicts
 from idim.model.inverse_dynamics import InverseDynamics
@@ -49,7 +51,8 @@ LOADED = (False, False, True, True)
 NOISE = 0.01  # of a joint's rms current, unless said otherwise
 QUIET = 0.003
 MAIN = 10.0  # a main parameter is so many standard deviations from zero
-MODELS = ("white", "coloured", "drift", "ripple", "rounding", "jitter")
+MODELS = ("white", "coloured", "drift", "ripple", "waves", "rounding", "jitter")
+WAVES = 0.03  # of a joint's rms current: long ripple
 
 
 def links(robot: Robot, rng: np.random.Generator) -> dict[str, float]:
@@ -110,6 +113,9 @@ def spoilt(case: Case, errors: str, rng: np.random.Generator) -> Iterator[Run]:
     n, count = len(case.gains), len(LOADED)
     drift = 0.02 * rng.standard_normal((count, n))
     drift -= drift.mean(axis=0)  # the parameters stand for the mean of the runs
+    low, high = (end([end(q, axis=0) for q in case.paths], axis=0) for end in (np.min, np.max))
+    if errors == "waves":  # the same in all runs
+        periods, phase = rng.uniform(0.5, 3.0, n), rng.uniform(size=n)
     for k in range(count):
         time, q = case.time, case.paths[k]
         current = case.torques[k] / case.gains
@@ -124,6 +130,8 @@ def spoilt(case: Case, errors: str, rng: np.random.Generator) -> Iterator[Run]:
         elif errors == "ripple":
             turns = 40 * (q - q.min(axis=0)) / np.ptp(q, axis=0) + rng.uniform(size=n)
             current = current + NOISE * np.sin(2 * np.pi * turns)
+        elif errors == "waves":
+            current = current + WAVES * np.sin(2 * np.pi * (periods * (q - low) / (high - low) + phase))
         elif errors == "rounding":
             quantum = np.ptp(q, axis=0) / 2**16
             q = quantum * np.round(q / quantum + rng.uniform(size=n))
@@ -218,7 +226,7 @@ def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
     with threadpool_limits(1):
         exact = list(spoilt(case, "none", np.random.default_rng(0)))
         data = reduce_runs(case.model.robot, exact)
-        slow = errors in ("rounding", "jitter")
+        slow = errors in ("waves", "rounding", "jitter")
         fixed = [] if slow else [fix(data, k) for k in range(len(exact))]
         found = []
         for seed in seeds:
@@ -227,14 +235,18 @@ def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
                 now = reduce_runs(case.model.robot, runs, data.preparation)
             else:
                 now = replace(data, factors=tuple(map(refactor, [data] * len(runs), fixed, runs)))
-            found.append(judge(case, now.assembly(Friction(per_run=True))))
+            assembly = now.assembly(Friction(per_run=True))
+            solution = ml(assembly.problem)
+            # what repeats at the same positions is looked for along the runs, which the quick way does not have
+            locked = position_locked(now, assembly, solution, True) if slow else None
+            found.append(judge(case, assembly, solution, locked))
     return found
 
 
-def judge(case: Case, assembly: Assembly) -> Repetition:
+def judge(case: Case, assembly: Assembly, solution: Solution, locked: Locked | None) -> Repetition:
     problem, base = assembly.problem, assembly.base
-    solution = ml(problem)
-    std = np.sqrt(np.diag(solution.jackknife))
+    repeating, added = (False, 0.0) if locked is None else (locked.found, locked.covariance)
+    std = np.sqrt(np.diag(solution.jackknife + added))
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])
     truth = dict(zip(base.names, base.matrix @ chi, strict=True))
     index = [k for k, name in enumerate(problem.parameters) if name in truth]
@@ -246,7 +258,8 @@ def judge(case: Case, assembly: Assembly) -> Repetition:
         *(f"{what}_{joint}" for what in ("gain", "delay") for joint in problem.joints),
     )
     which = np.concatenate([np.array(index, dtype=int), gains, gains + n])
-    verdicts = gain_verdicts(problem, solution, std[gains], assembly.places, [f"run {k + 1}" for k in range(4)])
+    names_of_runs = [f"run {k + 1}" for k in range(len(LOADED))]
+    verdicts = gain_verdicts(problem, solution, std[gains], assembly.places, names_of_runs, repeating)
     worst = max((v.outcome for v in verdicts), key=list(Outcome).index)
     return Repetition(
         names,

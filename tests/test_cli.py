@@ -113,7 +113,20 @@ def test_every_method(here: Path, method: str) -> None:
     given = method in ("wls", "ols")
     for gain, true in zip(found["drive_gains"], GAINS, strict=True):
         assert gain["value"] == pytest.approx(true, rel=0.02)
-        assert (gain["std"] is None) == (gain["rel_std"] is None) == given
+        assert (gain["std"] is None) == (gain["rel_std"] is None) == (gain["freedom"] is None) == given
+
+
+def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
+    """Without a word of a method; a fleet, which compares gains, says that there are none."""
+    (here / "torques.yaml").write_text(EXPERIMENT.replace("current:", "torque:").replace(bad_input.PRIOR, ""))
+    found = document("identify", "torques.yaml", "--out", "torques")
+    assert (found["method"], found["kind"]) == ("wls", "torque")
+    assert {(gain["value"], gain["std"], gain["unit"]) for gain in found["drive_gains"]} == {(1.0, None, "1")}
+    assert "given gains (the logs hold torques, whose gain is 1)\n" in run("identify", "torques.yaml").stdout
+    fleet = run("fleet", "torques.yaml", "--out", "fleet")
+    assert fleet.exit_code == 3
+    assert "torques.yaml: the logs hold torques, so there are no drive gains to compare in a fleet" in fleet.stdout
+    assert "use 'idim identify'" in fleet.stdout
 
 
 def test_validate(here: Path) -> None:
@@ -145,6 +158,7 @@ def test_payload(here: Path, gains: str) -> None:
     assert payload["parameters"]["m"]["value"] == pytest.approx(0.8, abs=0.01)
     table = run("payload", "model.json", "weighing.yaml", "--gains", gains).stdout
     assert "'lead'" in table
+    assert table.splitlines() == [line.rstrip() for line in table.splitlines()]
     assert f"weighed with the {gains} drive gains" in table
 
 

@@ -16,7 +16,9 @@ from idim.cli.commands import app
 from idim.errors import IdimError
 from idim.experiment.design_file import read_design
 from idim.report import demo as demo_module
-from idim.report.demo import COMMANDS, LOGS, demo
+from idim.report.demo import demo
+from idim.report.demo_files import LOGS
+from idim.report.demo_page import COMMANDS, report
 from idim.robots.load import load_robot
 from idim.robots.robot import Joint, Robot
 from idim.signals.experiment import Payload, read_experiment
@@ -152,7 +154,7 @@ def test_without_matplotlib_the_demo_says_so(
     monkeypatch.setattr(demo_module, "find_spec", lambda name: None)
     nothing: Any = None
     figures = demo_module.write_figures(out, nothing, nothing, silent)
-    text = demo_module.report({**document, "files": ["README.txt", *figures]}, "")
+    text = report({**document, "files": ["README.txt", *figures]}, "")
     assert "pip install 'idim[plot]'" in text
 
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from idim.cli.commands import app
 from idim.errors import IdimError
-from idim.experiment.advice import weak_unknowns
+from idim.experiment.advice import Weak, weak_unknowns
 from idim.experiment.criteria import relative_deviations
 from idim.experiment.design import Design, check, design
 from idim.experiment.design_file import read_design
@@ -206,6 +206,14 @@ def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None
     for each in weak:
         assert each.relative > 0.3
         assert each.joint is None or each.then < 0.7 * each.relative
+
+
+def test_a_motion_that_tells_next_to_nothing_is_no_advice(found: Design, monkeypatch: pytest.MonkeyPatch) -> None:
+    weak = (Weak("fv_left", 400.0, "left", "slowly", 250.0), Weak("fs_left", 4.0, "left", "slowly", 2.5))
+    monkeypatch.setattr("idim.report.excite_page.weak_unknowns", lambda design: weak)
+    nothing, something = (each["advice"] for each in describe_design(found, {}, [])["weak"])
+    assert nothing.startswith("no motion of one joint within the limits helps")
+    assert something.startswith("a run of joint 'left' alone, slowly, would bring it to 250 %")
 
 
 def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:

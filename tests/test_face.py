@@ -75,6 +75,9 @@ def test_what_is_known_only_in_sums_is_marked(result: idim.Result) -> None:
     assert re.search(rf"{lost.name} .*200\.00   kg m2   \*\n", marked)
     assert "* known only in sums" in marked
     assert "*" not in replace(result, essential={lost.name: replace(lost, std=0.01)}).summary()
+    untold = replace(result, essential={**result.essential, lost.name: replace(lost, std=2.0)}).summary()
+    assert lost.name not in untold
+    assert "  and 1 more, known only in sums with others: deviations over 1000 %\n" in untold
 
 
 def test_legs_that_are_not_built_alike_get_one_note(result: idim.Result) -> None:

@@ -305,7 +305,7 @@ def test_a_payload_that_acts_on_nothing_is_refused() -> None:
     run = Run("free", ("1",), time, q, -20 * q + 0.1 * np.random.default_rng(1).normal(size=q.shape))
     loaded = replace(run, name="loaded", payload=KNOWN)
     with pytest.raises(IdimError, match=r"no effect of their own on any actuated joint.*--method wls"):
-        require_scale(reduce_runs(table, [run, loaded]).assembly(), [None, KNOWN], "ml")
+        require_scale(table, reduce_runs(table, [run, loaded]).assembly(), [None, KNOWN], "ml")
 
 
 def test_a_joint_that_stands_still_has_no_rows(runs: list[Run]) -> None:

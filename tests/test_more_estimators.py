@@ -14,7 +14,7 @@ from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_lo
 from idim.cli.commands import app
 from idim.estimation.current_domain import ml
 from idim.estimation.data import Data, reduce_runs
-from idim.estimation.friction import Friction
+from idim.estimation.friction import Friction, told_terms
 from idim.estimation.identify import FOR_GAINS, WITH_GAINS, identify
 from idim.estimation.newton import one_step
 from idim.estimation.prior import standard_unknowns
@@ -218,3 +218,35 @@ def test_compared_gains_are_as_uncertain_as_the_mass_behind_them(tmp_path: Path)
         if each["method"] in FOR_GAINS and not each["refusal"]:
             relative = np.abs(np.array(each["std"]) / np.array(each["gains"]))
             assert relative.min() > 0.045, each["method"]  # a mass known to 5 %
+
+
+def test_compared_gains_are_held_against_their_priors(tmp_path: Path) -> None:
+    """Milliamperes for amperes: the data agree with any unit, the prior gains do not."""
+    plant = Plant(noise=0.02)
+    for name, payload, seed in (("free", None, 1), ("loaded", STEEL, 2), ("check", STEEL, 3)):
+        run = plant.run(name, 6.0, payload, seed)
+        write_log(tmp_path / f"{name}.csv", replace(run, command=1e3 * run.command))
+    experiment = tmp_path / "experiment.yaml"
+    experiment.write_text(EXPERIMENT)
+    document = json.loads(CliRunner().invoke(app, ["compare", str(experiment), "--json"]).stdout)
+    outcomes = {each["method"]: each["outcome"] for each in document["estimators"]}
+    assert outcomes["ml"] == outcomes["2sls"] == "contradictory"
+
+
+# Friction
+
+
+def test_only_friction_that_all_equations_tell_is_kept(runs: list[Run]) -> None:
+    """Of cubic friction in both joints, that of the left is there; that of the right is noise, and left out."""
+    speed = [np.gradient(run.position[:, 0], run.time) for run in runs]
+    cubed = [
+        replace(run, command=run.command + np.column_stack([0.2 * qd**3 / GAINS[0], 0 * qd]))
+        for run, qd in zip(runs, speed, strict=True)
+    ]
+    data, both = reduce_runs(FIVE_BAR, cubed), Friction(("f3_left", "f3_right"), True)
+    problem = data.assembly(both).problem
+    assert told_terms(problem, both, ml) == ("f3_left",)
+    solution, k = ml(problem), problem.parameters.index("f3_left")
+    assert solution.theta[k] == pytest.approx(0.2, abs=4 * np.sqrt(solution.jackknife[k, k]))
+    plain = reduce_runs(FIVE_BAR, runs).assembly(both).problem
+    assert told_terms(plain, both, ml) == ()

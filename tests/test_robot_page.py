@@ -16,7 +16,8 @@ from idim.model.inverse_dynamics import InverseDynamics
 from idim.report.robot_figure import robot_figure
 from idim.report.robot_page import describe, robot_page
 from idim.robots.load import catalog_names, load_robot
-from idim.robots.native import native_text, parse_native
+from idim.robots.native import parse_native
+from idim.robots.native_text import native_text
 from idim.robots.oddities import oddities, tool_note
 from idim.robots.robot import GROUND, Joint, Limits, Mdh, Robot
 from idim.signals.experiment import Payload
@@ -139,6 +140,8 @@ def test_page_shows_gravity_limits_and_the_payload() -> None:
     page = robot_page(found)
     assert "gravity: [0, 0, -9.80665] m/s2 in base axes" in page
     assert "payload on: right_forearm" in page
+    assert "mx_left_forearmR [kg m] = mx_left_forearm + mx_right_forearm\n" in page
+    assert found["base_parameters"]["units"]["fv_left"] == "N m s/rad"
     assert "1.571 to 2.618 rad, 6 rad/s, 100 rad/s2, 30 N m" in page
     assert "-0.066 to 0.1 m, 1.2 m/s, 20 m/s2, 500 N\n" in robot_page(describe(load_robot("orthoglide")))
 

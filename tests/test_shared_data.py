@@ -25,9 +25,10 @@ CONTROLLER = (11.976, 11.976, 9.839, 10.763, 10.76, 10.76)  # N m/A
 def folder(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("experiments")
     texts = re.findall(r"^```yaml\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    places = {"orthoglide": "orthoglide_sim", "weighing": "orthoglide_sim", "ur10e": "ur10e"}
+    places = {"orthoglide": "orthoglide_sim", "weighing": "orthoglide_sim", "ur10e": "ur10e", "tx40": "tx40"}
     for (name, place), text in zip(places.items(), texts, strict=True):
-        (folder / f"{name}.yaml").write_text(text.replace("{log: ", f"{{log: {shared / place}/"))
+        text = re.sub(r"([\w-]+\.csv)", lambda log: str(shared / place / log[1]), text)  # noqa: B023
+        (folder / f"{name}.yaml").write_text(text)
     return folder
 
 
@@ -142,3 +143,11 @@ def test_ur10e_consistent_parameters_predict_no_worse(folder: Path, shared: Path
     ]
     assert max(growth) < 1.02
     assert np.sqrt(np.mean(np.square(growth))) < 1.0
+
+
+def test_tx40_as_the_page_says(folder: Path) -> None:
+    """Torques are taken for what they are, and explained as well as said."""
+    result = identify(folder / "tx40.yaml")
+    assert (result.kind, result.method) == ("torque", "wls")
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.GIVEN}
+    assert [error.relative for error in result.residuals] == pytest.approx([4, 4, 7, 7, 14, 9], abs=0.6)

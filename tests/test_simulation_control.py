@@ -15,6 +15,7 @@ from idim.errors import IdimError
 from idim.estimation.identify import identify
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
+from idim.robots.native_text import native_text
 from idim.robots.robot import Joint, Limits, Robot
 from idim.signals.experiment import read_experiment
 from idim.signals.run import read_run
@@ -26,7 +27,7 @@ from idim.simulation.drive import Drive, Sensors, hardware
 from idim.simulation.experiment_files import simulate_experiment
 from idim.simulation.motions import make_trajectory, moves_through
 from idim.simulation.plant import Plant
-from idim.simulation.trajectories import Envelope
+from idim.simulation.trajectories import Envelope, envelope, sines
 
 RATE = 1000.0
 
@@ -154,6 +155,19 @@ def test_the_five_kinds_of_trajectory(slide, tmp_path):
         assert np.abs(trajectory(np.array([0.0]))[1]).max() < 0.01
 
 
+@pytest.mark.parametrize("name", ["palletiser", "ur10e", "orthoglide"])
+def test_sines_are_slower_rather_than_smaller(name):
+    """Inside the limits; and where accelerations are low, speed or reach is used all the same."""
+    within = envelope(load_robot(name))
+    q, qd, qdd = sines(within, 20.0, np.random.default_rng(1))(np.arange(0.0, 20.0, 0.002))
+    reach, speed, acceleration = (
+        np.abs(each).max(axis=0) / most
+        for each, most in ((q - within.center, within.reach), (qd, within.velocity), (qdd, within.acceleration))
+    )
+    assert max(reach.max(), speed.max(), acceleration.max()) < 1.01
+    assert np.maximum(reach, speed).min() > 0.75
+
+
 def test_moves_use_what_the_limits_allow():
     within = Envelope(np.zeros(2), np.ones(2), np.array([1.0, 0.5]), np.array([5.0, 5.0]))
     moves = moves_through(np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.8]]), within, 0.1)
@@ -243,6 +257,9 @@ def test_the_command_writes_what_identify_reads(tmp_path):
         None,
         2.0,
     ]
+    assert "position: {11: q11, 12: q12, 13: q13}\n" in Path(files[-1]).read_text(encoding="utf-8")
+    light = [f"{k}{leg}" for leg in (1, 2, 3) for k in (1, 2, 3, 4, 5)]
+    assert sorted(json.loads(done.stdout)["massless"]) == sorted(light)  # 'parameters' names rotors and the platform
     first = (tmp_path / "out" / "a.csv").read_bytes()
     simulate_experiment(written(tmp_path), tmp_path / "out", silent)
     assert (tmp_path / "out" / "a.csv").read_bytes() == first
@@ -270,6 +287,15 @@ def test_an_interruption_says_what_is_finished(tmp_path, monkeypatch):
 RUN = {"name": "a", "trajectory": {"sines": {"duration": 3.0}}}
 
 
+def fourier(frequency: float, amplitude: float) -> dict:
+    """One sine of all joints."""
+    every = {"center": dict.fromkeys(FEET, 0.015), "phase": {joint: [0.0] for joint in FEET}}
+    return {
+        "fourier": {"duration": 4.0, "frequency": [frequency], "amplitude": {joint: [amplitude] for joint in FEET}}
+        | every
+    }
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
@@ -295,6 +321,14 @@ RUN = {"name": "a", "trajectory": {"sines": {"duration": 3.0}}}
             },
             "joint '11' is to move from 0 to 0.2, beyond its limits",
         ),
+        (
+            {"runs": [{"name": "a", "trajectory": fourier(3.0, 0.08)}]},
+            "joint '11' is to reach 1.508 m/s, beyond its limit of 1.2",
+        ),
+        (
+            {"runs": [{"name": "a", "trajectory": fourier(8.0, 0.01)}]},
+            "joint '11' is to reach 25.22 m/s2, beyond its limit of 20 m/s2",
+        ),
         ({"engine": "bullet"}, "write 'idim' or 'mujoco', not 'bullet'"),
     ],
 )
@@ -303,6 +337,13 @@ def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
         simulate_experiment(written(tmp_path, **changes), tmp_path, silent)
     assert sentence in str(refused.value)
     assert [path.name for path in tmp_path.iterdir()] == ["simulation.yaml"]
+
+
+def test_passive_joints_keep_to_their_limits_too(tmp_path):
+    narrow = native_text(load_robot("orthoglide")).replace("31: {", "31: {limits: {position: [-0.1, 0.1]}, ", 1)
+    (tmp_path / "narrow.yaml").write_text(narrow, encoding="utf-8")
+    with pytest.raises(IdimError, match=r"run 'a': joint '31' is to move from -0\.\d+ to 0\.\d+, beyond its limits"):
+        simulate_experiment(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
 
 
 def test_the_mujoco_engine_makes_the_same_run(tmp_path):

@@ -142,6 +142,20 @@ def test_mujoco_moves_alike(robot, rng):
     assert b.q == pytest.approx(a.q, abs=0.02 * moved)
 
 
+@pytest.mark.parametrize("turret", [1.0, pi / 2, 2.5, -2.0])
+def test_a_linkage_whose_plane_turns_with_the_robot(turret, rng):
+    """The equations that parallelograms do not need are others in base axes for every angle of the turret."""
+    robot = load_robot("palletiser")
+    model, chi = InverseDynamics(robot), frictionless(random_parameters(robot, rng))
+    plant = Plant(model, chi)
+    state = plant.start(np.array([turret, 1.6, 3.2, 0.3]))
+    state = State(state.q, np.array([0.4, -0.3, 0.5, 0.8]), state.c, state.v)
+    force = 30 * rng.normal(size=4)
+    qdd = plant.acceleration(state, force)
+    assert model.torques(state.q[None], state.qd[None], qdd[None], chi)[0] == pytest.approx(force, abs=1e-8)
+    assert np.isfinite(plant.advance(state, force, 0.01).q).all()
+
+
 def test_mujoco_takes_massless_links():
     robot = load_robot("five-bar")
     model = InverseDynamics(robot)

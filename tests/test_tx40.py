@@ -101,7 +101,7 @@ def folder(log: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_identify_takes_the_log_as_it_is(folder: Path) -> None:
-    result = identify(folder / "torque.yaml", method="wls")
+    result = identify(folder / "torque.yaml")
     errors = {error.joint: error.relative for error in result.residuals}
     assert list(errors) == MOTORS
     assert max(errors.values()) < 15.0

@@ -13,7 +13,7 @@ from idim.estimation.factors import CURRENTS, EXTRA, Factors
 from idim.estimation.friction import DRIFTING, TERMS, Friction, transmitted
 from idim.estimation.problem import Problem
 from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.robot import INERTIAL
+from idim.robots.robot import INERTIAL, Robot
 from idim.signals.experiment import Payload
 
 FEWEST_ROWS = 50  # of a joint, in all runs together
@@ -206,8 +206,8 @@ def _unexcited(problem: Problem) -> tuple[str, ...]:
     return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)
 
 
-def require_scale(assembly: Assembly, payloads: Sequence[Payload | None], method: str) -> None:
-    """Check that the runs can fix the scale of the drive gains (section 3.3).
+def require_scale(robot: Robot, assembly: Assembly, payloads: Sequence[Payload | None], method: str) -> None:
+    """Check that the runs can fix the scale of the drive gains of a ``robot`` (section 3.3).
 
     Raises
     ------
@@ -232,8 +232,9 @@ def require_scale(assembly: Assembly, payloads: Sequence[Payload | None], method
         [R[:, : problem.n_theta + 1] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)]
     )
     if problem.n_theta not in independent_columns(stacked)[0]:
+        on = f"'{robot.tool}'" + ("" if robot.named_tool else ", which was assumed")
         raise IdimError(
-            "the payload's known parameters have no effect of their own on any actuated joint, so they cannot "
-            "give the scale of the "
-            f"drive gains; give more known 'parameters' of the payload, {other}."
+            f"the payload's known parameters have no effect of their own on any actuated joint where it sits, on {on}, "
+            "so they cannot give the scale of the drive gains; check 'tool' in the robot file, give more known "
+            f"'parameters' of the payload, {other}."
         )

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from idim.errors import IdimError
 from idim.estimation.assembly import require_scale
+from idim.estimation.contradictions import against_limits, against_priors
 from idim.estimation.current_domain import ml
 from idim.estimation.data import Progress, read_runs, reduce_runs, silent
 from idim.estimation.didim import along_simulated_motion
@@ -20,6 +21,7 @@ from idim.estimation.friction import Friction
 from idim.estimation.identify import FOR_GAINS, WITH_GAINS, with_friction
 from idim.estimation.instruments import instrumental
 from idim.estimation.known_payloads import mass_uncertainty
+from idim.estimation.position_locked import position_locked
 from idim.estimation.prior import ridge
 from idim.estimation.problem import Problem
 from idim.estimation.robust import reweighted
@@ -71,7 +73,7 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
     if runs[0].kind == "torque":
         raise IdimError(f"{path}: the logs hold torques, so there are no drive gains to compare; use 'idim identify'.")
     data = reduce_runs(robot, runs, progress=progress)
-    require_scale(data.assembly(Friction()), [run.payload for run in data.runs], "ml")
+    require_scale(data.robot, data.assembly(Friction()), [run.payload for run in data.runs], "ml")
     data, assembly = with_friction(data, ml, progress)
     names = [run.name for run in runs]
 
@@ -99,9 +101,12 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
         if method in WITH_GAINS:
             return Row(method, solution.gains, None, residuals, seconds)
         of_gains = slice(mine.problem.n_theta, mine.problem.n_theta + len(robot.actuated))
-        std = np.sqrt(np.diag(solution.jackknife + of_masses))[of_gains]
-        outcome = worst(gain_verdicts(mine.problem, solution, std, mine.places, names))
-        return Row(method, solution.gains, std, residuals, seconds, outcome)
+        locked = position_locked(along, mine, solution, free_gains=True)
+        std = np.sqrt(np.diag(solution.jackknife + of_masses + locked.covariance))[of_gains]
+        verdicts = gain_verdicts(mine.problem, solution, std, mine.places, names, locked.found)
+        verdicts = against_priors(verdicts, robot, solution.gains, experiment.prior_gains)
+        verdicts = against_limits(verdicts, robot, np.abs(solution.gains) * mine.problem.signal)
+        return Row(method, solution.gains, std, residuals, seconds, worst(verdicts))
 
     methods = [*FOR_GAINS, *(WITH_GAINS if experiment.prior_gains else ())]
     rows = []

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly, assemble
 from idim.estimation.base_parameters import BaseParameters, base_parameters
-from idim.estimation.factors import STRETCHES, Factors, Weigh, joined, reduce_run
+from idim.estimation.factors import STRETCHES, Factors, Weigh, joined, outputs_of, reduce_run
 from idim.estimation.friction import PAPER, Friction
 from idim.estimation.plausibility import within_limits
 from idim.model.inverse_dynamics import InverseDynamics
@@ -45,8 +45,8 @@ def silent(what: str, done: int, total: int) -> None:
 class Part:
     """Some stretches of a run, with all that is needed to reduce them.
 
-    It can be sent to another process: a run that was read from logs is pickled as their paths, its signals and units,
-    and read again (once) where it arrives. What is found does not depend on how a run is cut into parts.
+    It can be sent to another process, which then has no more of the run than these stretches are made from: of a run
+    that was read from logs it reads as much there. What is found does not depend on how a run is cut into parts.
 
     Attributes
     ----------
@@ -71,6 +71,13 @@ class Part:
     stretches: range
     load: np.ndarray | None = None
     weigh: Weigh | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        each = self.prepared
+        outputs = outputs_of(self.stretches, self.decimator.outputs(len(each)))
+        reach = self.decimator.reach(len(each), outputs)
+        needed = each.needed(reach.start, max(reach.stop, reach.start + 1))
+        return self.__dict__ | {"prepared": replace(each, run=each.run.only(needed))}
 
 
 Mapper = Callable[[Callable[[Part], Factors], Sequence[Part]], Iterable[Factors]]

@@ -45,7 +45,7 @@ def worst_drifts(problem: Problem, solution: Solution, places: np.ndarray) -> tu
     """
     state = State(solution.theta, 1 / solution.gains, solution.delays)
     e = residuals(problem.units, state, problem.n_theta)  # (U, n, p)
-    tau = modelled(problem.units, state, problem.n_theta) * state.b[:, None]
+    tau = modelled(problem.units, state.theta) * state.b[:, None]
     weight = np.einsum("ujp,ujp->uj", tau, tau)
     share = np.einsum("ujp,ujp->uj", tau, e) / np.where(weight > 0, weight, 1.0)
     found = []

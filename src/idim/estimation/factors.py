@@ -49,7 +49,7 @@ class Factors:
     distances : ndarray
         (K, 2) to singularities of type 1 and 2 at the decimated samples, in single precision; of logs only.
     residuals : ndarray
-        (n, K) of weighed rows before they are weighed, NaN where the row is not kept; (n, 0) of others.
+        (K, n) of weighed rows before they are weighed, NaN where the row is not kept; (0, n) of others.
     """
 
     R: np.ndarray
@@ -58,13 +58,18 @@ class Factors:
     residuals: np.ndarray | None = None
 
 
+def outputs_of(stretches: range, outputs: int) -> range:
+    """Which of a run's decimated rows are those of some stretches."""
+    return range(*(-(-s * outputs // STRETCHES) for s in (stretches.start, stretches.stop)))
+
+
 def joined(parts: Sequence[Factors]) -> Factors:
     """The factors of a run from those of its stretches, in order."""
     return Factors(
         R=np.concatenate([part.R for part in parts]),
         rows=np.concatenate([part.rows for part in parts]),
         distances=store((part.distances for part in parts if part.distances is not None), (2,), np.float32),
-        residuals=np.hstack([part.residuals for part in parts if part.residuals is not None]),
+        residuals=store((part.residuals for part in parts if part.residuals is not None), parts[0].rows.shape[1:]),
     )
 
 
@@ -88,14 +93,14 @@ def reduce_run(
     """
     regressor = idm.columns(columns)
     outputs = decimator.outputs(len(prepared))
-    chosen = range(*(-(-s * outputs // STRETCHES) for s in (stretches.start, stretches.stop)))
+    chosen = outputs_of(stretches, outputs)
     n, p = len(idm.actuated), len(columns) + EXTRA
     own = [np.append(np.unique(regressor.columns[regressor.rows == j]), np.arange(p - EXTRA, p)) for j in range(n)]
     R, rows = np.zeros((len(stretches), n, p, p)), np.zeros((len(stretches), n), dtype=int)
     small = [[np.zeros((0, columns.size)) for columns in own] for _ in stretches]  # the triangles of own columns
     waiting: list[list[np.ndarray]] = [[] for _ in range(n)]
     distances = Store((2,), np.float32)
-    residuals = [np.zeros((n, 0))]
+    residuals = Store((n,))
     now, held = 0, 0
 
     def merge() -> None:
@@ -113,7 +118,7 @@ def reduce_run(
         A[:, :, -CURRENTS:] = part.currents.transpose(1, 2, 0)
         if weigh is not None:
             e = np.einsum("jkp,jp->jk", A, weigh.coefficients)
-            residuals.append(np.where(part.keep, e, np.nan))
+            residuals.append(np.where(part.keep, e, np.nan).T)
             A *= np.sqrt(np.minimum(1.0, weigh.limit[:, None] / np.maximum(np.abs(e), 1e-300)))[:, :, None]
         for s in range(stretch[0], stretch[-1] + 1):
             if s > now or held >= ROWS:
@@ -130,4 +135,4 @@ def reduce_run(
         for j in range(n):
             # in the columns of all joints a triangle's rows still begin at the diagonal or right of it
             R[s, j, : len(small[s][j]), own[j]] = small[s][j].T
-    return Factors(R, rows, distances.array(), np.hstack(residuals))
+    return Factors(R, rows, distances.array(), residuals.array())

@@ -21,6 +21,7 @@ from idim.estimation.homogeneous import mixed, tls
 from idim.estimation.instruments import instrumental, with_instruments
 from idim.estimation.interpretation import make_result
 from idim.estimation.known_payloads import mass_uncertainty, weigh_known
+from idim.estimation.position_locked import position_locked
 from idim.estimation.prior import ridge
 from idim.estimation.problem import Problem
 from idim.estimation.reduction import essential
@@ -76,7 +77,7 @@ def identify(
         Maximum likelihood (as it is, with Huber's weights against outliers, or with ``priors``), instrumental
         variables and DIDIM (against noise of the encoders), 2SLS, mixed LS-TLS and the paper's TLS find the drive
         gains from a known payload; weighted and ordinary least squares take ``prior_gains``, or torques. If left
-        out, "ml", or "tls" with ``as_paper``.
+        out, "wls" where logs hold torques, else "ml", or "tls" with ``as_paper``.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N/A; the experiment file's if left out.
     ratio : float, optional
@@ -105,8 +106,7 @@ def identify(
     IdimError
         Where a file is wrong, the data cannot be used, or they cannot give what the method asks for.
     """
-    method = method or ("tls" if as_paper else "ml")
-    if method not in METHODS:
+    if method is not None and method not in METHODS:
         raise IdimError(f"there is no method '{method}'; choose from {', '.join(METHODS)}.")
     if isinstance(source, Robot):
         if not runs:
@@ -123,6 +123,8 @@ def identify(
         check_robot(experiment, robot)
         runs = read_runs(experiment, experiment.runs, progress)
         prior_gains, priors = prior_gains or experiment.prior_gains, priors or experiment.priors
+    if method is None:
+        method = "wls" if runs[0].kind == "torque" else "tls" if as_paper else "ml"
     if as_paper and method not in PAPER:
         raise IdimError(
             f"the paper has no method '{method}'; leave out --as-paper, or choose from {', '.join(PAPER)} with it."
@@ -137,8 +139,8 @@ def identify(
         gains = given_gains(robot, runs, prior_gains, method)
     elif runs[0].kind == "torque":
         raise IdimError(
-            f"the logs hold torques, whose gain is 1, so there is nothing for method '{method}' to find; use "
-            "--method wls."
+            f"the logs hold torques, whose gain is 1, so there is nothing for method '{method}' to find; leave "
+            "out --method, or use --method wls."
         )
 
     def solve(problem: Problem) -> Solution:
@@ -146,7 +148,7 @@ def identify(
 
     data = reduce_runs(robot, runs, decimator="chebyshev" if as_paper else "fir", progress=progress, mapper=mapper)
     if gains is None:
-        require_scale(data.assembly(Friction()), [run.payload for run in data.runs], method)
+        require_scale(data.robot, data.assembly(Friction()), [run.payload for run in data.runs], method)
     if as_paper:
         assembly = data.assembly(Friction(), delays=False)
     else:
@@ -162,7 +164,11 @@ def identify(
         solution = ridge(data, assembly, solution, priors or {})
     elif method == "iv":
         pair, solution = instrumental(data, assembly, solution, gains is None, progress)
-    covariance = (solution.covariance if as_paper else solution.jackknife) + of_masses
+    if as_paper:
+        locked, covariance = None, solution.covariance + of_masses
+    else:
+        locked = position_locked(data, assembly, solution, gains is None)
+        covariance = solution.jackknife + of_masses + locked.covariance
 
     def final(problem: Problem) -> Solution:
         if as_paper:
@@ -188,7 +194,9 @@ def identify(
         assembly, solution, covariance = replace(assembly, problem=kept), reduced, reduced.covariance
     blocks = None if as_paper else freedom(assembly.problem, solution, gains is None)
     chosen = {name: (float(reduced.theta[k]), float(std[k])) for k, name in enumerate(kept.parameters)}
-    return make_result(data, assembly, method, solution, covariance, chosen, known, prior_gains or {}, blocks, bodies)
+    return make_result(
+        data, assembly, method, solution, covariance, chosen, known, prior_gains or {}, blocks, locked, bodies
+    )
 
 
 def with_friction(data: Data, solve: Callable[[Problem], Solution], progress: Progress) -> tuple[Data, Assembly]:

@@ -12,6 +12,7 @@ solved by Newton's method, simulated again with what is found, and so on.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -20,7 +21,7 @@ import numpy as np
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly
 from idim.estimation.data import Data, Progress
-from idim.estimation.factors import CURRENTS, EXTRA, STRETCHES, Factors
+from idim.estimation.factors import CURRENTS, EXTRA, ROWS, STRETCHES, Factors
 from idim.estimation.friction import TERMS
 from idim.estimation.newton import State, jacobian, moved, one_step, residuals, to_gains
 from idim.estimation.problem import Problem
@@ -178,7 +179,16 @@ def _reduced(
     outputs = decimator.outputs(len(measured.time))
     n, b = len(idm.actuated), len(columns) + EXTRA - CURRENTS
     dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
-    waiting: list[list[list[np.ndarray]]] = [[[] for _ in range(n)] for _ in range(STRETCHES)]
+    T = [[np.zeros((0, 2 * b + CURRENTS))] * n for _ in range(STRETCHES)]
+    rows = np.zeros((STRETCHES, n), dtype=int)
+    waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a stretch and joint
+    held = 0
+
+    def merge() -> None:
+        for (s, j), more in waiting.items():
+            T[s][j] = triangle(T[s][j], *more)
+        waiting.clear()
+
     streams = (stream_rows(idm, regressor, each, decimator, load) for each in (simulated, measured))
     for part, other in zip(*streams, strict=True):
         stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
@@ -189,17 +199,20 @@ def _reduced(
         A[:, :, b + dry] = A[:, :, dry]
         A[:, :, 2 * b :] = other.currents.transpose(1, 2, 0)
         keep = part.keep & other.keep
-        for s in np.unique(stretch):
+        for s in np.unique(stretch).tolist():
             for j in range(n):
                 chosen = A[j, (stretch == s) & keep[j]]
-                if len(chosen):
-                    waiting[s][j].append(chosen)
-    R, rows = np.zeros((2, STRETCHES, n, 2 * b + CURRENTS, b + CURRENTS)), np.zeros((STRETCHES, n), dtype=int)
+                waiting[s, j].append(chosen)
+                rows[s, j] += len(chosen)
+        held += len(stretch)
+        if held >= ROWS:
+            merge()
+            held = 0
+    merge()
+    R = np.zeros((2, STRETCHES, n, 2 * b + CURRENTS, b + CURRENTS))
     for s in range(STRETCHES):
         for j in range(n):
-            if waiting[s][j]:
-                rows[s, j] = sum(map(len, waiting[s][j]))
-                T = triangle(*waiting[s][j])
-                for k in range(2):
-                    R[k, s, j, : len(T)] = np.hstack([T[:, (1 - k) * b : (2 - k) * b], T[:, 2 * b :]])
+            of = T[s][j]
+            for k in range(2):
+                R[k, s, j, : len(of)] = np.hstack([of[:, (1 - k) * b : (2 - k) * b], of[:, 2 * b :]])
     return Factors(R[0], rows), Factors(R[1], rows)

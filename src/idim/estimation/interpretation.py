@@ -13,15 +13,18 @@ from idim.estimation.delays import delay_verdicts
 from idim.estimation.diagnosis import Suspicion, suspicion
 from idim.estimation.estimates import Consistency, Estimate, PayloadEstimate, TorqueError, torque_unit, unit_of
 from idim.estimation.friction import UNITS
+from idim.estimation.position_locked import Locked
 from idim.estimation.problem import Problem
 from idim.estimation.result import Result
+from idim.estimation.saturation import saturated, saturations
 from idim.estimation.singular_poses import distances_of, nearest_poses
 from idim.estimation.solution import Solution
+from idim.estimation.swapped import against_swapped
 from idim.estimation.symmetry import leg_differences
 from idim.estimation.verdicts import (
     GIVEN,
     GOOD,
-    INFLATED,
+    LACKING,
     Outcome,
     Verdict,
     gain_verdicts,
@@ -45,6 +48,7 @@ def make_result(
     known: Mapping[str, Verdict],
     prior_gains: Mapping[str, float],
     freedom: np.ndarray | None,
+    locked: Locked | None,
     consistency: Consistency | None = None,
 ) -> Result:
     """Name what a solution found.
@@ -63,6 +67,8 @@ def make_result(
         Gains expected, N m/A or N/A, by joint; may be empty.
     freedom : ndarray, optional
         Degrees of freedom behind the deviations of (theta, gains, delays); None for very many.
+    locked : Locked, optional
+        What of the errors repeats at the same positions, where that was looked for.
     consistency : Consistency, optional
         Standard parameters that rigid bodies can have.
     """
@@ -81,9 +87,11 @@ def make_result(
     verdicts = (GIVEN,) * n
     torques = np.abs(solution.gains) * problem.signal
     if gain_std.any():
-        verdicts = gain_verdicts(problem, solution, gain_std, assembly.places, names)
-        if any(each != GOOD for each in verdicts) or lack_of_fit(problem, solution) > INFLATED:
-            verdicts = accused(verdicts, suspicion(data, assembly, solution))
+        repeating = locked is not None and locked.found
+        verdicts = gain_verdicts(problem, solution, gain_std, assembly.places, names, repeating)
+        if any(each != GOOD for each in verdicts) or lack_of_fit(problem, solution) > LACKING:
+            verdicts = accused(against_swapped(verdicts, data), suspicion(data, assembly, solution))
+            verdicts = saturated(verdicts, saturations(data, assembly, solution))
         verdicts = against_priors(against_payloads(verdicts, known), robot, solution.gains, prior_gains)
     verdicts = shared(against_limits(verdicts, robot, torques), joints)
     delay_outcomes = delay_verdicts(problem, solution) if delay_std.any() else (GOOD,) * n
@@ -142,7 +150,11 @@ def make_result(
             "lack_of_fit": lack_of_fit(problem, solution),
         },
         runs=names,
-        notes=(*data.notes, *_unlike_legs(data, assembly, solution.theta, covariance)),
+        notes=(
+            *data.notes,
+            *_unlike_legs(data, assembly, solution.theta, covariance),
+            *(_locked(locked, joints, solution) if locked is not None else ()),
+        ),
         consistency=consistency,
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
@@ -235,6 +247,21 @@ def _unlike_legs(data: Data, assembly: Assembly, theta: np.ndarray, covariance: 
     return [
         f"legs of the same geometry differ, most in {name} of leg '{each.leg[0]}' ({size} off the mean of "
         "the others): check that they are built alike"
+    ]
+
+
+def _locked(found: Locked, joints: tuple[str, ...], solution: Solution) -> list[str]:
+    """What repeats at the same positions, and what that does to the gains."""
+    if not found.found:
+        return []
+    j = int(np.argmax(found.shares))
+    moves = 100 * np.abs(found.moves[-2 * len(joints) : -len(joints)] / solution.gains)
+    k = int(np.argmax(moves))
+    of_gains = f" (that of the gain of joint '{joints[k]}' {moves[k]:.2g} %)" if moves[k] else ""
+    return [
+        f"errors repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance at joint '{joints[j]}'): "
+        "ripple of the motors, cables or springs, which the model lacks. They do the same in all runs, so no scatter "
+        f"shows it; the deviations contain by how much the estimates move when they are modelled{of_gains}"
     ]
 
 

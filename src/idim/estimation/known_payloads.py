@@ -73,7 +73,7 @@ def _freed(
     payloads = _exchanged(data, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
     other = data.assembly(assembly.friction, assembly.problem.slowest > 0, payloads)
     try:
-        require_scale(other, payloads, method)
+        require_scale(data.robot, other, payloads, method)
         free = solve(other.problem)
     except IdimError:
         return None  # without this value nothing gives the scale

@@ -42,7 +42,7 @@ class JointCheck:
 
 @dataclass(frozen=True, eq=False)
 class LogCheck:
-    """One log: what was repaired (``notes``), its joints, and at its decimated samples positions (n, K) and distances.
+    """One log: what was repaired (``notes``), its joints, and at its decimated samples positions (K, n) and distances.
 
     ``rows`` is the number of decimated samples, ``validation`` whether the file lists the run under that key.
     """
@@ -112,8 +112,8 @@ def _check(model: InverseDynamics, prepared: Prepared, decimator: Decimator, val
     rows = decimator.outputs(len(prepared))
     if not rows:
         raise IdimError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
-    positions, lowest, highest, fastest, strongest = ([] for _ in range(5))
-    distances = Store((2,), np.float32)
+    lowest, highest, fastest, strongest = ([] for _ in range(4))
+    positions, distances = Store((n,)), Store((2,), np.float32)
     kept, power, c = np.zeros(n), np.zeros(n), None
     for block in decimator.blocks(len(prepared), max(BLOCK // decimator.factor, 1)):
         of = prepared.samples(block.samples.start, block.samples.stop)
@@ -124,7 +124,7 @@ def _check(model: InverseDynamics, prepared: Prepared, decimator: Decimator, val
         c = model.path(q, labels, None if c is None else c[:, -1])
         still = np.zeros_like(q)
         distances.append(model.singularities.distances(model.rates(c, still, still, labels)).T)
-        positions.append(q)
+        positions.append(of.q[at])
         power += (of.command[at] ** 2).sum(axis=0)
         lowest.append(of.q.min(axis=0))
         highest.append(of.q.max(axis=0))
@@ -149,7 +149,7 @@ def _check(model: InverseDynamics, prepared: Prepared, decimator: Decimator, val
         notes=(*run.notes, *prepared.notes),
         rows=rows,
         joints=tuple(JointCheck(joint, (low, high), *rest) for joint, low, high, *rest in columns),
-        position=np.hstack(positions),
+        position=positions.array(),
         distances=distances_of(prepared, decimator, values),
         nearest=tuple(nearest_poses(prepared, decimator, values)),
     )

@@ -15,7 +15,8 @@ from idim.estimation.estimates import Consistency, Estimate, Move, PayloadEstima
 from idim.estimation.singular_poses import NearestPose
 from idim.estimation.verdicts import Outcome, Verdict
 from idim.files import write_atomically
-from idim.robots.native import native_text, parse_native
+from idim.robots.native import parse_native
+from idim.robots.native_text import native_text
 from idim.robots.robot import Robot
 from idim.signals.decimation import Decimator
 from idim.signals.preparation import Preparation
@@ -115,7 +116,7 @@ def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
         "std": estimate.std,
         "rel_std": estimate.rel_std,
         "interval": estimate.interval(),
-        "freedom": estimate.freedom,
+        "freedom": None if estimate.std is None else estimate.freedom,
         "unit": estimate.unit,
         **_verdict(estimate.verdict),
     }

@@ -16,7 +16,7 @@ from idim.estimation.triangle import triangle
 
 STEPS = 200
 SETTLED = 1e-9  # of a standard deviation: a smaller step ends the iteration
-ROUNDING = 1e-14  # of the currents: no step can be told from rounding below this
+ROUNDING = 1e-14  # of the terms that make up the residuals: no step can be told from rounding below this
 RANK = 1e-13  # of the largest singular value: less is rounding
 FLATTEST = 0.05  # least curvature that is believed, as a share of that of Gauss and Newton
 LARGEST_STEP = 1e8  # of leaving a unit out, in standard deviations: more, and only that unit tells
@@ -42,12 +42,12 @@ def residuals(blocks: np.ndarray, state: State, n_theta: int) -> np.ndarray:
     """Residuals (..., n, p) of blocks (..., n, p, n_theta + 4)."""
     shifts = np.stack([delayed(d) for d in state.delays])
     currents = np.einsum("...jpk,jk->...jp", blocks[..., n_theta + 1 :], shifts)
-    return np.asarray(currents - state.b[:, None] * modelled(blocks, state, n_theta))
+    return np.asarray(currents - state.b[:, None] * modelled(blocks, state.theta))
 
 
-def modelled(blocks: np.ndarray, state: State, n_theta: int) -> np.ndarray:
-    """Torques (..., n, p) that the model gives blocks (..., n, p, n_theta + 4)."""
-    return np.asarray(np.einsum("...jpk,k->...jp", blocks[..., :n_theta], state.theta) + blocks[..., n_theta])
+def modelled(blocks: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Torques (..., n, p) that parameters (n_theta,) give blocks (..., n, p, n_theta + 4)."""
+    return np.asarray(np.einsum("...jpk,k->...jp", blocks[..., : len(theta)], theta) + blocks[..., len(theta)])
 
 
 def jacobian(blocks: np.ndarray, state: State, problem: Problem, free_gains: bool) -> np.ndarray:
@@ -58,7 +58,7 @@ def jacobian(blocks: np.ndarray, state: State, problem: Problem, free_gains: boo
     eye = np.eye(n)[:, None, :]
     parts = [-state.b[:, None, None] * W]
     if free_gains:
-        parts.append(-modelled(blocks, state, n_theta)[..., None] * eye)
+        parts.append(-modelled(blocks, state.theta)[..., None] * eye)
     shift = (state.delays[:, None] * currents[..., 2] - currents[..., 1]) * (problem.slowest > 0)
     parts.append(shift[..., None] * eye)
     return np.concatenate(parts, axis=-1)
@@ -89,6 +89,7 @@ def solve(
     """Newton's method with re-estimated weights, then the covariances; the solution says whether it settled."""
     n, n_theta = len(problem.joints), problem.n_theta
     triangles = stacked(problem)
+    sizes = np.abs(triangles)
     state = start
 
     size = _size(n, n_theta, free_gains)
@@ -110,11 +111,13 @@ def solve(
         back = whitening(J, curvature_of_delays(triangles, state, problem, weights))
         step = -back @ (back.T @ (J.T @ e))
         before, share = cost(state), 1.0
-        while share > 1e-6 and cost(moved(state, share * step, n_theta, free_gains)) > before * (1 + 1e-12):
+        terms = sizes[:, :, n_theta + 1] + np.abs(state.b)[:, None] * modelled(sizes, np.abs(state.theta))
+        rounding = ROUNDING * float(np.linalg.norm(terms * weights[:, None]))
+        highest = (np.sqrt(before) + rounding) ** 2
+        while share > 1e-6 and cost(moved(state, share * step, n_theta, free_gains)) > highest:
             share /= 2
         state = moved(state, share * step, n_theta, free_gains)
-        level = np.linalg.norm(triangles[:, :, n_theta + 1] * weights[:, None])
-        smallest = max(SETTLED * np.sqrt(before / problem.total_rows.sum()), ROUNDING * level)
+        smallest = max(SETTLED * np.sqrt(before / problem.total_rows.sum()), rounding)
         if np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]):
             settled = True
             break
@@ -151,6 +154,19 @@ def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     return np.asarray(back @ (vectors / np.sqrt(np.maximum(values, FLATTEST))))
 
 
+def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """``gauss + second`` (k, k), of which the delays' curvature leaves ``FLATTEST`` of that of Gauss and Newton."""
+    try:
+        np.linalg.cholesky((1 - FLATTEST) * gauss + second)
+        return np.asarray(gauss + second)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(gauss)
+        told = values > RANK * values[-1]
+        root, inverse = vectors[:, told] * np.sqrt(values[told]), vectors[:, told] / np.sqrt(values[told])
+        shares, axes = np.linalg.eigh(np.eye(root.shape[1]) + inverse.T @ second @ inverse)
+        return np.asarray(root @ (axes * np.maximum(shares, FLATTEST)) @ axes.T @ root.T)
+
+
 def _size(n: int, n_theta: int, free_gains: bool) -> int:
     return n_theta + (2 if free_gains else 1) * n
 
@@ -177,15 +193,19 @@ def finish(
     formula = back @ (white.T @ white) @ back.T + of_prior
     gains, T = 1 / state.b, to_gains(state, n_theta, free_gains)
 
+    def curvature(blocks: np.ndarray) -> np.ndarray:
+        added = back[size - n :]
+        return np.asarray((added.T * curvature_of_delays(blocks, state, problem, weights)) @ added)
+
     def replicates() -> np.ndarray:
         # one step from the solution, with unit u left out
-        units = []
+        whitened, second, units = rows @ back, curvature(triangles), []
+        gauss = whitened.T @ whitened
         for unit in problem.units:
             J_u = (jacobian(unit, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
             e_u = (residuals(unit, state, n_theta) * weights[:, None]).reshape(-1)
-            added = back[size - n :]
-            second = (added.T * curvature_of_delays(unit, state, problem, weights)) @ added
-            units.append((J_u.T @ J_u + second, J_u.T @ e_u))
+            left = curved(gauss - J_u.T @ J_u, second - curvature(unit))
+            units.append((np.eye(len(left)) - left, J_u.T @ e_u))
         return one_step(units) @ (T @ back).T
 
     return Solution(state.theta, gains, state.delays, sigma, T @ formula @ T.T, replicates, {}, T @ of_prior @ T.T)

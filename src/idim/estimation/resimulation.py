@@ -8,13 +8,14 @@ the usual stand-in: PID through the inertia of the model itself, the acceleratio
 
 with all three poles at ``-pole``. The measured motion, smoothed to the bandwidth of the motion, is the reference.
 What the model has besides inertia then acts as a disturbance: ``e = s / (s + pole)^3  M^-1 h``. This is solved for the
-whole run at once, by filtering ``M^-1 h`` along the motion of the pass before, until the motion stays: the loop
+whole run, block by block, by filtering ``M^-1 h`` along the motion of the pass before, until the motion stays: the loop
 forgets in a few ``1 / pole``, so two or three passes do, each as fast as the model is along a log. (Integrated step
 by step, the Orthoglide takes a thousand times as long.)
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,13 +26,15 @@ from idim.estimation.data import Data
 from idim.estimation.rows import Labels
 from idim.estimation.solution import Solution
 from idim.model.inverse_dynamics import PATH, InverseDynamics, Regressor
-from idim.signals.filters import differentiate, filter_edge, low_pass
-from idim.signals.preparation import Held, Preparation, Prepared
+from idim.signals.filters import filter_edge, position_filter
+from idim.signals.preparation import Held, Preparation, Prepared, Sampled
+from idim.signals.storage import Store, block, spans
 
 SMOOTH = 4.0  # cut-off of the reference over the bandwidth of the motion
 POLE = 20.0  # of the loop, over the bandwidth of the motion
 PASSES = 20
 SETTLED = 1e-6  # change of the accelerations, of their rms
+MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
 def resimulated_runs(data: Data, assembly: Assembly, solution: Solution) -> tuple[Held, ...]:
@@ -60,83 +63,100 @@ def resimulated(
     IdimError
         Where the inertia estimated is not positive, so that there is nothing to simulate, or the loop does not settle.
     """
-    run, measured = prepared.run, prepared.samples()
-    rate, kept = run.rate, slice(prepared.kept.start, prepared.kept.stop)
-    cutoff = SMOOTH * preparation.bandwidth
-    smooth = low_pass(run.position, rate, cutoff) if cutoff < 0.4 * rate else run.position
-    reference = np.stack([each[kept] for each in (smooth, *differentiate(smooth, rate))])  # (3, N, n)
-    edge, usable = filter_edge(rate, cutoff), measured.usable
-    usable[: max(edge - kept.start, 0)] = False
-    usable[max(len(run.time) - edge - kept.start, 0) :] = False
+    run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
+    rate, edge = run.rate, filter_edge(run.rate, SMOOTH * preparation.bandwidth)
+    cutoff = SMOOTH * preparation.bandwidth if SMOOTH * preparation.bandwidth < 0.4 * rate else None
     pole = 2 * np.pi * POLE * preparation.bandwidth
-    motion, size = reference, np.sqrt(np.mean(reference[2] ** 2))
+    motion: list[np.ndarray] = []
     for _ in range(PASSES):
-        disturbance = _disturbance(idm, regressor, values, motion, reference[1], Labels(run.name, measured.time))
-        following = reference - _tracking_error(disturbance, rate, pole)
-        change = np.sqrt(np.mean((following[2] - motion[2]) ** 2))
-        motion = following
-        if change < SETTLED * size:
+        stores, loop, c = [Store((n,)) for _ in range(3)], Loop(rate, pole), None
+        change = size = 0.0
+        for start, stop in spans(samples, PATH):
+            reference = position_filter(run.position, rate, cutoff, kept.start + start, kept.start + stop)
+            before = [block(each, start, stop) for each in motion] or reference
+            labels = Labels(run.name, block(prepared.time, start, stop))
+            disturbance, c = _disturbance(idm, regressor, values, before, reference[1], labels, c)
+            following = [r - e for r, e in zip(reference, loop.errors(disturbance), strict=True)]
+            for each, part in zip(stores, following, strict=True):
+                each.append(part)
+            change += float(np.sum((following[2] - before[2]) ** 2))
+            size += float(np.sum(reference[2] ** 2))
+        motion = [each.array() for each in stores]
+        if change < SETTLED**2 * size:
             break
     else:
         raise IdimError(
             f"run '{run.name}': the robot simulated with the parameters estimated does not follow its motion; "
             "use --method ml, or add runs that tell the parameters better."
         )
-    return Held(run, replace(measured, q=motion[0], qd=motion[1], qdd=motion[2], usable=usable))
+    rest = {name: Store((n,), bool if name == "usable" else float) for name in MEASURED}
+    for start, stop in spans(samples):
+        measured = prepared.samples(start, stop)
+        number = np.arange(kept.start + start, kept.start + stop)
+        measured.usable[(number < edge) | (number >= len(run.time) - edge)] = False
+        for name, each in rest.items():
+            each.append(getattr(measured, name))
+    return Held(run, Sampled(prepared.time, *motion, **{name: each.array() for name, each in rest.items()}))
 
 
 def _disturbance(
     idm: InverseDynamics,
     regressor: Regressor,
     values: np.ndarray,
-    motion: np.ndarray,
+    motion: Sequence[np.ndarray],
     direction: np.ndarray,
-    labels: Labels,
-) -> np.ndarray:
-    """``M^-1 h`` (N, n) along a motion (3, N, n).
+    here: Labels,
+    before: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """``M^-1 h`` (M, n) along some samples of a motion, three of (M, n), and the last configuration.
 
-    Coulomb friction opposes the speeds of ``direction`` (N, n), those of the reference, so that a joint needs no
-    stiction; rows where the two differ in sign are next to a reversal, and masked.
+    Coulomb friction opposes the speeds of ``direction`` (M, n), those of the reference, so that a joint needs no
+    stiction; rows where the two differ in sign are next to a reversal, and masked. ``before`` is the configuration
+    ahead of them.
     """
-    n, samples = motion.shape[2], motion.shape[1]
-    found, c = np.empty((samples, n)), None
-    q, qd = (np.ascontiguousarray(each.T) for each in motion[:2])
+    q, qd, directed = (np.ascontiguousarray(each.T) for each in (*motion[:2], direction))
     dry = np.array([name.startswith("fs_") for name in regressor.names])
-    for start in range(0, samples, PATH):
-        at = slice(start, min(start + PATH, samples))
-        here = Labels(labels.run, labels.time[at])
-        c = idm.path(q[:, at], here, None if c is None else c[:, -1])
-        still = np.zeros_like(q[:, at])
-        moving = idm.rates(c, qd[:, at], still, here)
-        h = regressor.torques_along(idm.layout, moving, np.where(dry, 0.0, values))
-        signs = idm.rates(c, np.ascontiguousarray(direction[at].T), still, here)
-        h += regressor.torques_along(idm.layout, signs, np.where(dry, values, 0.0))
-        rest = replace(moving, yd=np.zeros_like(moving.yd), ydd=np.zeros_like(moving.ydd))
-        weight = regressor.torques_along(idm.layout, rest, values)
-        columns = [
-            regressor.torques_along(idm.layout, replace(rest, ydd=np.ascontiguousarray(moving.J[:, k])), values)
-            - weight
-            for k in range(n)
-        ]
-        M = np.stack(columns, axis=1).transpose(2, 0, 1)
-        M = (M + M.swapaxes(1, 2)) / 2
-        lowest = np.linalg.eigvalsh(M / np.sqrt(np.einsum("ti,tj->tij", *2 * [np.abs(np.einsum("tii->ti", M))])))[:, 0]
-        if not lowest.min() > 0:
-            raise IdimError(
-                f"the inertia estimated is not positive ({here[int(lowest.argmin())]}), so the robot cannot be "
-                "simulated; use --method ml, or add runs that tell the parameters better."
-            )
-        found[at] = np.linalg.solve(M, h.T[:, :, None])[:, :, 0]
-    return found
+    c = idm.path(q, here, before)
+    still = np.zeros_like(q)
+    moving = idm.rates(c, qd, still, here)
+    h = regressor.torques_along(idm.layout, moving, np.where(dry, 0.0, values))
+    signs = idm.rates(c, directed, still, here)
+    h += regressor.torques_along(idm.layout, signs, np.where(dry, values, 0.0))
+    rest = replace(moving, yd=np.zeros_like(moving.yd), ydd=np.zeros_like(moving.ydd))
+    weight = regressor.torques_along(idm.layout, rest, values)
+    columns = [
+        regressor.torques_along(idm.layout, replace(rest, ydd=np.ascontiguousarray(moving.J[:, k])), values) - weight
+        for k in range(len(q))
+    ]
+    M = np.stack(columns, axis=1).transpose(2, 0, 1)
+    M = (M + M.swapaxes(1, 2)) / 2
+    lowest = np.linalg.eigvalsh(M / np.sqrt(np.einsum("ti,tj->tij", *2 * [np.abs(np.einsum("tii->ti", M))])))[:, 0]
+    if not lowest.min() > 0:
+        raise IdimError(
+            f"the inertia estimated is not positive ({here[int(lowest.argmin())]}), so the robot cannot be "
+            "simulated; use --method ml, or add runs that tell the parameters better."
+        )
+    return np.linalg.solve(M, h.T[:, :, None])[:, :, 0], c[:, -1]
 
 
-def _tracking_error(disturbance: np.ndarray, rate: float, pole: float) -> np.ndarray:
-    """Error of the loop, its first and its second derivative, (3, N, n), that a disturbance (N, n) causes."""
-    from scipy.signal import bilinear, lfilter, lfilter_zi
+class Loop:
+    """The loop's error and its first two derivatives as a disturbance goes by, block by block.
 
-    found = []
-    for derivative in range(3):
-        b, a = bilinear([1.0, *[0.0] * (derivative + 1)], [1.0, 3 * pole, 3 * pole**2, pole**3], rate)
-        state = lfilter_zi(b, a)[:, None] * disturbance[:1]  # as if it had always been there
-        found.append(lfilter(b, a, disturbance, axis=0, zi=state)[0])
-    return np.stack(found)
+    At the beginning it is as if the first disturbance had always been there.
+    """
+
+    def __init__(self, rate: float, pole: float):
+        from scipy.signal import bilinear
+
+        denominator = [1.0, 3 * pole, 3 * pole**2, pole**3]
+        self._filters = [bilinear([1.0, *[0.0] * (k + 1)], denominator, rate) for k in range(3)]
+        self._states: list[np.ndarray] = []
+
+    def errors(self, disturbance: np.ndarray) -> list[np.ndarray]:
+        """Three of (M, n) from a disturbance (M, n)."""
+        from scipy.signal import lfilter, lfilter_zi
+
+        states = self._states or [lfilter_zi(b, a)[:, None] * disturbance[:1] for b, a in self._filters]
+        found = [lfilter(b, a, disturbance, axis=0, zi=z) for (b, a), z in zip(self._filters, states, strict=True)]
+        self._states = [state for _, state in found]
+        return [error for error, _ in found]

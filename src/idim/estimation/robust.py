@@ -6,15 +6,18 @@ streamed again with the weights of the pass before.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from idim.estimation.assembly import Assembly
 from idim.estimation.data import Data, Progress
-from idim.estimation.factors import Weigh
+from idim.estimation.factors import Factors, Weigh
 from idim.estimation.problem import Problem, delayed
 from idim.estimation.solution import Solution
+from idim.signals.quantiles import medians
+from idim.signals.storage import block, spans
 
 TUNING = 1.345  # standard deviations: 95 % efficient where nothing stands out
 PASSES = 10
@@ -40,7 +43,13 @@ def reweighted(
         loads = [assembly.load(k, solution.theta) for k in range(len(data.runs))] if loaded else None
         data = data.reduced(loads, progress, weigh)
         assembly = data.assembly(assembly.friction, assembly.problem.slowest > 0)
-        residuals = np.hstack([each.residuals for each in data.factors if each.residuals is not None])
-        sigma = MAD * np.nanmedian(np.abs(residuals), axis=1)
+        sigma = MAD * medians(partial(_sizes, data.factors))
         sigma = np.maximum(sigma, assembly.whole.smallest_sigma)
     return data, assembly
+
+
+def _sizes(factors: Sequence[Factors]) -> Iterator[np.ndarray]:
+    """Sizes of the residuals of all runs, in blocks (., n)."""
+    for each in factors:
+        if each.residuals is not None:
+            yield from (np.abs(block(each.residuals, *span)) for span in spans(len(each.residuals)))

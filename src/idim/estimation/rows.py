@@ -63,7 +63,8 @@ def stream_rows(
     """
     n = len(prepared)
     size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
-    for block, of, c in _along(idm, prepared, decimator.blocks(n, size, outputs)):
+    outputs = range(decimator.outputs(n)) if outputs is None else outputs
+    for block, of, c in _along(idm, prepared, decimator.blocks(n, size, outputs), decimator.reach(n, outputs).stop):
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         seen = slice(block.first - decimator.support, last + decimator.support + 1)
         kept = slice(block.first, last + 1, decimator.factor)
@@ -84,16 +85,19 @@ def stream_rows(
 
 
 def _along(
-    idm: InverseDynamics, prepared: Prepared | Held, blocks: Iterable[Block]
+    idm: InverseDynamics, prepared: Prepared | Held, blocks: Iterable[Block], last: int
 ) -> Iterator[tuple[Block, Sampled, np.ndarray]]:
-    """The blocks, each with its samples and configurations; these are made for longer stretches, which is faster."""
+    """The blocks, each with its samples and configurations; these are made for longer stretches, which is faster.
+
+    Samples from ``last`` on are not looked at.
+    """
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     for block in blocks:
         at = block.samples
         if at.stop > end:
             known = max(end - at.start, 0) if c.size else 0
-            stop = min(max(at.start + PATH, at.stop), len(prepared))
+            stop = min(max(at.start + PATH, at.stop), last)
             of = prepared.samples(at.start, stop)
             labels = Labels(prepared.run.name, of.time[known:])
             path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)

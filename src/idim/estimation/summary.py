@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 WIDTH = 96
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
+UNTOLD = 1000.0  # per cent: of a larger deviation the value says nothing
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 ONLY_IN_SUMS = "  * known only in sums with others: the torques need it, but its own value cannot be told"
 TYPES = {1: "serial", 2: "parallel"}
+OF_TORQUES = " (the logs hold torques, whose gain is 1)"
 METHODS = {
     "ml": "maximum likelihood in the current domain",
     "huber": "maximum likelihood with Huber's weights against outliers",
@@ -42,7 +44,7 @@ def summary(result: Result) -> str:
     lines = [
         "=" * WIDTH,
         f"Robot     {result.robot.name}",
-        f"Method    {METHODS[result.method]}",
+        f"Method    {METHODS[result.method]}{OF_TORQUES if result.kind == 'torque' else ''}",
         *textwrap.wrap(f"Runs      {', '.join(result.runs)}", WIDTH, subsequent_indent=" " * 10),
         *([f"Payload   on '{result.robot.tool}'"] if result.payloads else []),
         f"Signals   bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, "
@@ -64,11 +66,14 @@ def summary(result: Result) -> str:
         lines += ["-" * WIDTH, f"{'Further friction (BIC)':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
         lines += [f"{_row(each.name, each)}   {each.unit}" for each in result.friction.values()]
     left_out = len(result.parameters) - len(result.essential)
+    listed = [each for each in result.essential.values() if (each.rel_std or 0.0) <= UNTOLD]
+    untold = len(result.essential) - len(listed)
     lines += [
         "-" * WIDTH,
         f"{'Essential parameters':<26}{'value':>12}{'std':>10}{'std %':>8}   unit",
-        *(f"{_row(each.name, each)}   {each.unit}{_mark(each)}" for each in result.essential.values()),
-        *([ONLY_IN_SUMS] if any(map(_mark, result.essential.values())) else []),
+        *(f"{_row(each.name, each)}   {each.unit}{_mark(each)}" for each in listed),
+        *([ONLY_IN_SUMS] if any(map(_mark, listed)) else []),
+        *([f"  and {untold} more, known only in sums with others: deviations over {UNTOLD:g} %"] if untold else []),
         f"  {left_out} of {len(result.parameters)} base parameters were cancelled, by which the worst joint's torque "
         f"errors {_growth(result.statistics['reduction_loss'])};",
         "  model.json has all, and what each one that ends in R regroups.",
@@ -94,7 +99,7 @@ def payload_lines(payload: PayloadEstimate) -> list[str]:
     lines = [head, f"{'':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
     for kind, each in payload.parameters.items():
         known = "known" if kind in payload.known else each.regrouping if each.regrouping != kind else ""
-        lines.append(f"{_row(kind, each)}   {each.unit:<10}{known}")
+        lines.append(f"{_row(kind, each)}   {each.unit:<10}{known}".rstrip())
     return lines
 
 
@@ -129,7 +134,8 @@ def _consistency_lines(found: Consistency) -> list[str]:
 def _row(name: str, estimate: Estimate) -> str:
     value = "cannot tell" if estimate.value is None else f"{estimate.value:.5g}"
     std = "" if estimate.std is None else f"{estimate.std:.2g}"
-    relative = "" if estimate.rel_std is None else f"{estimate.rel_std:.2f}" if estimate.rel_std < 1000 else "> 1000"
+    percent = estimate.rel_std
+    relative = "" if percent is None else f"{percent:.2f}" if percent < UNTOLD else f"> {UNTOLD:g}"
     return f"  {name:<24}{value:>12}{std:>10}{relative:>8}"
 
 
@@ -155,8 +161,9 @@ def _beliefs(result: Result) -> list[str]:
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
         sentences.append(
-            f"the errors hang together in time (deviations are {lack:.1f} times those of noise, and allow for it), so "
-            "the model lacks something: friction of another kind, ripple of the motors, cables, elasticity"
+            f"the errors hang together in time (by that alone deviations are {lack:.1f} times those of noise), so the "
+            "model lacks something: friction of another kind, ripple of the motors, cables, elasticity. What does the "
+            "same in all runs may shift the estimates by more than their deviations"
         )
     masses = {each.name for each in result.payloads if "m" in each.known}
     estimated = any(gain.std is not None for gain in result.drive_gains.values())

@@ -13,16 +13,24 @@ from idim.estimation.solution import Solution
 from idim.estimation.triangle import triangle
 
 
-def two_stage(problem: Problem) -> Solution:
+def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     """Two-stage least squares (2SLS).
 
     The currents are first projected on their own joint's regressor columns, which frees them of noise
     uncorrelated with the motion; the known payload then stands alone on the right-hand side.
+
+    Parameters
+    ----------
+    problem : Problem
+        All equations.
+    delays : ndarray, optional
+        Of the currents, (n,), s; if left out, those that each joint's own model explains best.
     """
+    delays = problem.own_delays if delays is None else delays
     n, n_theta = len(problem.joints), problem.n_theta
     coefficients = [
         least_squares(R[:, columns], R[:, n_theta + 1 :] @ delayed(d))
-        for R, columns, d in zip(problem.triangles, problem.own_columns, problem.own_delays, strict=True)
+        for R, columns, d in zip(problem.triangles, problem.own_columns, delays, strict=True)
     ]
     blocks = [_rows(problem, j, R, coefficients[j]) for j, R in enumerate(problem.triangles)]
     gains = np.ones(n)
@@ -36,7 +44,7 @@ def two_stage(problem: Problem) -> Solution:
                 "the currents of some joint do not follow its motion at all; check the columns of the current "
                 "references."
             )
-    state = State(x[:n_theta], 1 / gains, problem.own_delays)
+    state = State(x[:n_theta], 1 / gains, delays)
     errors = np.sum(residuals(stacked(problem), state, n_theta) ** 2, axis=-1)
     weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
     solution = finish(problem, stacked(problem), state, weights, errors, True, np.zeros((0, n_theta + 2 * n)))

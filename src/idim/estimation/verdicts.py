@@ -13,6 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from idim.estimation.between_runs import worst_differences
 from idim.estimation.drift import worst_drifts
 from idim.estimation.problem import Problem
 from idim.estimation.solution import Solution, jackknife
@@ -50,13 +51,19 @@ WEAK_PARAMETER = 0.2
 MISFIT = 0.25  # share of a joint's current that the model may leave unexplained
 APART = 3.5  # standard deviations between two estimates of one number, or of their difference where that is more
 ALONE = 0.6  # a joint's error by its own equations over that with all joints together
-DRIFT = 0.005  # of the current, along a run
+DRIFT = 0.005  # of the current, along a run or from run to run
 DRIFTING = 6.0  # standard deviations of it
+LACKING = 1.3  # lack of fit above that of noise: reasons are looked for
 INFLATED = 1.5  # deviations by the jackknife over those of independent errors
 
 
 def gain_verdicts(
-    problem: Problem, solution: Solution, std: np.ndarray, places: np.ndarray, runs: Sequence[str]
+    problem: Problem,
+    solution: Solution,
+    std: np.ndarray,
+    places: np.ndarray,
+    runs: Sequence[str],
+    repeating: bool = False,
 ) -> tuple[Verdict, ...]:
     """Verdict on every drive gain.
 
@@ -68,27 +75,44 @@ def gain_verdicts(
         Standard deviations of the gains (n,).
     places, runs : ndarray, sequence of str
         Where the problem's units stand (U, 2), and the names of the runs.
+    repeating : bool
+        Whether errors repeat at the same positions. A joint's own equations then take up more of them than all
+        together do, and each run takes up its own, which is no sign of a wrong description or of other gains.
     """
     misfit, alone = solution.sigma / problem.signal, problem.own_sigma / solution.sigma
-    other, gains = two_stage(problem), slice(problem.n_theta, problem.n_theta + len(problem.joints))
+    if repeating:
+        alone = np.ones_like(alone)
+    # on the same delays: where motions are slow, a joint's own equations hardly tell its delay
+    other, gains = two_stage(problem, solution.delays), slice(problem.n_theta, problem.n_theta + len(problem.joints))
     between = np.sqrt(np.diag(jackknife((solution.replicates() - other.replicates())[:, gains])))
     apart = np.abs(solution.gains - other.gains) / np.maximum(std, between)
     blocks = np.sqrt(np.diag(solution.jackknife))[gains]
     relative = np.maximum(std, blocks) / np.abs(solution.gains)  # formulas take errors for independent
-    drifts = worst_drifts(problem, solution, places)
+    drifts, differences = worst_drifts(problem, solution, places), worst_differences(problem, solution, places)
     reversed_ = solution.gains < 0
     found = [
         _gain_verdict(misfit[j], alone[j], apart[j], relative[j], bool(np.all(reversed_)), solution.settled)
         for j in range(len(problem.joints))
     ]
-    for j, drift in enumerate(drifts):
-        if found[j].outcome in (Outcome.GOOD, Outcome.WEAK) and abs(drift.t) > DRIFTING and abs(drift.change) > DRIFT:
+    for j, (drift, difference) in enumerate(zip(drifts, differences, strict=True)):
+        if found[j].outcome not in (Outcome.GOOD, Outcome.WEAK):
+            continue
+        if abs(drift.t) > DRIFTING and abs(drift.change) > DRIFT:
             found[j] = Verdict(
                 Outcome.CONTRADICTORY,
                 f"in the course of run '{runs[drift.run]}' the current changes by {100 * drift.change:.2g} % against "
                 "the model",
                 "let the robot warm up before the runs, and divide long runs into shorter ones, each with its own "
                 "friction",
+            )
+        elif not repeating and abs(difference.t) > DRIFTING and abs(difference.change) > DRIFT:
+            named = "run " + " and ".join(f"'{runs[k]}'" for k in difference.runs)
+            found[j] = Verdict(
+                Outcome.CONTRADICTORY,
+                f"in {named} its current is {100 * abs(difference.change):.2g} % "
+                f"{'larger' if difference.change > 0 else 'smaller'} than the other runs tell",
+                "check which runs carry the payload, and its mass; otherwise let the robot warm up, and make loaded "
+                "and unloaded runs in turn, as a motor's torque constant falls while it gets warmer",
             )
         elif found[j] == GOOD and reversed_[j]:
             found[j] = Verdict(
@@ -147,7 +171,8 @@ def _gain_verdict(
         return Verdict(
             Outcome.CONTRADICTORY,
             f"two estimators differ by {apart:.1f} standard deviations on the same data",
-            "check the signs and the payload of every run, and gravity; otherwise add runs of other motions",
+            "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as "
+            "friction that grows with the load looks alike",
         )
     if relative > WEAK_GAIN:
         return Verdict(
