@@ -43,7 +43,8 @@ def identify(
     method: Annotated[
         Method | None,
         typer.Option(
-            help="Estimator; wls and ols take the file's prior_gains. Default: ml, or tls with --as-paper.",
+            help="Estimator; wls and ols take the file's prior_gains. Default: ml, tls with --as-paper, "
+            "wls where logs hold torques.",
             show_default=False,
         ),
     ] = None,

@@ -36,7 +36,7 @@ def robot(
         found = load_robot(source)
         if save is not None:
             from idim.robots.loops_yaml import is_loops_file
-            from idim.robots.native import write_native
+            from idim.robots.native_text import write_native
 
             if save.exists() and (
                 (Path(source).exists() and save.samefile(source))

@@ -39,14 +39,20 @@ def simulate(
 ) -> None:
     """Make logs of a simulated robot under control, and the experiment file for 'idim identify'."""
     with refusals(json_):
+        from idim.robots.load import load_robot
+        from idim.simulation.description import massless, read_simulation
         from idim.simulation.experiment_files import simulate_experiment
 
         with progress_bar(lines=True) as progress:
             written = simulate_experiment(simulation, out, progress)
+        described = read_simulation(simulation)
+        light = massless(described, load_robot(described.robot))
         if json_:
-            print_json({"files": [str(path) for path in written]})
+            print_json({"files": [str(path) for path in written], "massless": light})
         else:
             typer.echo("\n".join(f"written: {path}" for path in written))
+            if light:
+                typer.echo(f"without mass and inertia, as 'parameters' names none of theirs: {', '.join(light)}")
 
 
 def compare_control(

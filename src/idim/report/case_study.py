@@ -14,6 +14,7 @@ from typing import Any
 from idim.estimation.data import silent
 from idim.estimation.estimates import Estimate
 from idim.estimation.result import Result
+from idim.estimation.summary import UNTOLD
 from idim.files import write_atomically
 from idim.report.demo import demo
 from idim.simulation.comparison import STRATEGIES
@@ -190,8 +191,9 @@ def _table_3(found: Mapping[str, Any], result: Result) -> list[Sequence[str]]:
         unit = (each or result.parameters[name]).unit
         published = (f"{paper[0]:g}", f"{paper[1]:.2f}") if paper else ("", "")
         sigma = None if each is None else each.rel_std
-        rel = "" if sigma is None else f"{sigma:.2f}" if sigma < 1000 else "> 1000"
+        rel = "" if sigma is None else f"{sigma:.2f}" if sigma <= UNTOLD else f"> {UNTOLD:g}"
         value = "cancelled" if each is None or each.value is None else f"{each.value:.4g}"
+        value = "not told" if (sigma or 0.0) > UNTOLD else value
         rows.append((label, unit, *published, f"{true[name]:.4g}", value, rel))
     return rows
 

@@ -12,6 +12,7 @@ from idim.report.style import (
     LINES,
     ORANGE,
     VERMILION,
+    joint_label,
     light_grid,
     new_figure,
     styled,
@@ -46,7 +47,7 @@ def references_figure(references: Mapping[str, Reference], joints: Sequence[str]
             figure.subplots(1, len(references), sharey=True, squeeze=False)[0], references.items(), strict=True
         ):
             for j, joint in enumerate(joints):
-                axes.plot(reference.time, reference.q[:, j], label=f"joint {joint}", **LINES[j % len(LINES)])
+                axes.plot(reference.time, reference.q[:, j], label=joint_label(joint), **LINES[j % len(LINES)])
             axes.set_title(name.replace("_", " ").capitalize())
             axes.set_xlabel("time, s")
             axes.set_xlim(reference.time[0], reference.time[-1])
@@ -67,12 +68,12 @@ def tracking_figure(comparison: Comparison, trajectory: str) -> Figure:
             for each in tracking:
                 axes = grid[j, 0 if "PID" in each.strategy else 1]
                 axes.plot(each.time, MICRO * each.error[:, j], label=each.strategy, **LOOKS[each.strategy])
-            grid[j, 0].set_ylabel(f"joint {joint}, µ{unit}")
+            grid[j, 0].set_ylabel(f"{joint_label(joint)}, µ{unit}")
             for axes in grid[j]:
                 light_grid(axes)
                 axes.set_xlim(tracking[0].time[0], tracking[0].time[-1])
-        grid[0, 0].set_title("PID")
-        grid[0, 1].set_title("Computed torque (CTC)")
+        grid[0, 0].set_title("Tracking error, PID")
+        grid[0, 1].set_title("Tracking error, computed torque (CTC)")
         for axes in grid[-1]:
             axes.set_xlabel("time, s")
         figure.align_ylabels()

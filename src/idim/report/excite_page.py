@@ -15,7 +15,7 @@ from idim.experiment.design import Design, check
 from idim.experiment.forecast import Expected, Forecast, forecast, sampled_motions
 from idim.experiment.task import Task
 from idim.files import write_atomically
-from idim.report.style import LINES, light_grid, new_figure, save_figure, styled
+from idim.report.style import LINES, joint_label, light_grid, new_figure, save_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,8 +55,9 @@ def trajectory_figure(task: Task, time: np.ndarray, joints: np.ndarray) -> Figur
         rows = figure.subplots(3, 1, sharex=True)
         for order, (axes, what) in enumerate(zip(rows, CURVES, strict=True)):
             for k, joint in enumerate(task.model.actuated):
-                axes.plot(time, joints[order, k], label=f"joint {joint}", **LINES[k % len(LINES)])
+                axes.plot(time, joints[order, k], label=joint_label(joint), **LINES[k % len(LINES)])
             axes.set_ylabel(f"{what}, {unit}" + ("", "/s", "/s²")[order])
+            axes.set_xlim(time[0], time[-1])
             light_grid(axes)
         rows[-1].set_xlabel("time, s")
         figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
@@ -118,7 +119,7 @@ def _unit(name: str, task: Task) -> str:
 
 
 def _advice(weak: Weak) -> dict[str, Any]:
-    if weak.joint is None:
+    if weak.joint is None or 100 * weak.then > MOST:
         text = "no motion of one joint within the limits helps; wider limits, or another pose of the robot, may"
     else:
         text = (

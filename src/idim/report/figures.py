@@ -16,6 +16,7 @@ from idim.report.style import (
     LINES,
     PRIOR,
     VERMILION,
+    joint_label,
     light_grid,
     new_figure,
     styled,
@@ -58,7 +59,7 @@ def gains_figure(gains: Mapping[str, Estimate], truth: Mapping[str, float], prio
         span = 1.3 * np.max(np.abs(error) + bar)
         close.set_xlim(-span, span)
         wide.set_xlim(min(1.25 * off.min(), -1.0), max(1.25 * off.max(), 1.3))
-        wide.set_yticks(rows, [f"joint {joint}" for joint in joints])
+        wide.set_yticks(rows, [joint_label(joint) for joint in joints])
         wide.set_ylim(len(joints) - 0.6, -0.75)
         wide.set_title("Manufacturer's gains (diamonds)")
         close.set_title("Identified gains, 95 % intervals")
@@ -78,21 +79,21 @@ def torques_figure(
     time = prediction.time[window]
     measured, predicted, keep = (each[window] for each in (prediction.measured, prediction.predicted, prediction.keep))
     difference = np.where(keep, measured - predicted, np.nan)
-    limit = 1.15 * np.nanmax(np.abs(difference))
+    largest = 1.15 * np.where(keep, np.abs(measured - predicted), 0.0).max(axis=0, initial=0.0)
     n = len(prediction.joints)
     label = "measured (current reference × gain)" if kind == "current" else "measured"
     with styled():
-        figure = new_figure(7.2, 0.5 + 1.9 * n)
+        figure = new_figure(7.2, 0.5 + 2.2 * n)
         grid = figure.add_gridspec(3 * n - 1, 1, height_ratios=([2.4, 1, 0.12] * n)[:-1])  # third rows: space
         for j, joint in enumerate(prediction.joints):
             above, below = (figure.add_subplot(grid[3 * j + k]) for k in (0, 1))
             above.plot(time, measured[:, j], color="#B8B8B8", linewidth=3.4, label=label)
             above.plot(time, predicted[:, j], color=BLUE, linewidth=1.1, label="predicted")
-            above.set_ylabel(f"joint {joint}, {units[j]}")
-            if j == 0:
-                above.set_title(title)
+            above.set_ylabel(units[j])
+            above.set_title(f"{title}: {joint_label(joint)}" if j == 0 else joint_label(joint))
             below.axhline(0.0, color=GREY, linewidth=0.8)
             below.plot(time, difference[:, j], color=VERMILION, linewidth=1.0, label="difference (reversals left out)")
+            limit = largest[j] or 1.0
             below.set_ylim(-limit, limit)
             below.set_ylabel(units[j])
             for axes in (above, below):
@@ -137,7 +138,7 @@ def trajectory_figure(
 
 def _joint_lines(axes: Axes, time: np.ndarray, values: np.ndarray, joints: Sequence[str], label: str) -> None:
     for j, joint in enumerate(joints):
-        axes.plot(time, values[:, j], label=f"joint {joint}", **LINES[j % len(LINES)])
+        axes.plot(time, values[:, j], label=joint_label(joint), **LINES[j % len(LINES)])
     axes.set_ylabel(label)
     axes.set_xlim(time[0], time[-1])
     light_grid(axes)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from idim.report.style import BLUE, GREY, VERMILION, light_grid, new_figure, styled
+from idim.report.style import BLUE, GREY, VERMILION, joint_label, light_grid, new_figure, styled
 from idim.scale.fleet_gains import FleetTable
 
 if TYPE_CHECKING:
@@ -41,7 +41,9 @@ def fleet_figure(table: FleetTable, model: str) -> Figure:
                 for g in shown if outlier else ():
                     place = (robots.index(g.robot), g.difference_percent or 0.0)
                     axes.annotate(g.robot, place, xytext=(5, 3), textcoords="offset points", color=color)
-            axes.set_title(f"joint {joint.joint}: median {joint.median:.5g} ± {joint.median_std:.2g} {joint.unit}")
+            axes.set_title(
+                f"{joint_label(joint.joint)}: median {joint.median:.5g} ± {joint.median_std:.2g} {joint.unit}"
+            )
             axes.set_ylabel("from median, %")
             light_grid(axes, "y")
         panels[-1].set_xlabel(

@@ -12,8 +12,9 @@ import numpy as np
 from idim.estimation.estimates import torque_unit
 from idim.estimation.log_check import ExperimentCheck, LogCheck
 from idim.estimation.singular_poses import write_distances
-from idim.report.style import BLACK, LINES, light_grid, new_figure, require_matplotlib, save_figure, styled
+from idim.report.style import BLACK, LINES, joint_label, light_grid, new_figure, require_matplotlib, save_figure, styled
 from idim.robots.robot import Robot
+from idim.signals.storage import block, spans
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -128,27 +129,45 @@ def log_figure(log: LogCheck, robot: Robot) -> Figure:
     }
     units = {unit: joints for unit, joints in units.items() if joints}
     with styled():
-        figure = new_figure(7.2, 2.0 + 2.0 * len(units))
+        figure = new_figure(7.2, 2.5 + 2.0 * len(units))
         *positions, below = figure.subplots(len(units) + 1, 1, sharex=True)
         for axes, (unit, joints) in zip(positions, units.items(), strict=True):
             for j in joints:
                 style = LINES[j % len(LINES)]
-                axes.plot(log.distances.time, log.position[j], label=f"joint {log.joints[j].joint}", **style)
+                axes.plot(
+                    *outline(log.distances.time, log.position[:, j]), label=joint_label(log.joints[j].joint), **style
+                )
             axes.set_ylabel(f"position, {unit}")
             light_grid(axes)
         positions[0].set_title(log.run.name)
         for values, name, style in zip(log.distances.values.T, TYPES.values(), LINES[:2], strict=True):
-            if not np.isnan(values).all():
-                below.plot(log.distances.time, values, label=name, **style)
-        below.axhline(NEAR, color=BLACK, linewidth=0.8, linestyle=":")
+            times, drawn = outline(log.distances.time, values)
+            if not np.isnan(drawn).all():
+                below.plot(times, drawn, label=name, **style)
+        if robot.closures:  # other robots have no singularities of type 2, at which alone it matters
+            below.axhline(NEAR, color=BLACK, linewidth=0.8, linestyle=":", label=f"{NEAR:g}, near")
         below.set_ylim(0.0, 1.05)
         below.set_ylabel("distance to singularity")
         below.set_xlabel("time, s")
-        below.legend(loc="lower right", ncols=2)
+        below.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=3)
         light_grid(below)
         handles = [line for axes in positions for line in axes.get_lines()]
         figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
+
+
+def outline(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a line (K,) looks like in a figure: of a long one the extremes of each of 2000 stretches."""
+    size = -(-len(values) // 2000)
+    if size <= 2:
+        return time, values
+    times, drawn = [], []
+    for span in spans(len(values), size):
+        part = block(values, *span)
+        both = np.sort([part.argmin(), part.argmax()])
+        times.append(block(time, *span)[both])
+        drawn.append(part[both])
+    return np.concatenate(times), np.concatenate(drawn)
 
 
 def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:

@@ -88,16 +88,17 @@ def robot_figure(robot: Robot) -> Figure:
         _platforms(axes, view, robot, found)
         if robot.tool not in {body for body, _ in lines} | {platform.name for platform in robot.platforms}:
             axes.plot(*(view @ found[robot.tool][1]), marker="o", **RING)
-        _triad(axes, view @ found[robot.tool][1], 0.13 * size * view @ found[robot.tool][0], GREEN, zorder=8)
+        tool, ends = view @ found[robot.tool][1], 0.13 * size * view @ found[robot.tool][0]
+        _triad(axes, tool, ends, GREEN, zorder=8)
         places = _joints(axes, view, robot, joints, found, size)
         closings = [view @ attached(closure.a, found)[1] for closure in robot.closures]
         for place in closings:
             axes.plot(*place, marker="D", **CLOSING)
-        tool = view @ found[robot.tool][1]
         strokes = [np.linspace(line[0], line[1], 30) @ view.T for _, line in lines]
         strokes += [np.linspace(view @ found[end.body][1], view @ attached(end, found)[1], 30) for end in _held(robot)]
         point = 1.2 * size / (72 * WIDTH)
-        _names(axes, robot, places, np.array([*places.values(), *closings, tool]), np.vstack([*strokes, tool]), point)
+        marks = np.array([*places.values(), *closings, tool, *(tool + ends.T)])
+        _names(axes, robot, places, marks, np.vstack([*strokes, tool]), point)
         axes.margins(0.08)
         _scale(axes, low - [0.0, 0.15 * size], size)
         axes.set_axis_off()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from idim.estimation.base_parameters import base_parameters
+from idim.estimation.estimates import unit_of
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.model.singularities import TYPES
 from idim.robots.oddities import oddities, tool_note
@@ -72,6 +73,7 @@ def describe(robot: Robot) -> dict[str, Any]:
             "standard": len(model.parameter_names),
             "without_effect": len(base.without_effect),
             "regroupings": base.regroupings,
+            "units": {name: _unit(own, robot) for name, own in zip(base.names, base.standard, strict=True)},
         },
     }
 
@@ -119,10 +121,14 @@ def robot_page(description: dict[str, Any]) -> str:
         f"{base['count_inertial_only']} without rotor inertia, friction and offset:",
     ]
     for name, formula in base["regroupings"].items():
-        lines += textwrap.wrap(
-            f"{name} = {formula}" if formula != name else name, 96, initial_indent="    ", subsequent_indent="        "
-        )
+        written = f"{name} [{base['units'][name]}]" + (f" = {formula}" if formula != name else "")
+        lines += textwrap.wrap(written, 96, initial_indent="    ", subsequent_indent="        ")
     return "\n".join(lines)
+
+
+def _unit(parameter: str, robot: Robot) -> str:
+    kind, body = parameter.split("_", 1)
+    return unit_of(kind, robot, body)
 
 
 def _limits(joint: dict[str, Any]) -> str:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, which colour-blind people tell apart.
 BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION = "#000000", "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00"
+PURPLE = "#CC79A7"
 GREY = "#767676"
 
 LINES: tuple[dict[str, Any], ...] = (
@@ -28,8 +29,10 @@ LINES: tuple[dict[str, Any], ...] = (
     {"color": BLACK, "linestyle": (0, (1, 1.3))},
     {"color": ORANGE, "linestyle": (0, (8, 2))},
     {"color": SKY, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+    {"color": PURPLE, "linestyle": "-"},
+    {"color": GREY, "linestyle": (0, (5, 1.6))},
 )
-"""How the lines of joints are drawn, in their order; a seventh begins again."""
+"""How the lines of joints are drawn, in their order; a ninth begins again."""
 
 PRIOR: dict[str, Any] = {"color": VERMILION, "marker": "D", "markerfacecolor": "white"}
 IDENTIFIED: dict[str, Any] = {"color": BLUE, "marker": "o"}
@@ -95,6 +98,11 @@ def light_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
     """A faint grid without tick marks."""
     axes.grid(True, axis=axis)
     axes.tick_params(length=0)
+
+
+def joint_label(joint: str) -> str:
+    """What a figure calls a joint: ``joint 11``, but ``elbow_joint`` as it is."""
+    return joint if "joint" in joint.lower() else f"joint {joint}"
 
 
 def with_interval(value: float, half: float) -> str:

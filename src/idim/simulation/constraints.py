@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from idim.model.closures import closure_expressions
+from idim.model.kinematics import frames
 from idim.model.loops import Loops
 
 
@@ -28,11 +29,13 @@ def constraints(loops: Loops) -> Constraints:
     """Independent closure equations of a robot.
 
     Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by
-    QR with pivoting at home.
+    QR with pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns
+    with the robot keeps the same redundant rows there, but not in base axes.
     """
     layout = loops.layout
     c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    phi, velocity, gamma = closure_expressions(layout, c, yd)
+    turned = _axes_of_bodies(loops, c)
+    phi, velocity, gamma = (turned @ each for each in closure_expressions(layout, c, yd))
     G = ca.jacobian(velocity, yd)
     passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
     at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
@@ -42,3 +45,11 @@ def constraints(loops: Loops) -> Constraints:
         ca.Function("position", [c], [phi[rows], G[rows, passive], G[rows, actuated]]),
         ca.Function("drift", [c, yd], [ca.densify(gamma[rows])]),
     )
+
+
+def _axes_of_bodies(loops: Loops, c: ca.SX) -> ca.SX:
+    """Turns the closures' rows from base axes into those of each closure's second body."""
+    frame, blocks = frames(loops.layout, c), []
+    for closure in loops.layout.robot.closures:
+        blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)
+    return ca.diagcat(*blocks, ca.SX.eye(loops.equations.rows - 3 * len(blocks)))

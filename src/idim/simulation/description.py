@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from idim.errors import IdimError
-from idim.robots.robot import Robot
+from idim.robots.robot import INERTIAL, Robot
 from idim.robots.yaml_document import read_yaml, validate
 from idim.signals.columns import Positive
 from idim.signals.experiment import Payload, file_or_name
@@ -188,6 +188,13 @@ def read_simulation(path: str | Path) -> Simulation:
         The file cannot be read, or something in it is missing, misspelt or contradictory.
     """
     return validate(Simulation, read_yaml(path), context=Path(path).parent)
+
+
+def massless(simulation: Simulation, robot: Robot) -> tuple[str, ...]:
+    """Links and platforms of which the file names no mass, moment or inertia: they have none."""
+    named = {name.split("_", 1)[1] for name in simulation.parameters if name.split("_", 1)[0] in INERTIAL}
+    links = [joint.name for joint in robot.joints if joint.has_mass]
+    return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)
 
 
 def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:

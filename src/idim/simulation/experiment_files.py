@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from idim.estimation.data import Progress, silent
 from idim.files import folder_of, write_atomically
 from idim.model.inverse_dynamics import InverseDynamics
 from idim.robots.load import load_robot
 from idim.robots.robot import Robot
+from idim.robots.yaml_text import yaml_text
 from idim.signals.experiment import Payload
 from idim.simulation.closed_loop import Engine, Simulated, simulate, write_log
 from idim.simulation.controllers import pid_with_velocity, sample
 from idim.simulation.description import SimulatedRun, Simulation, check_joints, read_simulation
 from idim.simulation.drive import Hardware, hardware
-from idim.simulation.motions import make_trajectory
+from idim.simulation.motions import check_positions, make_trajectory
 from idim.simulation.mujoco_plant import MujocoPlant
 from idim.simulation.plant import Plant
 
@@ -60,13 +60,15 @@ def make_run(
     Raises
     ------
     IdimError
-        Where its trajectory does not suit the robot, or the robot gets out of control.
+        Where its trajectory does not suit the robot, passive joints included, or the robot gets out of control.
     """
     motion, duration = make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
     reference = sample(motion, duration, simulation.rate)
     engine, plant, parts = apparatus(simulation, model, described.payload)
     labels = [f"{time:.3f} s of run '{described.name}'" for time in reference.time]
     c = model.motion(reference.q.T, reference.qd.T, reference.qdd.T, labels).c
+    for row, joint in enumerate(model.robot.joints):  # passive ones too
+        check_positions(c[row], joint, f"run '{described.name}'")
     inertia = np.stack([plant.mass_matrix(each) for each in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
     controller = pid_with_velocity(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
@@ -139,8 +141,7 @@ def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
     document["runs"] = [_listed(run) for run in simulation.runs]
     if simulation.validation:
         document["validation"] = [_listed(run) for run in simulation.validation]
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
-    return f"# Written by 'idim simulate'. Paths are relative to this file.\n{text}"
+    return f"# Written by 'idim simulate'. Paths are relative to this file.\n{yaml_text(document)}"
 
 
 def _listed(run: SimulatedRun) -> dict[str, Any]:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from idim.errors import IdimError
-from idim.robots.robot import Robot
+from idim.robots.robot import Joint, Robot
 from idim.signals.log_file import read_log
 from idim.simulation.description import Motion
 from idim.simulation.trajectories import Envelope, PointToPoint, Sines, Trajectory, envelope, point_to_point, sines
 
-Value = TypeVar("Value")
+ROUNDED = 1.01  # times a limit: by so much may speeds and accelerations of rounded samples be off
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ def make_trajectory(motion: Motion, robot: Robot, where: str) -> tuple[Trajector
     Raises
     ------
     IdimError
-        Where the description lacks a joint, leaves the position limits, or needs limits that the robot lacks.
+        Where the description lacks a joint, leaves the robot's limits, or needs limits that the robot lacks.
     """
     made: Trajectory
     if (random := motion.sines or motion.moves) is not None:
@@ -79,7 +79,7 @@ def make_trajectory(motion: Motion, robot: Robot, where: str) -> tuple[Trajector
     else:
         assert motion.csv is not None
         made, duration = _from_csv(motion.csv, robot)
-    _check_limits(made(np.arange(0.0, duration, 0.005))[0], robot, where)
+    _check_limits(made(np.arange(0.0, duration, 0.005)), robot, where)
     return made, duration
 
 
@@ -107,12 +107,35 @@ def _from_csv(path: Path, robot: Robot) -> tuple[Sampled, float]:
     return Sampled(time - time[0], q), float(time[-1] - time[0])
 
 
-def _check_limits(q: np.ndarray, robot: Robot, where: str) -> None:
+def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot, where: str) -> None:
+    """Refuse positions, velocities and accelerations (N, n) beyond the limits that the robot's file has."""
+    q, qd, qdd = made
     for j, name in enumerate(robot.actuated):
-        limits = robot.joint(name).limits.position
-        low, high = q[:, j].min(), q[:, j].max()
-        if limits is not None and (low < limits[0] - 1e-9 or high > limits[1] + 1e-9):
-            raise IdimError(
-                f"{where}: joint '{name}' is to move from {low:.4g} to {high:.4g}, beyond its limits "
-                f"{limits[0]:.4g} to {limits[1]:.4g}; make the motion smaller."
-            )
+        joint, limits = robot.joint(name), robot.joint(name).limits
+        check_positions(q[:, j], joint, where)
+        unit = "rad" if joint.kind == "revolute" else "m"
+        for most, limit, what in (
+            (np.abs(qd[:, j]).max(), limits.velocity, f"{unit}/s"),
+            (np.abs(qdd[:, j]).max(), limits.acceleration, f"{unit}/s2"),
+        ):
+            if limit is not None and most > ROUNDED * limit:
+                raise IdimError(
+                    f"{where}: joint '{name}' is to reach {most:.4g} {what}, beyond its limit of {limit:.4g} {what}; "
+                    "make the motion slower, smaller or smoother."
+                )
+
+
+def check_positions(q: np.ndarray, joint: Joint, where: str) -> None:
+    """Refuse positions (N,) of a joint, rad or m, beyond its limits; ``where`` is what the message calls the run.
+
+    Raises
+    ------
+    IdimError
+        Where there are some.
+    """
+    low, high = joint.limits.position or (-np.inf, np.inf)
+    if q.min() < low - 1e-9 or q.max() > high + 1e-9:
+        raise IdimError(
+            f"{where}: joint '{joint.name}' is to move from {q.min():.4g} to {q.max():.4g}, beyond its limits "
+            f"{low:.4g} to {high:.4g}; make the motion smaller."
+        )

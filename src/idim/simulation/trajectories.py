@@ -62,7 +62,7 @@ def _blend(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 class Sines:
     """A sum of sines about ``center``, faded in and out.
 
-    ``amplitude`` and ``phase`` (n, K) in rad or m and rad, ``frequency`` (K,) in Hz, ``duration`` in s.
+    ``amplitude`` and ``phase`` (n, K) in rad or m and rad, ``frequency`` (K,) or (n, K) in Hz, ``duration`` in s.
     """
 
     center: np.ndarray
@@ -87,19 +87,25 @@ class Sines:
 
 
 def sines(within: Envelope, duration: float, rng: np.random.Generator) -> Sines:
-    """A random sum of sines, as large as the envelope lets it be."""
+    """A random sum of sines, as large as the envelope lets it be.
+
+    Where a joint's acceleration would keep it small, its sines are slower instead, until its speed or reach is used.
+    """
     shape = (len(within.center), len(FREQUENCIES))
-    amplitude = rng.uniform(0.5, 1.0, shape)
-    draft = Sines(within.center, amplitude, rng.uniform(0, 2 * np.pi, shape), FREQUENCIES, duration)
-    time = np.arange(0.0, duration, 0.05 / FREQUENCIES[-1])
-    q, qd, qdd = (np.abs(each).max(axis=0) for each in _about(draft, time))
+    amplitude, phase = rng.uniform(0.5, 1.0, shape), rng.uniform(0, 2 * np.pi, shape)
+    q, qd, qdd = _peaks(Sines(within.center, amplitude, phase, FREQUENCIES, duration))
+    size = within.acceleration / qdd  # to which the accelerations keep the draft
+    slower = np.maximum(size * qd / within.velocity, np.sqrt(size * q / within.reach))
+    frequency = np.minimum(slower, 1.0)[:, None] * FREQUENCIES
+    q, qd, qdd = _peaks(Sines(within.center, amplitude, phase, frequency, duration))
     scale = np.minimum(np.minimum(within.reach / q, within.velocity / qd), within.acceleration / qdd)
-    return Sines(within.center, amplitude * scale[:, None], draft.phase, FREQUENCIES, duration)
+    return Sines(within.center, amplitude * scale[:, None], phase, frequency, duration)
 
 
-def _about(motion: Sines, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    q, qd, qdd = motion(time)
-    return q - motion.center, qd, qdd
+def _peaks(motion: Sines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Greatest distances from the center, speeds and accelerations, (n,) each."""
+    q, qd, qdd = motion(np.arange(0.0, motion.duration, 0.05 / FREQUENCIES[-1]))
+    return np.abs(q - motion.center).max(axis=0), np.abs(qd).max(axis=0), np.abs(qdd).max(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
