@@ -69,22 +69,22 @@ def regressors(robot: Robot, samples: int, few: int, targets: tuple[str, str], r
     path = motion(robot, samples)
     short = tuple(each[:few] for each in path)
     check(robot.name, idm.torques(*short, chi), np.array([W @ loop.chi for W in loop(*short)]))
-    cached, theirs, full, stored = medians(
-        repetitions,
+    works = [
         lambda: idm.torques(*path, chi),
         lambda: [W @ loop.chi for W in loop(*short)],
         lambda: idm.regressor(*path),
         lambda: np.array(list(loop(*short))),
-    )
+    ]
+    if not robot.closures and figaroh_regressor(loop.tree, *short) is not None:
+        works.append(lambda: figaroh_regressor(loop.tree, *short))
+    cached, theirs, full, stored, *builder = medians(repetitions, *works)
     per, per_few = 1e6 / samples, 1e6 / few
     rows = [
         Row(f"{robot.name}: regressor used in the cache", "Pinocchio loop", cached * per, theirs * per_few, "us/sample",
             targets[0]),
         Row(f"{robot.name}: whole W returned", "Pinocchio loop", full * per, stored * per_few, "us/sample", targets[1]),
     ]  # fmt: skip
-    if not robot.closures and figaroh_regressor(loop.tree, *short) is not None:
-        (builder,) = medians(repetitions, lambda: figaroh_regressor(loop.tree, *short))
-        rows.append(Row(rows[1].work, "FIGAROH's builder", full * per, builder * per_few, "us/sample", "15x"))
+    rows += [Row(rows[1].work, "FIGAROH's builder", full * per, each * per_few, "us/sample", "15x") for each in builder]
     return rows
 
 
