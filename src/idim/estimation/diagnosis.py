@@ -17,7 +17,7 @@ import numpy as np
 
 from idim.errors import IdimError
 from idim.estimation.assembly import Assembly
-from idim.estimation.data import Data
+from idim.estimation.data import Data, Progress, silent
 from idim.estimation.linearised import linearised, middles, nothing, solved, together
 from idim.estimation.rows import Rows, stream_rows
 from idim.estimation.solution import Solution
@@ -45,11 +45,11 @@ class Suspicion:
     change: float = 0.0
 
 
-def suspicion(data: Data, assembly: Assembly, solution: Solution) -> Suspicion | None:
+def suspicion(data: Data, assembly: Assembly, solution: Solution, progress: Progress = silent) -> Suspicion | None:
     """What explains much of the errors, of several lengths the one that is least wrong; None where nothing does."""
     found = [
         each
-        for each in _explained(data, assembly, solution)
+        for each in _explained(data, assembly, solution, progress)
         if each.share > BY_GRAVITY or (each.share > BY_LENGTH and abs(each.change) > WRONG)
     ]
     most = max((each.share for each in found), default=0.0)
@@ -57,10 +57,12 @@ def suspicion(data: Data, assembly: Assembly, solution: Solution) -> Suspicion |
     return min(likely, key=lambda each: abs(each.change), default=None)
 
 
-def _explained(data: Data, assembly: Assembly, solution: Solution) -> Iterator[Suspicion]:
+def _explained(data: Data, assembly: Assembly, solution: Solution, progress: Progress) -> Iterator[Suspicion]:
     yield _gravity(data, assembly, solution)
     before = _left(data, assembly, solution, data.model)
-    for (what, longer), (_, shorter) in zip(_longer(data.robot, STEP), _longer(data.robot, -STEP), strict=True):
+    lengths = list(zip(_longer(data.robot, STEP), _longer(data.robot, -STEP), strict=True))
+    for k, ((what, longer), (_, shorter)) in enumerate(lengths):
+        progress("other lengths", k, len(lengths))
         try:
             above, below = (_left(data, assembly, solution, InverseDynamics(each)) for each in (longer, shorter))
         except IdimError:
@@ -74,6 +76,7 @@ def _explained(data: Data, assembly: Assembly, solution: Solution) -> Iterator[S
             f"{'longer' if change > 0 else 'shorter'}"
         )
         yield Suspicion(why, "check the robot's geometry", share, change)
+    progress("other lengths", len(lengths), len(lengths))
 
 
 def _gravity(data: Data, assembly: Assembly, solution: Solution) -> Suspicion:

@@ -195,7 +195,7 @@ def identify(
     blocks = None if as_paper else freedom(assembly.problem, solution, gains is None)
     chosen = {name: (float(reduced.theta[k]), float(std[k])) for k, name in enumerate(kept.parameters)}
     return make_result(
-        data, assembly, method, solution, covariance, chosen, known, prior_gains or {}, blocks, locked, bodies
+        data, assembly, method, solution, covariance, chosen, known, prior_gains or {}, blocks, locked, bodies, progress
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from idim.estimation.assembly import Assembly, known_values
 from idim.estimation.contradictions import against_limits, against_payloads, against_priors, shared
-from idim.estimation.data import Data
+from idim.estimation.data import Data, Progress, silent
 from idim.estimation.delays import delay_verdicts
 from idim.estimation.diagnosis import Suspicion, suspicion
 from idim.estimation.estimates import Consistency, Estimate, PayloadEstimate, TorqueError, torque_unit, unit_of
@@ -50,6 +50,7 @@ def make_result(
     freedom: np.ndarray | None,
     locked: Locked | None,
     consistency: Consistency | None = None,
+    progress: Progress = silent,
 ) -> Result:
     """Name what a solution found.
 
@@ -71,6 +72,8 @@ def make_result(
         What of the errors repeats at the same positions, where that was looked for.
     consistency : Consistency, optional
         Standard parameters that rigid bodies can have.
+    progress : callable, optional
+        Told of the stage, what is done of it, and all there is to do, while looking for what explains the errors.
     """
     robot, problem, joints, base = data.robot, assembly.problem, data.model.actuated, data.base
     n_theta, n = problem.n_theta, len(joints)
@@ -90,7 +93,7 @@ def make_result(
         repeating = locked is not None and locked.found
         verdicts = gain_verdicts(problem, solution, gain_std, assembly.places, names, repeating)
         if any(each != GOOD for each in verdicts) or lack_of_fit(problem, solution) > LACKING:
-            verdicts = accused(against_swapped(verdicts, data), suspicion(data, assembly, solution))
+            verdicts = accused(against_swapped(verdicts, data), suspicion(data, assembly, solution, progress))
             verdicts = saturated(verdicts, saturations(data, assembly, solution))
         verdicts = against_priors(against_payloads(verdicts, known), robot, solution.gains, prior_gains)
     verdicts = shared(against_limits(verdicts, robot, torques), joints)
