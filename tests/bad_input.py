@@ -139,7 +139,7 @@ LOGS = [
     Case("time without numbers", "column 't' holds no number", column(0, lambda x: np.nan)),
     Case(
         "time in milliseconds",
-        "give the unit of that column (units: {time: ms})",
+        "give the unit of that column (units: {time: ms}, for all logs",
         column(0, lambda x: 1000 * x),
     ),
     Case("a hole", "s are missing after", lines(lambda x: x[:2000] + x[2400:])),

@@ -158,7 +158,7 @@ def payload(
     gains: Annotated[Gains, typer.Option(help="The model's gains, or the file's prior_gains.")] = Gains.identified,
     json_: Json = False,
 ) -> None:
-    """Weigh the unknown payloads of an experiment's loaded runs."""
+    """Weigh the unknown payloads of an experiment's loaded runs, beside a run without payload."""
     with refusals(json_):
         from idim.estimation.model_file import payload_documents
         from idim.estimation.payload import weigh

@@ -18,14 +18,20 @@ from idim.estimation.one_by_one import one_by_one
 from idim.estimation.problem import Problem
 from idim.estimation.solution import Solution
 
+DOMINANT = 0.3  # share of the variance of all joints' errors; ripple gives at most 0.12
+
 
 @dataclass(frozen=True)
 class Difference:
-    """By what share of itself a joint's current is larger in some ``runs`` than in the others; how significant."""
+    """By what share of itself a joint's current is larger in some ``runs`` than in the others; how significant.
+
+    ``share`` of the variance of all joints' errors goes where each has such a difference in these runs.
+    """
 
     runs: tuple[int, ...]
     change: float
     t: float
+    share: float
 
 
 def worst_differences(problem: Problem, solution: Solution, places: np.ndarray) -> tuple[Difference, ...]:
@@ -45,14 +51,17 @@ def worst_differences(problem: Problem, solution: Solution, places: np.ndarray) 
     np.logical_or.at(loaded, of_unit, np.any(problem.units[..., problem.n_theta], axis=(1, 2)))
     groups = np.unique(np.vstack([np.eye(len(runs), dtype=bool), loaded]), axis=0)
     groups = groups[~groups.all(axis=1) & groups.any(axis=1)]
-    nothing = Difference((), 0.0, 0.0)
+    nothing = Difference((), 0.0, 0.0, 0.0)
     if not len(groups):
         return (nothing,) * n
 
     found = one_by_one(lambda: _pieces(problem, solution), groups[:, of_unit])
+    shares = found.share.sum(axis=1)
     worst = np.argmax(np.abs(found.t), axis=0)
+    if shares.max() > DOMINANT:  # the same runs for all joints
+        worst[:] = np.argmax(shares)
     return tuple(
-        Difference(tuple(runs[groups[k]].tolist()), float(found.size[k, j]), float(found.t[k, j]))
+        Difference(tuple(runs[groups[k]].tolist()), float(found.size[k, j]), float(found.t[k, j]), float(shares[k]))
         for j, k in enumerate(worst)
     )
 

@@ -96,6 +96,8 @@ def make_result(
             verdicts = accused(against_swapped(verdicts, data), suspicion(data, assembly, solution, progress))
             verdicts = saturated(verdicts, saturations(data, assembly, solution))
         verdicts = against_priors(against_payloads(verdicts, known), robot, solution.gains, prior_gains)
+    elif lack_of_fit(problem, solution) > LACKING:
+        verdicts = against_swapped(verdicts, data)
     verdicts = shared(against_limits(verdicts, robot, torques), joints)
     delay_outcomes = delay_verdicts(problem, solution) if delay_std.any() else (GOOD,) * n
     found, free = _named(problem, solution.theta, std), _freedoms(problem, freedom)

@@ -42,13 +42,14 @@ def unexplained(data: Data) -> np.ndarray:
 def against_swapped(verdicts: tuple[Verdict, ...], data: Data) -> tuple[Verdict, ...]:
     """Verdicts on the gains where the currents of two joints look swapped."""
     left, found, joints = unexplained(data), list(verdicts), data.model.actuated
+    columns = "torques" if data.runs[0].kind == "torque" else "currents"
     for j, k in combinations(range(len(joints)), 2):
         if left[j, k] < BETTER * left[j, j] and left[k, j] < BETTER * left[k, k]:
             found[j] = found[k] = Verdict(
                 Outcome.CONTRADICTORY,
-                f"the currents of '{joints[j]}' and '{joints[k]}' look swapped, as the motion of each explains the "
-                f"other's better ({100 * max(left[j, k], left[k, j]):.2g} % are left, and "
-                f"{100 * min(left[j, j], left[k, k]):.2g} % of its own)",
-                "check that position and current columns belong together, in all runs",
+                f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: {100 * max(left[j, k], left[k, j]):.2g} % "
+                "of them would stay unexplained if they were exchanged, "
+                f"{100 * min(left[j, j], left[k, k]):.2g} % as they are",
+                f"check that position and {columns[:-1]} columns belong together, in all runs",
             )
     return tuple(found)

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from idim.estimation.between_runs import worst_differences
+from idim.estimation.between_runs import DOMINANT, worst_differences
 from idim.estimation.drift import worst_drifts
 from idim.estimation.problem import Problem
 from idim.estimation.solution import Solution, jackknife
@@ -95,7 +95,8 @@ def gain_verdicts(
         for j in range(len(problem.joints))
     ]
     for j, (drift, difference) in enumerate(zip(drifts, differences, strict=True)):
-        if found[j].outcome not in (Outcome.GOOD, Outcome.WEAK):
+        differs = abs(difference.t) > DRIFTING and abs(difference.change) > DRIFT
+        if found[j].outcome not in (Outcome.GOOD, Outcome.WEAK) and not (differs and difference.share > DOMINANT):
             continue
         if abs(drift.t) > DRIFTING and abs(drift.change) > DRIFT:
             found[j] = Verdict(
@@ -105,14 +106,14 @@ def gain_verdicts(
                 "let the robot warm up before the runs, and divide long runs into shorter ones, each with its own "
                 "friction",
             )
-        elif not repeating and abs(difference.t) > DRIFTING and abs(difference.change) > DRIFT:
+        elif differs and not repeating:
             named = "run " + " and ".join(f"'{runs[k]}'" for k in difference.runs)
             found[j] = Verdict(
                 Outcome.CONTRADICTORY,
                 f"in {named} its current is {100 * abs(difference.change):.2g} % "
                 f"{'larger' if difference.change > 0 else 'smaller'} than the other runs tell",
-                "check which runs carry the payload, and its mass; otherwise let the robot warm up, and make loaded "
-                "and unloaded runs in turn, as a motor's torque constant falls while it gets warmer",
+                "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and make "
+                "loaded and unloaded runs in turn, as a motor's torque constant falls while it gets warmer",
             )
         elif found[j] == GOOD and reversed_[j]:
             found[j] = Verdict(

@@ -51,9 +51,10 @@ def read_mjcf(path: str | Path) -> Robot:
     """
     path = Path(path)
     try:
-        if (tag := read_xml(path).tag) != "mujoco":
-            raise IdimError(f"the outermost element is <{tag}>, not <mujoco>; give an MJCF file.")
-        return assemble(without_idle_pins(_robot(_compiled(path), path)))
+        if (root := read_xml(path)).tag != "mujoco":
+            raise IdimError(f"the outermost element is <{root.tag}>, not <mujoco>; give an MJCF file.")
+        robot = replace(_robot(_compiled(path), path), name=root.get("model") or path.stem)
+        return assemble(without_idle_pins(robot))
     except IdimError as error:
         raise IdimError(f"{path}: {error}") from None
 

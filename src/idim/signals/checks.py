@@ -205,9 +205,9 @@ def _refuse_slips(samples: Samples) -> None:
 
 def _refuse_rates(samples: Samples, clock: Clock) -> None:
     if not LEAST_RATE <= clock.rate <= LARGEST_RATE:
-        column = samples.source.columns[-1]
+        column, unit = samples.source.columns[-1], "ms" if clock.rate < LEAST_RATE else "s"
         raise IdimError(
             f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
             f"{clock.period:.3g} s), which no drive's log is; give the unit of that column (units: "
-            "{time: ms}), or the right rate."
+            f"{{time: {unit}}}, for all logs; convert one that differs from the others), or the right rate."
         )
