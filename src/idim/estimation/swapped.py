@@ -47,8 +47,8 @@ def against_swapped(verdicts: tuple[Verdict, ...], data: Data) -> tuple[Verdict,
         if left[j, k] < BETTER * left[j, j] and left[k, j] < BETTER * left[k, k]:
             found[j] = found[k] = Verdict(
                 Outcome.CONTRADICTORY,
-                f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: {100 * max(left[j, k], left[k, j]):.2g} % "
-                "of them would stay unexplained if they were exchanged, "
+                f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: "
+                f"{100 * max(left[j, k], left[k, j]):.2g} % of them would stay unexplained if they were exchanged, "
                 f"{100 * min(left[j, j], left[k, k]):.2g} % as they are",
                 f"check that position and {columns[:-1]} columns belong together, in all runs",
             )
