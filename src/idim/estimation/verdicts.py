@@ -53,6 +53,7 @@ APART = 3.5  # standard deviations between two estimates of one number, or of th
 ALONE = 0.6  # a joint's error by its own equations over that with all joints together
 DRIFT = 0.005  # of the current, along a run or from run to run
 DRIFTING = 6.0  # standard deviations of it
+SCALED = 0.3  # of the current in a run: a larger difference is no change of a motor
 LACKING = 1.3  # lack of fit above that of noise: reasons are looked for
 INFLATED = 1.5  # deviations by the jackknife over those of independent errors
 
@@ -96,7 +97,9 @@ def gain_verdicts(
     ]
     for j, (drift, difference) in enumerate(zip(drifts, differences, strict=True)):
         differs = abs(difference.t) > DRIFTING and abs(difference.change) > DRIFT
-        if found[j].outcome not in (Outcome.GOOD, Outcome.WEAK) and not (differs and difference.share > DOMINANT):
+        # out of scale, not reversed or in another unit, which other verdicts tell better
+        scaled = differs and difference.share > DOMINANT and abs(difference.change) < SCALED
+        if found[j].outcome not in (Outcome.GOOD, Outcome.WEAK) and not scaled:
             continue
         if abs(drift.t) > DRIFTING and abs(drift.change) > DRIFT:
             found[j] = Verdict(
