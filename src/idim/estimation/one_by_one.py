@@ -29,6 +29,13 @@ def one_by_one(pieces: Callable[[], Iterable[Linear]], members: np.ndarray) -> F
     """Offer each joint the first of the torques ``offered`` in groups of the ``pieces`` (groups, pieces).
 
     All other unknowns adapt to it. Deviations are found from the pieces, within which errors may hang together.
+
+    Parameters
+    ----------
+    pieces : callable
+        Gives the pieces anew each time, so that they need not be in memory together.
+    members : ndarray of bool
+        (groups, pieces), which pieces each group has.
     """
     (groups, count), n = members.shape, next(iter(pieces())).errors.shape[0]
     rows = np.concatenate([each.jacobian.reshape(-1, each.jacobian.shape[-1]) for each in pieces()])

@@ -41,7 +41,10 @@ class Saturation:
 
 
 def saturations(data: Data, assembly: Assembly, solution: Solution) -> tuple[Saturation, ...]:
-    """What each joint's currents say of its torque constant: a term ``tau |tau|`` is offered to each alone."""
+    """What each of the n joints' currents (A) say of its torque constant, falls as shares of it.
+
+    A term ``tau |tau|``, which at the current ``at`` is as large as the torque, is offered to each joint alone.
+    """
     n, own = len(data.model.actuated), data.model.columns(data.base.standard)
     currents = LARGE * assembly.problem.signal
     scale = np.abs(solution.gains) * currents
