@@ -1,14 +1,14 @@
 # make demo and make test do all the set-up themselves.
 BIN := .venv/bin
-READY := .venv/.idim-installed
+READY := .venv/.gtau-installed
 PYTHONS := python3.13 python3.12 python3.11 python3.14 python3
 SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))
 
 .PHONY: demo test lint clean
 
 demo: $(READY)
-	$(BIN)/idim demo --out demo
-	@echo "(idim is in $(BIN): '. $(BIN)/activate' puts it on the path)"
+	$(BIN)/gtau demo --out demo
+	@echo "(gtau is in $(BIN): '. $(BIN)/activate' puts it on the path)"
 
 test: lint
 	$(BIN)/pytest -n auto
@@ -20,7 +20,7 @@ lint: $(READY)
 	$(BIN)/lint-imports
 
 $(READY): pyproject.toml constraints.txt | $(BIN)/python
-	@echo "installing idim into .venv (once, a few minutes)"
+	@echo "installing gtau into .venv (once, a few minutes)"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plot,test,dev]'
 	@touch $@
 
@@ -28,7 +28,7 @@ $(BIN)/python:
 	@for python in $(PYTHONS); do \
 	    if $$python -c '$(SUPPORTED)' 2>/dev/null; then exec $$python -m venv .venv; fi; \
 	done; \
-	echo "idim needs Python 3.11 to 3.14 with venv (Debian: python3-venv); install one, or name it: make $(MAKECMDGOALS) PYTHONS=/path/to/python" >&2; \
+	echo "gtau needs Python 3.11 to 3.14 with venv (Debian: python3-venv); install one, or name it: make $(MAKECMDGOALS) PYTHONS=/path/to/python" >&2; \
 	exit 1
 
 clean:

@@ -24,26 +24,26 @@ from multiprocessing import Pool
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from idim.estimation.assembly import Assembly
-from idim.estimation.current_domain import ml
-from idim.estimation.data import Data, reduce_runs
-from idim.estimation.delays import delay_verdicts
-from idim.estimation.factors import CURRENTS, EXTRA, STRETCHES, Factors
-from idim.estimation.freedom import freedom
-from idim.estimation.friction import Friction
-from idim.estimation.position_locked import Locked, position_locked
-from idim.estimation.rows import stream_rows
-from idim.estimation.solution import Solution
-from idim.estimation.triangle import triangle
-from idim.estimation.verdicts import GOOD, Outcome, gain_verdicts
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.geometry import characteristic_length
-from idim.robots.load import load_robot
-from idim.robots.robot import INERTIAL, Robot
-from idim.signals.experiment import Payload
-from idim.signals.filters import differentiate
-from idim.signals.run import Run
-from idim.simulation.trajectories import envelope, point_to_point, sines
+from gtau.estimation.assembly import Assembly
+from gtau.estimation.current_domain import ml
+from gtau.estimation.data import Data, reduce_runs
+from gtau.estimation.delays import delay_verdicts
+from gtau.estimation.factors import CURRENTS, EXTRA, STRETCHES, Factors
+from gtau.estimation.freedom import freedom
+from gtau.estimation.friction import Friction
+from gtau.estimation.position_locked import Locked, position_locked
+from gtau.estimation.rows import stream_rows
+from gtau.estimation.solution import Solution
+from gtau.estimation.triangle import triangle
+from gtau.estimation.verdicts import GOOD, Outcome, gain_verdicts
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.load import load_robot
+from gtau.robots.robot import INERTIAL, Robot
+from gtau.signals.experiment import Payload
+from gtau.signals.filters import differentiate
+from gtau.signals.run import Run
+from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 RATE, SECONDS = 400.0, 10.0
 SEED = 1
@@ -88,7 +88,7 @@ def make_case(source: str) -> Case:
     robot = load_robot(source)
     model, rng = InverseDynamics(robot), np.random.default_rng(SEED)
     if source == "orthoglide":
-        from idim.simulation.orthoglide_truth import standard_parameters
+        from gtau.simulation.orthoglide_truth import standard_parameters
 
         chi = standard_parameters()
     else:
@@ -274,7 +274,7 @@ def judge(case: Case, assembly: Assembly, solution: Solution, locked: Locked | N
 def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetition]) -> dict[str, object]:
     from scipy.special import stdtrit
 
-    from idim.estimation.base_parameters import base_parameters
+    from gtau.estimation.base_parameters import base_parameters
 
     base = base_parameters(case.model)
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])

@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from idim.errors import IdimError
-from idim.experiment.design import check, design
-from idim.experiment.design_file import read_design
-from idim.experiment.forecast import forecast
-from idim.experiment.nlp import Programme
-from idim.experiment.starts import random_start
-from idim.experiment.task import Task
+from gtau.errors import GtauError
+from gtau.experiment.design import check, design
+from gtau.experiment.design_file import read_design
+from gtau.experiment.forecast import forecast
+from gtau.experiment.nlp import Programme
+from gtau.experiment.starts import random_start
+from gtau.experiment.task import Task
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from repetitions import repeated_gains
@@ -41,7 +41,7 @@ def random_motion(task: Task, rng: np.random.Generator) -> np.ndarray | None:
     x = random_start(task, rng, 0.99)
     try:
         return x if x is not None and all(load.excess <= 1 for load in check(task, x)) else None
-    except IdimError:
+    except GtauError:
         return None
 
 

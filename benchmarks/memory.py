@@ -4,7 +4,7 @@
 
 The logs are made first in DIR (the Orthoglide with noisy currents, half of the samples with a known payload), one
 length after the other, and removed. The peak is the resident set of the whole process as the kernel counts it, pages
-of mapped files among it; what lies beyond the program is the peak less that of the shortest log. (With --out, idim
+of mapped files among it; what lies beyond the program is the peak less that of the shortest log. (With --out, gtau
 also writes a table with a row for each decimated sample, which is made in memory.)
 """
 
@@ -25,9 +25,9 @@ from time import perf_counter
 import numpy as np
 import polars as pl
 
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, standard_parameters
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, standard_parameters
 
 PERIOD, RATE, PART = 20_000, 1000.0, 1_000_000  # samples of the motion, Hz, samples of a file
 NOISE, COUNT = 3e-4, 2.5e-6  # A, m
@@ -81,14 +81,14 @@ def write_log(folder: Path, samples: int, mass: float, kind: str) -> str:
 
 
 def measure(samples: int, kind: str, folder: Path) -> dict[str, float]:
-    """Seconds and peak MiB of ``idim identify`` on so many samples, and the largest error of a gain."""
+    """Seconds and peak MiB of ``gtau identify`` on so many samples, and the largest error of a gain."""
     with tempfile.TemporaryDirectory(dir=folder) as name:
         here = Path(name)
-        # by another process: the kernel counts the peak of the one that starts idim as idim's
+        # by another process: the kernel counts the peak of the one that starts gtau as gtau's
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as maker:
             free, loaded = (maker.submit(write_log, here, samples // 2, m, kind).result() for m in (0.0, PAYLOAD_MASS))
         (here / "experiment.yaml").write_text(EXPERIMENT.format(free=free, loaded=loaded, mass=PAYLOAD_MASS))
-        program = Path(sys.executable).with_name("idim")
+        program = Path(sys.executable).with_name("gtau")
         arguments = [str(program), "identify", str(here / "experiment.yaml"), "--json", "--no-cache"]
         begin = perf_counter()
         output = os.open(here / "printed.json", os.O_WRONLY | os.O_CREAT)
@@ -97,7 +97,7 @@ def measure(samples: int, kind: str, folder: Path) -> dict[str, float]:
         _, status, usage = os.wait4(child, 0)
         seconds = perf_counter() - begin
         if status:
-            raise SystemExit(f"{samples} samples: idim ended with {status}")
+            raise SystemExit(f"{samples} samples: gtau ended with {status}")
         gains = json.loads((here / "printed.json").read_text())["drive_gains"]
     error = max(abs(each["value"] / DRIVE_GAINS[each["joint"]] - 1) for each in gains)
     return {

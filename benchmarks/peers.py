@@ -14,9 +14,9 @@ import numpy as np
 import pinocchio as pin
 import polars as pl
 
-from idim.experiment.evaluation import Grid
-from idim.experiment.task import Task
-from idim.robots.robot import Robot
+from gtau.experiment.evaluation import Grid
+from gtau.experiment.task import Task
+from gtau.robots.robot import Robot
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from engines import Pinocchio, random_parameters

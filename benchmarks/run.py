@@ -4,7 +4,7 @@
 
 Results are compared with the peer's before anything is timed. Times are medians of repetitions that take turns with the
 peer's, in one thread unless said otherwise. Peers that work sample by sample are timed on fewer samples, and the
-time a sample is what is compared; FIGAROH's rows appear where it is installed: pip install 'idim[benchmarks]'.
+time a sample is what is compared; FIGAROH's rows appear where it is installed: pip install 'gtau[benchmarks]'.
 """
 
 # ruff: noqa: E402
@@ -36,15 +36,15 @@ from peers import PinocchioLoop, figaroh_regressor, random_parameters
 from table import Row, check, medians, motion
 from whole import excitation_gradient, orthoglide_gains, ur10e_parameters
 
-from idim.estimation.base_parameters import base_parameters
-from idim.estimation.factors import reduce_run
-from idim.estimation.triangle import triangle
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.robots.robot import Joint, Mdh, Robot
-from idim.signals.decimation import Decimator
-from idim.signals.preparation import Held, Sampled
-from idim.signals.run import Run
+from gtau.estimation.base_parameters import base_parameters
+from gtau.estimation.factors import reduce_run
+from gtau.estimation.triangle import triangle
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.signals.decimation import Decimator
+from gtau.signals.preparation import Held, Sampled
+from gtau.signals.run import Run
 
 
 def seven_axes() -> Robot:
@@ -115,11 +115,11 @@ def threads(robot: Robot, samples: int) -> Row:
     chi = np.ones(len(idm.parameter_names))
 
     def work(count: str) -> None:
-        os.environ["IDIM_THREADS"] = count
+        os.environ["GTAU_THREADS"] = count
         idm.torques(*path, chi)
 
     two, one = medians(5, lambda: work("2"), lambda: work("1"), clock=perf_counter)
-    os.environ["IDIM_THREADS"] = "1"
+    os.environ["GTAU_THREADS"] = "1"
     return Row(
         f"{robot.name}: two threads", "one thread", 1e6 * two / samples, 1e6 * one / samples, "us/sample", "1.6x"
     )
@@ -217,16 +217,16 @@ def fresh(code: str, **environment: str) -> tuple[float, float]:
 
 def starts() -> list[Row]:
     """Imports, and the first call ever."""
-    light, bare = (np.median([fresh(f"import {name}")[0] for _ in range(7)]) for name in ("idim", "numpy"))
+    light, bare = (np.median([fresh(f"import {name}")[0] for _ in range(7)]) for name in ("gtau", "numpy"))
     call = (
-        "import idim, numpy as np; m = idim.InverseDynamics(idim.load_robot('orthoglide')); z = np.zeros((300, 3));"
+        "import gtau, numpy as np; m = gtau.InverseDynamics(gtau.load_robot('orthoglide')); z = np.zeros((300, 3));"
         "m.torques(z, z, z, np.ones(len(m.parameter_names)))"
     )
     with tempfile.TemporaryDirectory() as folder:
         first, _ = fresh(call, NUMBA_CACHE_DIR=folder)
         later, ended = np.median([fresh(call, NUMBA_CACHE_DIR=folder) for _ in range(7)], axis=0)
     return [
-        Row("import idim", "import numpy", 1e3 * float(light), 1e3 * float(bare), "ms", "at most 1.5x"),
+        Row("import gtau", "import numpy", 1e3 * float(light), 1e3 * float(bare), "ms", "at most 1.5x"),
         Row("first call ever, from the start of the process", "", first, None, "s", "under 8 s"),
         Row("first call, code in the cache", "", float(later), None, "s", "under 1 s"),
         Row("the same, until the process has ended", "", float(ended), None, "s", ""),
@@ -238,7 +238,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("benchmarks.json"))
     parser.add_argument("--quick", action="store_true", help="fewer samples and repetitions")
     arguments = parser.parse_args()
-    os.environ["IDIM_THREADS"] = "1"
+    os.environ["GTAU_THREADS"] = "1"
     orthoglide, hexapod, arm = load_robot("orthoglide"), load_robot("gough-stewart"), seven_axes()
     samples, few, repetitions = (20000, 300, 3) if arguments.quick else (100000, 2000, 7)
     rows = [

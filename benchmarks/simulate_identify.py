@@ -12,8 +12,8 @@ from time import perf_counter
 
 import numpy as np
 
-from idim.estimation.identify import identify
-from idim.simulation.experiment_files import simulate_experiment
+from gtau.estimation.identify import identify
+from gtau.simulation.experiment_files import simulate_experiment
 from test_simulation_control import described
 
 # A payload known in full fixes the gains of joints that gravity does not load.

@@ -8,7 +8,7 @@ from time import process_time
 
 import numpy as np
 
-from idim.robots.robot import Robot
+from gtau.robots.robot import Robot
 
 
 @dataclass(frozen=True)

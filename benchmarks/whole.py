@@ -22,13 +22,13 @@ import polars as pl
 from peers import ExcitationByHand, figaroh_wls, gains_by_hand, random_parameters
 from table import Row, check, medians, motion
 
-import idim
-from idim.experiment.design_file import read_design
-from idim.experiment.nlp import Programme
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.robots.robot import Robot
-from idim.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
+import gtau
+from gtau.experiment.design_file import read_design
+from gtau.experiment.nlp import Programme
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Robot
+from gtau.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
 
 RATE, SLOWEST = 250.0, 1.0  # Hz: sampling, at which the motion is decimated by 10
 GAIN = 2100.0
@@ -62,7 +62,7 @@ def orthoglide_gains(samples: int, few: int) -> list[Row]:
     with TemporaryDirectory() as one, TemporaryDirectory() as other:
         long = write_logs(Path(one), robot, chi, samples, [0.0, PAYLOAD_MASS])
         short = write_logs(Path(other), robot, chi, few, [0.0, PAYLOAD_MASS])
-        result = idim.identify(short)
+        result = gtau.identify(short)
         factor = result.preparation.decimator.factor
         cutoff = result.preparation.cutoff
 
@@ -72,7 +72,7 @@ def orthoglide_gains(samples: int, few: int) -> list[Row]:
         found = np.array([gain.value for gain in result.drive_gains.values()])
         check("gains", found, np.full(3, GAIN), 1e-2)
         check("the peer's gains", theirs(), found, 2e-2)  # least squares make them smaller
-        ours, peer = medians(1, lambda: idim.identify(long), theirs)
+        ours, peer = medians(1, lambda: gtau.identify(long), theirs)
         memory = peak("ours", long), peak("theirs", short, str(cutoff), str(factor))
     return [
         Row(f"orthoglide: log to gains, N = {samples:.0e}, decimation {factor}", "Pinocchio, SciPy, NumPy",
@@ -101,7 +101,7 @@ def _memory_of_a_job(whose: str, experiment: Path, *settings: str) -> float:
 
         def work(path: Path) -> None:
             if whose == "ours":
-                idim.identify(path)
+                gtau.identify(path)
             else:
                 cutoff, factor = settings
                 gains_by_hand(robot, path.parent, PAYLOAD_MASS, float(cutoff), int(factor), 1)
@@ -121,19 +121,19 @@ def ur10e_parameters(samples: int, few: int) -> list[Row]:
     with TemporaryDirectory() as one, TemporaryDirectory() as other:
         long = write_logs(Path(one), robot, chi, samples, [0.0])
         short = write_logs(Path(other), robot, chi, few, [0.0])
-        result = idim.identify(short, method="wls")
+        result = gtau.identify(short, method="wls")
         preparation = result.preparation
         theirs = figaroh_wls(robot, chi, Path(other), preparation.cutoff, preparation.decimator.factor)
         work, name = f"ur10e: log to parameters by WLS, N = {samples:.0e}", "FIGAROH's functions"
         if theirs is None:
-            (ours,) = medians(1, lambda: idim.identify(long, method="wls"))
+            (ours,) = medians(1, lambda: gtau.identify(long, method="wls"))
             return [Row(work, f"{name}: not installed", 1e6 * ours / samples, None, "us/sample", "30x")]
         predicted, measured = theirs()
         check("FIGAROH's torques", predicted, measured, 0.05)
-        run = idim.read_run(Path(other) / "0.parquet", **_as_read(robot))
+        run = gtau.read_run(Path(other) / "0.parquet", **_as_read(robot))
         prediction = result.predict(run)
         check("torques", prediction.predicted, prediction.measured, 0.05)
-        ours, peer = medians(1, lambda: idim.identify(long, method="wls"), theirs)
+        ours, peer = medians(1, lambda: gtau.identify(long, method="wls"), theirs)
     return [Row(work, f"{name}, N = {few:.0e}", 1e6 * ours / samples, 1e6 * peer / few, "us/sample", "30x")]
 
 

@@ -342,8 +342,8 @@ MODELS = [
     Case("deep JSON", "model.json is not a JSON file", _model(lambda text: "[" * 100000), VALIDATE),
     Case(
         "of tomorrow",
-        "model.json has the schema 'idim-model/9', but this version reads 'idim-model/1'",
-        _model(lambda text: text.replace("idim-model/1", "idim-model/9")),
+        "model.json has the schema 'gtau-model/9', but this version reads 'gtau-model/1'",
+        _model(lambda text: text.replace("gtau-model/1", "gtau-model/9")),
         VALIDATE,
     ),
     Case(

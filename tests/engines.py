@@ -1,4 +1,4 @@
-"""Reference torques of any Robot by Pinocchio and by MuJoCo, without a line of ``idim.model``.
+"""Reference torques of any Robot by Pinocchio and by MuJoCo, without a line of ``gtau.model``.
 
 Each engine builds the spanning tree: the joints, and every platform as a chain of its own degrees of
 freedom that starts from its home pose. Both chains sum up to the same robot, but the engines differ in
@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from idim.robots.robot import DRIVE, GROUND, INERTIAL, ROTATIONS, TRANSLATIONS, Joint, Robot
+from gtau.robots.robot import DRIVE, GROUND, INERTIAL, ROTATIONS, TRANSLATIONS, Joint, Robot
 
 Parameters = Mapping[str, float]
 MASSLESS = 1e-14

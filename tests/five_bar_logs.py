@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.signals.run import Run
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.signals.run import Run
 
 JOINTS = ("left", "right")
 TOOL = "right_forearm"

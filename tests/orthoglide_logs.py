@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.signals.experiment import Payload
-from idim.signals.run import Run
-from idim.simulation.orthoglide_truth import DRIVE_GAINS, standard_parameters
-from idim.simulation.trajectories import envelope, point_to_point, sines
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
+from gtau.simulation.orthoglide_truth import DRIVE_GAINS, standard_parameters
+from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 RATE = 400.0  # Hz
 SECONDS = 8.0

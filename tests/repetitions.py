@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from idim.errors import IdimError
-from idim.estimation.assembly import assemble
-from idim.estimation.current_domain import ml
-from idim.estimation.factors import CURRENTS, EXTRA, Factors
-from idim.estimation.friction import Friction
-from idim.estimation.rows import stream_rows
-from idim.estimation.triangle import triangle
-from idim.experiment.forecast import expected_runs
-from idim.experiment.task import Task
-from idim.signals.filters import differentiate
-from idim.signals.preparation import choose_preparation, prepare
+from gtau.errors import GtauError
+from gtau.estimation.assembly import assemble
+from gtau.estimation.current_domain import ml
+from gtau.estimation.factors import CURRENTS, EXTRA, Factors
+from gtau.estimation.friction import Friction
+from gtau.estimation.rows import stream_rows
+from gtau.estimation.triangle import triangle
+from gtau.experiment.forecast import expected_runs
+from gtau.experiment.task import Task
+from gtau.signals.filters import differentiate
+from gtau.signals.preparation import choose_preparation, prepare
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -62,6 +62,6 @@ def repeated_gains(task: Task, x: np.ndarray, count: int, rng: np.random.Generat
         problem = assemble(task.model, task.base, factors, task.payloads, slowest, friction).problem
         try:
             gains.append(ml(problem).gains)
-        except IdimError:
+        except GtauError:
             gains.append(np.full(n, np.nan))
     return np.array(gains)

@@ -6,8 +6,8 @@ from math import asin, atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from idim.robots.load import load_robot
-from idim.robots.robot import Attachment, Closure, Joint, Mdh, Platform, Pose, Robot
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Attachment, Closure, Joint, Mdh, Platform, Pose, Robot
 
 OBLIQUE = (1.2, -3.4, -8.9)
 TILTED = (0.4, -0.7, 0.3)  # roll, pitch, yaw of a plane that is no base plane

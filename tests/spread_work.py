@@ -6,7 +6,7 @@ import os
 import time
 from pathlib import Path
 
-from idim.errors import IdimError
+from gtau.errors import GtauError
 
 
 def square(x: int) -> int:
@@ -22,7 +22,7 @@ def fragile(x: int) -> int:
 
 def refusing(x: int) -> int:
     if x == 3:
-        raise IdimError("no three.")
+        raise GtauError("no three.")
     return x * x
 
 
@@ -35,7 +35,7 @@ def away(folder: Path) -> str:
 
 
 def limits(_: int) -> str:
-    return os.environ["IDIM_THREADS"]
+    return os.environ["GTAU_THREADS"]
 
 
 def slow(path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from idim.robots.arithmetic import MAX_LENGTH, evaluate, linear
+from gtau.robots.arithmetic import MAX_LENGTH, evaluate, linear
 
 CONSTANTS = {"a": 0.34, "d4": 0.31, "l_1": 2.0}
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from engines import Mujoco, Pinocchio, closed_torques, random_parameters, torques_of
-from idim.estimation.base_parameters import base_parameters
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.geometry import characteristic_length, home_configuration, loop_errors
-from idim.robots.load import catalog_names, load_robot
-from idim.robots.robot import INERTIAL, Robot
+from gtau.estimation.base_parameters import base_parameters
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.geometry import characteristic_length, home_configuration, loop_errors
+from gtau.robots.load import catalog_names, load_robot
+from gtau.robots.robot import INERTIAL, Robot
 
 DOCS = Path(__file__).parents[1] / "docs"
 NAMES = catalog_names()

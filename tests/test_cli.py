@@ -15,11 +15,11 @@ import pytest
 from typer.testing import CliRunner
 
 import bad_input
-import idim.estimation.identify
+import gtau.estimation.identify
 from bad_input import Case
 from five_bar_logs import EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
-from idim.cli.commands import app
-from idim.robots.load import CATALOG
+from gtau.cli.commands import app
+from gtau.robots.load import CATALOG
 
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
 WEIGHING = EXPERIMENT.replace("loaded.csv, payload: {name: steel, mass: 1.2}", "unknown.csv, payload: {name: lead}")
@@ -83,7 +83,7 @@ def test_the_model_file_has_the_keys_that_are_promised(here: Path) -> None:
     printed = document("identify", "experiment.yaml", "--out", "out")
     written = json.loads((here / "out" / "model.json").read_text())
     assert printed == written
-    assert written["schema"] == "idim-model/1"
+    assert written["schema"] == "gtau-model/1"
     assert written["robot"] == "five-bar"
     assert written["method"] == "ml"
     assert [gain["joint"] for gain in written["drive_gains"]] == list(JOINTS)
@@ -126,7 +126,7 @@ def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
     fleet = run("fleet", "torques.yaml", "--out", "fleet")
     assert fleet.exit_code == 3
     assert "torques.yaml: the logs hold torques, so there are no drive gains to compare in a fleet" in fleet.stdout
-    assert "use 'idim identify'" in fleet.stdout
+    assert "use 'gtau identify'" in fleet.stdout
 
 
 def test_validate(here: Path) -> None:
@@ -194,7 +194,7 @@ def test_robot(here: Path) -> None:
 
 def test_help_and_version() -> None:
     assert run("--help").exit_code == 0
-    assert run("--version").stdout == f"idim {idim.__version__}\n"
+    assert run("--version").stdout == f"gtau {gtau.__version__}\n"
     for command in ("identify", "validate", "payload", "robot", "demo"):
         assert run(command, "--help").exit_code == 0
     for arguments in (["nonsense"], ["identify"], ["identify", "--nonsense"], ["identify", "x", "--ratio", "0.5"]):
@@ -266,7 +266,7 @@ def test_bad_input_gets_one_sentence(here: Path, case: Case) -> None:
     assert result.exit_code == 2
     assert result.stdout == ""
     assert case.says in result.stderr
-    assert result.stderr.startswith("idim: ")
+    assert result.stderr.startswith("gtau: ")
     assert result.stderr.count("\n") == 1
     assert result.stderr.rstrip().endswith((".", "?"))
     assert files(here) == before
@@ -282,14 +282,14 @@ def test_a_refusal_is_a_document_too(here: Path, command: tuple[str, ...]) -> No
     (here / "free.csv").unlink()
     result = run(*command, "--json")
     assert result.exit_code == 2
-    assert result.stderr == f"idim: {json.loads(result.stdout)['error']}\n"
+    assert result.stderr == f"gtau: {json.loads(result.stdout)['error']}\n"
     assert run(*command).stdout == ""
 
 
 def test_no_gain_to_believe_is_an_exit_code_of_its_own(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import idim.estimation.verdicts
+    import gtau.estimation.verdicts
 
-    monkeypatch.setattr(idim.estimation.verdicts, "LOST_GAIN", 1e-6)  # every deviation is too large for it
+    monkeypatch.setattr(gtau.estimation.verdicts, "LOST_GAIN", 1e-6)  # every deviation is too large for it
     result = run("identify", "experiment.yaml", "--out", "out")
     assert result.exit_code == 3
     assert result.stdout.count("not identifiable") >= len(JOINTS)
@@ -359,10 +359,10 @@ def test_an_interruption_is_no_traceback(here: Path, monkeypatch: pytest.MonkeyP
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(idim.estimation.identify, "reduce_runs", interrupted)
+    monkeypatch.setattr(gtau.estimation.identify, "reduce_runs", interrupted)
     result = run("identify", "experiment.yaml", "--out", "out")
     assert result.exit_code == 130
-    assert result.stderr.startswith("idim: interrupted")
+    assert result.stderr.startswith("gtau: interrupted")
     assert not (here / "out").exists()
 
 
@@ -371,7 +371,7 @@ def test_an_interruption_is_no_traceback(here: Path, monkeypatch: pytest.MonkeyP
 
 def start(folder: Path, *arguments: str, first: str = "") -> subprocess.Popen:
     """The program in a process of its own, after what is to be done ``first`` in it."""
-    code = f"{first}\nimport sys; from idim.cli import main; sys.argv[0] = 'idim'; main()"
+    code = f"{first}\nimport sys; from gtau.cli import main; sys.argv[0] = 'gtau'; main()"
     command = [sys.executable, "-c", code, *arguments]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1] / "src")}
     pipe = subprocess.PIPE
@@ -384,16 +384,16 @@ def test_as_a_program(here: Path) -> None:
     assert json.loads(stdout) == json.loads((here / "out" / "model.json").read_text())
     stdout, stderr = (process := start(here, "identify", "nowhere.yaml")).communicate()
     assert (process.returncode, stdout) == (2, "")
-    assert stderr.startswith("idim: nowhere.yaml cannot be read: no such file or directory; ")
+    assert stderr.startswith("gtau: nowhere.yaml cannot be read: no such file or directory; ")
     stdout, stderr = (process := start(here, "identify", "experiment.yaml", "--method", "foo", "--json")).communicate()
     assert process.returncode == 2
     assert json.loads(stdout)["error"] in stderr
     assert "Value error" not in stderr
-    assert stderr.endswith("'ols'. See 'idim --help'.\n")
+    assert stderr.endswith("'ols'. See 'gtau --help'.\n")
 
 
 SIGNS = """
-import pathlib, idim.estimation.{module} as module
+import pathlib, gtau.estimation.{module} as module
 def signing(*arguments, _original=module.{function}, **options):
     pathlib.Path("begun").touch()
     return _original(*arguments, **options)
@@ -412,7 +412,7 @@ def test_interrupted_as_a_program(here: Path, module: str, function: str) -> Non
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
-    assert stderr == "idim: interrupted; files that were not finished have not been written.\n"
+    assert stderr == "gtau: interrupted; files that were not finished have not been written.\n"
     assert process.returncode == 130
     assert stdout == ""
     assert not (here / "out").exists()
@@ -422,7 +422,7 @@ def test_interrupted_while_importing(here: Path) -> None:
     """Python's own imports may be what an impatient user interrupts."""
     (here / "typer.py").write_text("raise KeyboardInterrupt")
     process = start(here, "robot", "ur10e", first="import sys; sys.path.insert(0, '.')")
-    assert process.communicate(timeout=60) == ("", "idim: interrupted; nothing has been written.\n")
+    assert process.communicate(timeout=60) == ("", "gtau: interrupted; nothing has been written.\n")
     assert process.returncode == 130
 
 

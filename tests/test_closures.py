@@ -12,17 +12,17 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from engines import Mujoco, closed_motion, random_parameters
-from idim.errors import IdimError
-from idim.estimation.base_parameters import base_parameters
-from idim.model import loops as loops_module
-from idim.model import states as states_module
-from idim.model.closures import gaps
-from idim.model.coordinates import coordinates
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.model.loops import CONDITION, advance, follow
-from idim.model.states import random_motion
-from idim.robots.load import load_robot
-from idim.robots.robot import Coupling, Pose, Robot
+from gtau.errors import GtauError
+from gtau.estimation.base_parameters import base_parameters
+from gtau.model import loops as loops_module
+from gtau.model import states as states_module
+from gtau.model.closures import gaps
+from gtau.model.coordinates import coordinates
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import CONDITION, advance, follow
+from gtau.model.states import random_motion
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Coupling, Pose, Robot
 from robots_for_tests import (
     CLOSED,
     four_bar,
@@ -54,7 +54,7 @@ def path_of(robot, q, **options):
 
 
 def refusal(action, *arguments, **options) -> str:
-    with pytest.raises(IdimError) as refused:
+    with pytest.raises(GtauError) as refused:
         action(*arguments, **options)
     message = str(refused.value)
     assert message.endswith(".")
@@ -439,7 +439,7 @@ def test_not_a_number_is_refused():
     robot = four_bar()
     q = home(robot) + np.zeros((9, 1))
     q[4] = np.nan
-    with pytest.raises(IdimError, match="sample 4"):
+    with pytest.raises(GtauError, match="sample 4"):
         path_of(robot, q)
 
 

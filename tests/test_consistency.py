@@ -12,16 +12,16 @@ import pytest
 from typer.testing import CliRunner
 
 from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
-from idim.cli.commands import app
-from idim.errors import IdimError
-from idim.estimation.estimates import Consistency
-from idim.estimation.identify import identify
-from idim.estimation.result import Result
-from idim.estimation.semidefinite import BASIS, MARGIN, Body, constrained_least_squares, pseudo_inertia
-from idim.robots.load import load_robot
-from idim.robots.robot import INERTIAL
-from idim.signals.experiment import Payload, Prior
-from idim.signals.run import Run
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.estimation.estimates import Consistency
+from gtau.estimation.identify import identify
+from gtau.estimation.result import Result
+from gtau.estimation.semidefinite import BASIS, MARGIN, Body, constrained_least_squares, pseudo_inertia
+from gtau.robots.load import load_robot
+from gtau.robots.robot import INERTIAL
+from gtau.signals.experiment import Payload, Prior
+from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")
 KNOWN = Payload(name="steel", mass=STEEL["m"])
@@ -91,7 +91,7 @@ def test_scales_of_the_solver_do_not_change_the_answer(rng: np.random.Generator)
 def test_bounds_that_no_body_meets_are_refused() -> None:
     lower, upper = np.full(10, -np.inf), np.full(10, np.inf)
     upper[9] = -1.0
-    with pytest.raises(IdimError, match="no rigid bodies"):
+    with pytest.raises(GtauError, match="no rigid bodies"):
         constrained_least_squares(np.eye(10), np.ones(10), [BODY], lower, upper, np.ones(10), 1.0, 1.0)
 
 
@@ -157,13 +157,13 @@ def test_priors_and_bounds_decide_what_the_data_leave_open(runs: list[Run]) -> N
     assert "yy_right" in consistency.open
     assert consistency.standard["m_left"] == pytest.approx(2.0, abs=0.03)
     assert 0.5 <= consistency.standard["yy_right"] <= 0.6 + 1e-6
-    with pytest.raises(IdimError, match="'m_wrist', which is no standard parameter"):
+    with pytest.raises(GtauError, match="'m_wrist', which is no standard parameter"):
         identify(FIVE_BAR, runs, consistent=True, priors={"m_wrist": Prior(max=1.0)})
 
 
 def test_without_the_solver_one_sentence_says_what_to_install(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "clarabel", None)
-    with pytest.raises(IdimError, match=r"idim\[consistency\]"):
+    with pytest.raises(GtauError, match=r"gtau\[consistency\]"):
         identify(FIVE_BAR, runs, consistent=True)
 
 

@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import idim
-from idim.cli.commands import app
-from idim.errors import IdimError
-from idim.experiment.design_file import read_design
-from idim.report import demo as demo_module
-from idim.report.demo import demo
-from idim.report.demo_files import LOGS
-from idim.report.demo_page import COMMANDS, report
-from idim.robots.load import load_robot
-from idim.robots.robot import Joint, Robot
-from idim.signals.experiment import Payload, read_experiment
-from idim.simulation.description import read_simulation
-from idim.simulation.experiment_files import experiment_text
-from idim.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
-from idim.simulation.trajectories import envelope, point_to_point, sines
+import gtau
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.experiment.design_file import read_design
+from gtau.report import demo as demo_module
+from gtau.report.demo import demo
+from gtau.report.demo_files import LOGS
+from gtau.report.demo_page import COMMANDS, report
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Joint, Robot
+from gtau.signals.experiment import Payload, read_experiment
+from gtau.simulation.description import read_simulation
+from gtau.simulation.experiment_files import experiment_text
+from gtau.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
+from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 
 def silent(what: str, done: int, total: int) -> None:
@@ -33,8 +33,8 @@ def silent(what: str, done: int, total: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def model() -> idim.InverseDynamics:
-    return idim.InverseDynamics(load_robot("orthoglide"))
+def model() -> gtau.InverseDynamics:
+    return gtau.InverseDynamics(load_robot("orthoglide"))
 
 
 @pytest.fixture(scope="module")
@@ -68,12 +68,12 @@ def test_trajectories_stay_in_their_envelope_and_are_consistent(plan: Any, name:
 
 def test_a_joint_without_limits_is_refused() -> None:
     robot = Robot("arm", (Joint("a", "ground", "revolute"),))
-    with pytest.raises(IdimError, match="joint 'a' has no position limit"):
+    with pytest.raises(GtauError, match="joint 'a' has no position limit"):
         envelope(robot)
 
 
-def test_the_true_orthoglide_has_the_sums_of_the_papers_table_3(model: idim.InverseDynamics) -> None:
-    base = idim.base_parameters(model)
+def test_the_true_orthoglide_has_the_sums_of_the_papers_table_3(model: gtau.InverseDynamics) -> None:
+    base = gtau.base_parameters(model)
     chi = standard_parameters()
     value = dict(zip(base.names, base.matrix @ [chi.get(name, 0.0) for name in model.parameter_names], strict=True))
     table = {"m_11R": 9.40, "m_12R": 8.95, "m_13R": 0.87, "ia_13R": 8.05, "m_PR": 0.92, "fv_12": 86.7, "fs_13": 24.1}
@@ -155,7 +155,7 @@ def test_without_matplotlib_the_demo_says_so(
     nothing: Any = None
     figures = demo_module.write_figures(out, nothing, nothing, silent)
     text = report({**document, "files": ["README.txt", *figures]}, "")
-    assert "pip install 'idim[plot]'" in text
+    assert "pip install 'gtau[plot]'" in text
 
 
 def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None:
@@ -173,9 +173,9 @@ def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None
 
 def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_path: Path) -> None:
     matplotlib = pytest.importorskip("matplotlib")
-    from idim.estimation.estimates import Estimate
-    from idim.report.figures import payload_figure
-    from idim.report.style import save_figure
+    from gtau.estimation.estimates import Estimate
+    from gtau.report.figures import payload_figure
+    from gtau.report.style import save_figure
 
     before = dict(matplotlib.rcParams)
     matplotlib.rcParams["font.size"] = 20
@@ -207,7 +207,7 @@ def test_the_examples_of_the_readme_run_in_the_demo(
     assert {words[1] for words in lines} == {"robot", "check", "identify", "validate", "payload", "compare"}
     for words in lines:
         done = CliRunner().invoke(app, words[1:], catch_exceptions=False)
-        assert (words[0], done.exit_code) == ("idim", 0), done.output
+        assert (words[0], done.exit_code) == ("gtau", 0), done.output
     mine = json.loads(Path("result/model.json").read_text())
     found = {each["joint"]: each["value"] for each in document["drive_gains"]}
     assert {each["joint"]: each["value"] for each in mine["drive_gains"]} == pytest.approx(
@@ -218,4 +218,4 @@ def test_the_examples_of_the_readme_run_in_the_demo(
     exec(snippet, names)
     assert names["tau"].shape == (5, 3)
     assert names["W"].shape == (5, 3, len(names["idm"].parameter_names))
-    assert idim.Result.load("again.json").drive_gains["11"].value == found["11"]
+    assert gtau.Result.load("again.json").drive_gains["11"].value == found["11"]

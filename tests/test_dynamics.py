@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from engines import Mujoco, Pinocchio, closed_motion, closed_torques, random_parameters, tree_torques
-from idim.errors import IdimError
-from idim.estimation.base_parameters import BaseParameters, base_parameters, symmetric_order
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.robots.robot import DRIVE, INERTIAL, Coupling, Robot
+from gtau.errors import GtauError
+from gtau.estimation.base_parameters import BaseParameters, base_parameters, symmetric_order
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import DRIVE, INERTIAL, Coupling, Robot
 from robots_for_tests import ROBOTS, SERIAL, home, random_samples, seven_r, trajectory
 
 every_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
@@ -293,13 +293,13 @@ def test_symmetric_order_runs_over_like_legs():
 
 def test_samples_of_other_shapes_are_refused():
     idm = model(load_robot("orthoglide"))
-    with pytest.raises(IdimError, match=r"\(N, 3\)"):
+    with pytest.raises(GtauError, match=r"\(N, 3\)"):
         idm.regressor(np.zeros(3), np.zeros(3), np.zeros(3))
-    with pytest.raises(IdimError, match=r"\(N, 3\)"):
+    with pytest.raises(GtauError, match=r"\(N, 3\)"):
         idm.regressor(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((3, 3)))
-    with pytest.raises(IdimError, match="220 entries"):
+    with pytest.raises(GtauError, match="220 entries"):
         idm.torques(*np.zeros((3, 1, 3)), np.zeros(7))
-    with pytest.raises(IdimError, match="zz_99"):
+    with pytest.raises(GtauError, match="zz_99"):
         idm.torques(*np.zeros((3, 1, 3)), {"zz_99": 1.0})
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engines import Mujoco, Pinocchio, closed_motion, closed_torques, random_parameters, tree_torques
-from idim.robots.robot import Attachment, Closure, Joint, Mdh, Platform, Pose, Robot
+from gtau.robots.robot import Attachment, Closure, Joint, Mdh, Platform, Pose, Robot
 
 OBLIQUE = (1.2, -3.4, -8.9)  # a gravity that no axis hides
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from idim.estimation import newton
-from idim.estimation.current_domain import ml, ols, wls
-from idim.estimation.homogeneous import leave_one_out, mixed, tls
-from idim.estimation.problem import Problem, delayed
-from idim.estimation.reduction import essential
-from idim.estimation.solution import Solution
-from idim.estimation.triangle import triangle
-from idim.estimation.two_stage import two_stage
-from idim.signals.filters import differentiate, low_pass
+from gtau.estimation import newton
+from gtau.estimation.current_domain import ml, ols, wls
+from gtau.estimation.homogeneous import leave_one_out, mixed, tls
+from gtau.estimation.problem import Problem, delayed
+from gtau.estimation.reduction import essential
+from gtau.estimation.solution import Solution
+from gtau.estimation.triangle import triangle
+from gtau.estimation.two_stage import two_stage
+from gtau.signals.filters import differentiate, low_pass
 
 UNITS = 20
 THETA = np.array([1.5, -0.7, 0.4, 2.2, -1.1])

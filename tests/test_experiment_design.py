@@ -11,18 +11,18 @@ import pytest
 from threadpoolctl import threadpool_limits
 from typer.testing import CliRunner
 
-from idim.cli.commands import app
-from idim.errors import IdimError
-from idim.experiment.advice import Weak, weak_unknowns
-from idim.experiment.criteria import relative_deviations
-from idim.experiment.design import Design, check, design
-from idim.experiment.design_file import read_design
-from idim.experiment.evaluation import design_grid, evaluate, information
-from idim.experiment.forecast import forecast, sampled_motions
-from idim.experiment.nlp import Programme
-from idim.experiment.starts import random_start
-from idim.report.excite_page import describe_design, design_page
-from idim.signals.log_file import read_log
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.experiment.advice import Weak, weak_unknowns
+from gtau.experiment.criteria import relative_deviations
+from gtau.experiment.design import Design, check, design
+from gtau.experiment.design_file import read_design
+from gtau.experiment.evaluation import design_grid, evaluate, information
+from gtau.experiment.forecast import forecast, sampled_motions
+from gtau.experiment.nlp import Programme
+from gtau.experiment.starts import random_start
+from gtau.report.excite_page import describe_design, design_page
+from gtau.signals.log_file import read_log
 from repetitions import repeated_gains
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -181,7 +181,7 @@ def test_a_design_tells_twice_as_much_as_the_best_of_200_random_motions(tmp_path
 def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
     low = FIVE_BAR.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
     task, _ = read_design(write(tmp_path, low))
-    with pytest.raises(IdimError, match=r"the current of joint '(left|right)'.* must be at most 0.01 A") as refusal:
+    with pytest.raises(GtauError, match=r"the current of joint '(left|right)'.* must be at most 0.01 A") as refusal:
         design(task, starts=1)
     assert "no motion holds the limits" in str(refusal.value)
 
@@ -196,7 +196,7 @@ def test_a_stopped_design_returns_the_best_so_far(tmp_path: Path) -> None:
     stopped = design(task, starts=50, progress=progress, stop=lambda: any(each is not None for each in seen))
     assert stopped.start == 0
     assert len(seen) < 5
-    with pytest.raises(IdimError, match="stopped before a motion"):
+    with pytest.raises(GtauError, match="stopped before a motion"):
         design(task, starts=3, stop=lambda: True)
 
 
@@ -210,7 +210,7 @@ def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None
 
 def test_a_motion_that_tells_next_to_nothing_is_no_advice(found: Design, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = (Weak("fv_left", 400.0, "left", "slowly", 250.0), Weak("fs_left", 4.0, "left", "slowly", 2.5))
-    monkeypatch.setattr("idim.report.excite_page.weak_unknowns", lambda design: weak)
+    monkeypatch.setattr("gtau.report.excite_page.weak_unknowns", lambda design: weak)
     nothing, something = (each["advice"] for each in describe_design(found, {}, [])["weak"])
     assert nothing.startswith("no motion of one joint within the limits helps")
     assert something.startswith("a run of joint 'left' alone, slowly, would bring it to 250 %")
@@ -254,5 +254,5 @@ def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_design_files_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
-    with pytest.raises(IdimError, match=message):
+    with pytest.raises(GtauError, match=message):
         read_design(write(tmp_path, FIVE_BAR.replace(old, new)))

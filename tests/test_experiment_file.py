@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from idim.errors import IdimError
-from idim.robots.robot import Joint, Robot
-from idim.signals.columns import SampleRate
-from idim.signals.experiment import Experiment, check_robot, read_experiment
+from gtau.errors import GtauError
+from gtau.robots.robot import Joint, Robot
+from gtau.signals.columns import SampleRate
+from gtau.signals.experiment import Experiment, check_robot, read_experiment
 
 GOOD = """\
 robot: orthoglide
@@ -119,7 +119,7 @@ BAD = [
 @pytest.mark.parametrize(("old", "new", "sentence"), [case[1:] for case in BAD], ids=[case[0] for case in BAD])
 def test_a_bad_file_is_refused_in_one_sentence(folder: Path, old: str, new: str, sentence: str) -> None:
     assert old in GOOD
-    with pytest.raises(IdimError) as refusal:
+    with pytest.raises(GtauError) as refusal:
         read(folder, GOOD.replace(old, new, 1))
     assert sentence in str(refusal.value)
     assert str(refusal.value).startswith(str(folder / "experiment.yaml"))
@@ -127,7 +127,7 @@ def test_a_bad_file_is_refused_in_one_sentence(folder: Path, old: str, new: str,
 
 
 def test_the_file_itself_is_missing(tmp_path: Path) -> None:
-    with pytest.raises(IdimError, match="cannot be read"):
+    with pytest.raises(GtauError, match="cannot be read"):
         read_experiment(tmp_path / "none.yaml")
 
 
@@ -144,7 +144,7 @@ ARM = Robot("arm", (Joint("11", "ground", "prismatic"), Joint("12", "11", "revol
     ],
 )
 def test_the_robot_must_suit_the_signals(folder: Path, robot: Robot, units: str, sentence: str) -> None:
-    with pytest.raises(IdimError) as refusal:
+    with pytest.raises(GtauError) as refusal:
         check_robot(read(folder, GOOD + units), robot)
     assert sentence in str(refusal.value)
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from idim.errors import IdimError
-from idim.estimation.base_parameters import base_parameters
-from idim.experiment.criteria import NAMED, criterion
-from idim.experiment.evaluation import design_grid, evaluate, objective
-from idim.experiment.information import Window, derivative
-from idim.experiment.limits import loads
-from idim.experiment.motion import Slopes, in_platform_space, pullback
-from idim.experiment.regressor import smooth_regressor
-from idim.experiment.task import Limits, Task
-from idim.experiment.trajectory import FourierSeries, move_duration, quintic
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.robots.robot import Robot
-from idim.signals.experiment import Payload
+from gtau.errors import GtauError
+from gtau.estimation.base_parameters import base_parameters
+from gtau.experiment.criteria import NAMED, criterion
+from gtau.experiment.evaluation import design_grid, evaluate, objective
+from gtau.experiment.information import Window, derivative
+from gtau.experiment.limits import loads
+from gtau.experiment.motion import Slopes, in_platform_space, pullback
+from gtau.experiment.regressor import smooth_regressor
+from gtau.experiment.task import Limits, Task
+from gtau.experiment.trajectory import FourierSeries, move_duration, quintic
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Robot
+from gtau.signals.experiment import Payload
 from robots_for_tests import CLOSED, four_bar, hexapod, palletizer, random_samples
 
 DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
@@ -199,7 +199,7 @@ def test_trajectories_begin_at_rest_and_are_their_own_derivatives(rng: np.random
 
 def test_names_that_are_no_parameters_are_refused() -> None:
     task = make_task(load_robot("ur10e"))
-    with pytest.raises(IdimError, match="no criterion or parameter 'gian_elbow'"):
+    with pytest.raises(GtauError, match="no criterion or parameter 'gian_elbow'"):
         criterion("gian_elbow", task.unknowns)
-    with pytest.raises(IdimError, match="no platforms"):
+    with pytest.raises(GtauError, match="no platforms"):
         in_platform_space(task.model.robot)

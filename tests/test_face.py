@@ -11,39 +11,39 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import idim
+import gtau
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
-from idim.cli.console import progress_bar
-from idim.estimation.comparison import Comparison, Row, table
-from idim.estimation.verdicts import Outcome
+from gtau.cli.console import progress_bar
+from gtau.estimation.comparison import Comparison, Row, table
+from gtau.estimation.verdicts import Outcome
 
 ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> idim.Result:
+def result(tmp_path_factory: pytest.TempPathFactory) -> gtau.Result:
     folder, plant = tmp_path_factory.mktemp("face"), Plant(noise=0.01)
     write_log(folder / "free.csv", plant.run("free", seed=1))
     write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
     write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3))
     (folder / "experiment.yaml").write_text(EXPERIMENT)
-    return idim.identify(folder / "experiment.yaml")
+    return gtau.identify(folder / "experiment.yaml")
 
 
 def test_the_package_shows_its_names_and_nothing_else() -> None:
-    assert dir(idim) == sorted(idim.__all__)
-    for name in idim.__all__:
-        assert getattr(idim, name).__doc__, name
+    assert dir(gtau) == sorted(gtau.__all__)
+    for name in gtau.__all__:
+        assert getattr(gtau, name).__doc__, name
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
-        idim.nonsense  # noqa: B018
-    loaded = "import sys, idim; print(sorted({'casadi', 'numpy', 'polars', 'numba'} & set(sys.modules)))"
+        gtau.nonsense  # noqa: B018
+    loaded = "import sys, gtau; print(sorted({'casadi', 'numpy', 'polars', 'numba'} & set(sys.modules)))"
     environment = {"PYTHONPATH": str(ROOT / "src")}
     assert subprocess.check_output([sys.executable, "-c", loaded], env=environment, text=True) == "[]\n"
 
 
-def test_representations_are_short_and_say_something(result: idim.Result) -> None:
-    robot = idim.load_robot("orthoglide")
-    model = idim.InverseDynamics(robot)
+def test_representations_are_short_and_say_something(result: gtau.Result) -> None:
+    robot = gtau.load_robot("orthoglide")
+    model = gtau.InverseDynamics(robot)
     run = Plant().run("free")
     for each in (robot, model, run, result, result.drive_gains["left"]):
         assert len(repr(each)) < 400
@@ -55,21 +55,21 @@ def test_representations_are_short_and_say_something(result: idim.Result) -> Non
     assert str(replace(result.drive_gains["left"], value=None)) == "cannot be told"
 
 
-def test_a_name_that_is_not_there_is_answered_with_those_that_are(result: idim.Result) -> None:
+def test_a_name_that_is_not_there_is_answered_with_those_that_are(result: gtau.Result) -> None:
     for estimates in (result.drive_gains, result.parameters, result.essential):
-        with pytest.raises(idim.IdimError, match=r"there is no 'middle' here; choose from .*left"):
+        with pytest.raises(gtau.GtauError, match=r"there is no 'middle' here; choose from .*left"):
             estimates["middle"]
         assert estimates.get("middle") is None
-    model = idim.InverseDynamics(idim.load_robot("orthoglide"))
-    with pytest.raises(idim.IdimError, match=r"no standard parameter 'm_p'; did you mean 'm_P'\?"):
+    model = gtau.InverseDynamics(gtau.load_robot("orthoglide"))
+    with pytest.raises(gtau.GtauError, match=r"no standard parameter 'm_p'; did you mean 'm_P'\?"):
         model.torques(*np.zeros((3, 1, 3)), {"m_p": 1.0})
-    with pytest.raises(idim.IdimError, match="robot 'orthoglide' has no joint '99'; choose from 11, "):
+    with pytest.raises(gtau.GtauError, match="robot 'orthoglide' has no joint '99'; choose from 11, "):
         model.robot.joint("99")
-    with pytest.raises(idim.IdimError, match="write 'all' or 'inertial'"):
-        idim.InverseDynamics(idim.load_robot("five-bar"), "some")
+    with pytest.raises(gtau.GtauError, match="write 'all' or 'inertial'"):
+        gtau.InverseDynamics(gtau.load_robot("five-bar"), "some")
 
 
-def test_what_is_known_only_in_sums_is_marked(result: idim.Result) -> None:
+def test_what_is_known_only_in_sums_is_marked(result: gtau.Result) -> None:
     lost = replace(next(iter(result.essential.values())), value=0.1, std=0.2)
     marked = replace(result, essential={**result.essential, lost.name: lost}).summary()
     assert re.search(rf"{lost.name} .*200\.00   kg m2   \*\n", marked)
@@ -80,7 +80,7 @@ def test_what_is_known_only_in_sums_is_marked(result: idim.Result) -> None:
     assert "  and 1 more, known only in sums with others: deviations over 1000 %\n" in untold
 
 
-def test_legs_that_are_not_built_alike_get_one_note(result: idim.Result) -> None:
+def test_legs_that_are_not_built_alike_get_one_note(result: gtau.Result) -> None:
     (note,) = [note for note in result.notes if "same geometry" in note]
     assert re.search(r"differ, most in \w+ of leg '\w+' \(\d+ % off the mean of the others\)", note)
     assert "fv_" not in note
@@ -88,7 +88,7 @@ def test_legs_that_are_not_built_alike_get_one_note(result: idim.Result) -> None
 
 
 @pytest.mark.parametrize(("loss", "said"), [(-4e-12, "errors do not grow;"), (1.25, "errors grow by 1.2 %;")])
-def test_the_price_of_the_reduction(result: idim.Result, loss: float, said: str) -> None:
+def test_the_price_of_the_reduction(result: gtau.Result, loss: float, said: str) -> None:
     assert said in replace(result, statistics={**result.statistics, "reduction_loss": loss}).summary()
 
 
@@ -103,7 +103,7 @@ def test_columns_of_a_comparison_do_not_touch() -> None:
 
 
 def test_stages_are_told_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    for lines, told in ((True, "idim: simulating ...\nidim: drawing ...\n"), (False, "")):
+    for lines, told in ((True, "gtau: simulating ...\ngtau: drawing ...\n"), (False, "")):
         with progress_bar(lines=lines) as progress:
             for what in ("simulating", "drawing"):
                 for done in range(3):

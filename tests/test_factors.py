@@ -8,24 +8,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import idim.estimation.rows
+import gtau.estimation.rows
 from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant
-from idim.errors import IdimError
-from idim.estimation.assembly import require_scale
-from idim.estimation.current_domain import ml, ols, wls
-from idim.estimation.data import Data, reduce_runs
-from idim.estimation.factors import STRETCHES, Factors
-from idim.estimation.friction import Friction, all_terms
-from idim.estimation.homogeneous import mixed, tls
-from idim.estimation.identify import identify
-from idim.estimation.problem import Problem
-from idim.estimation.result import Result
-from idim.estimation.solution import Solution
-from idim.robots.load import load_robot
-from idim.robots.robot import Joint, Mdh, Robot
-from idim.signals.experiment import Payload
-from idim.signals.preparation import prepare
-from idim.signals.run import Run
+from gtau.errors import GtauError
+from gtau.estimation.assembly import require_scale
+from gtau.estimation.current_domain import ml, ols, wls
+from gtau.estimation.data import Data, reduce_runs
+from gtau.estimation.factors import STRETCHES, Factors
+from gtau.estimation.friction import Friction, all_terms
+from gtau.estimation.homogeneous import mixed, tls
+from gtau.estimation.identify import identify
+from gtau.estimation.problem import Problem
+from gtau.estimation.result import Result
+from gtau.estimation.solution import Solution
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.signals.experiment import Payload
+from gtau.signals.preparation import prepare
+from gtau.signals.run import Run
 
 PLANT = Plant(delays=(2e-3, -2e-3), noise=0.01)
 KNOWN = Payload(name="steel", mass=STEEL["m"])
@@ -120,7 +120,7 @@ def gram(R: np.ndarray) -> np.ndarray:
 def test_blocks_of_any_size_give_the_same_factors(
     data: Data, runs: list[Run], samples: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(idim.estimation.rows, "FAST_SAMPLES", samples)
+    monkeypatch.setattr(gtau.estimation.rows, "FAST_SAMPLES", samples)
     for one, other in zip(reduce_runs(FIVE_BAR, runs).factors, data.factors, strict=True):
         np.testing.assert_array_equal(one.rows, other.rows)
         a, b = gram(one.R), gram(other.R)
@@ -288,12 +288,12 @@ def test_the_paper_s_way(runs: list[Run]) -> None:
 
 
 def test_without_scale_the_gains_are_refused(runs: list[Run], data: Data) -> None:
-    with pytest.raises(IdimError, match=r"needs a run with a payload of known mass.*--method wls with prior_gains"):
+    with pytest.raises(GtauError, match=r"needs a run with a payload of known mass.*--method wls with prior_gains"):
         identify(FIVE_BAR, runs[:1])
-    with pytest.raises(IdimError, match=r"two different loads.*--method wls with prior_gains"):
+    with pytest.raises(GtauError, match=r"two different loads.*--method wls with prior_gains"):
         identify(FIVE_BAR, runs[1:])
     unknown = Payload(name="steel")
-    with pytest.raises(IdimError, match="needs a run with a payload of known mass"):
+    with pytest.raises(GtauError, match="needs a run with a payload of known mass"):
         identify(FIVE_BAR, with_payloads(runs, None, unknown, unknown), "tls")
 
 
@@ -304,11 +304,11 @@ def test_a_payload_that_acts_on_nothing_is_refused() -> None:
     q = np.sin(2 * np.pi * 0.7 * time)[:, None] + 0.3 * np.sin(2 * np.pi * 1.3 * time)[:, None]
     run = Run("free", ("1",), time, q, -20 * q + 0.1 * np.random.default_rng(1).normal(size=q.shape))
     loaded = replace(run, name="loaded", payload=KNOWN)
-    with pytest.raises(IdimError, match=r"no effect of their own on any actuated joint.*--method wls"):
+    with pytest.raises(GtauError, match=r"no effect of their own on any actuated joint.*--method wls"):
         require_scale(table, reduce_runs(table, [run, loaded]).assembly(), [None, KNOWN], "ml")
 
 
 def test_a_joint_that_stands_still_has_no_rows(runs: list[Run]) -> None:
     still = [replace(run, position=np.column_stack([run.position[:, 0], 0 * run.time + 1.0])) for run in runs]
-    with pytest.raises(IdimError, match="joint 'right' has 0 usable rows in all runs together"):
+    with pytest.raises(GtauError, match="joint 'right' has 0 usable rows in all runs together"):
         identify(FIVE_BAR, still)

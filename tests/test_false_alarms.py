@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-import idim.estimation.data
-from idim.estimation.base_parameters import BaseParameters, base_parameters
-from idim.estimation.identify import identify
-from idim.estimation.verdicts import INFLATED, Outcome
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.geometry import characteristic_length
-from idim.robots.load import load_robot
-from idim.robots.robot import INERTIAL
-from idim.signals.experiment import Payload
-from idim.signals.run import Run
-from idim.simulation.trajectories import envelope, point_to_point, sines
+import gtau.estimation.data
+from gtau.estimation.base_parameters import BaseParameters, base_parameters
+from gtau.estimation.identify import identify
+from gtau.estimation.verdicts import INFLATED, Outcome
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.load import load_robot
+from gtau.robots.robot import INERTIAL
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
+from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 RATE, SECONDS = 400.0, 8.0
 LOADS = (0.0, 0.0, 2.0, 2.0)
@@ -34,7 +34,7 @@ def quick() -> Iterator[None]:
         return found.setdefault(model.robot.name, found.get(model.robot.name) or base_parameters(model))
 
     with pytest.MonkeyPatch.context() as patch, threadpool_limits(1, "blas"):
-        patch.setattr(idim.estimation.data, "base_parameters", remembered)
+        patch.setattr(gtau.estimation.data, "base_parameters", remembered)
         yield
 
 

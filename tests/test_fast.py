@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from idim.estimation.factors import reduce_run
-from idim.estimation.rows import stream_rows
-from idim.estimation.triangle import triangle
-from idim.model import _interpreter as interpreter
-from idim.model import inverse_dynamics as inverse_dynamics_module
-from idim.model._lanes import LANES
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.model.loops import follow
-from idim.model.program import compile_program
-from idim.robots.load import load_robot
-from idim.signals.decimation import Decimator
-from idim.signals.preparation import Held, Sampled
-from idim.signals.run import Run
+from gtau.estimation.factors import reduce_run
+from gtau.estimation.rows import stream_rows
+from gtau.estimation.triangle import triangle
+from gtau.model import _interpreter as interpreter
+from gtau.model import inverse_dynamics as inverse_dynamics_module
+from gtau.model._lanes import LANES
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import follow
+from gtau.model.program import compile_program
+from gtau.robots.load import load_robot
+from gtau.signals.decimation import Decimator
+from gtau.signals.preparation import Held, Sampled
+from gtau.signals.run import Run
 from robots_for_tests import hexapod, seven_r, trajectory
 
 
@@ -169,7 +169,7 @@ def test_threads_change_nothing(robot, monkeypatch):
     chi = np.linspace(-1.0, 1.0, len(idm.parameter_names))
     found = []
     for threads in ("1", "2", "3"):
-        monkeypatch.setenv("IDIM_THREADS", threads)
+        monkeypatch.setenv("GTAU_THREADS", threads)
         motion = idm.motion(q.T, qd.T, qdd.T)
         found.append((motion.c, motion.ydd, motion.J, idm.torques(q, qd, qdd, chi), idm.regressor(q, qd, qdd)))
     for others in found[1:]:
@@ -242,7 +242,7 @@ def test_factors_are_those_of_all_rows(rng):
 def test_compiled_code_knows_its_sources(tmp_path):
     """A change of any compiled module must not find results of the one before in the cache."""
     source = Path(inverse_dynamics_module.__file__).parents[1]
-    code = "import idim.model._interpreter as i; print(i.interpret.py_func.__qualname__)"
+    code = "import gtau.model._interpreter as i; print(i.interpret.py_func.__qualname__)"
 
     def name(root: Path) -> str:
         environment = {**os.environ, "PYTHONPATH": str(root)}
@@ -250,7 +250,7 @@ def test_compiled_code_knows_its_sources(tmp_path):
             [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
         ).stdout
 
-    copy = tmp_path / "idim"
+    copy = tmp_path / "gtau"
     copy.mkdir()
     for file in ("__init__.py", "model/__init__.py", *(f"model/{path.name}" for path in source.glob("model/_*.py"))):
         (copy / file).parent.mkdir(exist_ok=True)
@@ -263,9 +263,9 @@ def test_compiled_code_knows_its_sources(tmp_path):
     assert name(tmp_path) != before
 
 
-def test_importing_idim_imports_nothing_heavy():
+def test_importing_gtau_imports_nothing_heavy():
     heavy = ["numba", "casadi", "scipy", "polars", "matplotlib", "pydantic"]
-    code = f"import sys, idim; print([name for name in {heavy} if name in sys.modules])"
+    code = f"import sys, gtau; print([name for name in {heavy} if name in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env={
         **os.environ, "PYTHONPATH": str(Path(inverse_dynamics_module.__file__).parents[2])})  # fmt: skip
     assert found.stdout.strip() == "[]"

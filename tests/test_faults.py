@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import idim.estimation.data
+import gtau.estimation.data
 from five_bar_logs import STEEL, Plant
-from idim.errors import IdimError
-from idim.estimation.base_parameters import BaseParameters, base_parameters
-from idim.estimation.identify import identify
-from idim.estimation.result import Result
-from idim.estimation.verdicts import INFLATED, Outcome, worst
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.robots.robot import Mdh, Robot
-from idim.signals.experiment import Payload
-from idim.signals.run import Run, read_run
-from idim.simulation.orthoglide_truth import DRIVE_GAINS
+from gtau.errors import GtauError
+from gtau.estimation.base_parameters import BaseParameters, base_parameters
+from gtau.estimation.identify import identify
+from gtau.estimation.result import Result
+from gtau.estimation.verdicts import INFLATED, Outcome, worst
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Mdh, Robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run, read_run
+from gtau.simulation.orthoglide_truth import DRIVE_GAINS
 from orthoglide_logs import experiment
 
 ROBOT = load_robot("orthoglide")
@@ -39,7 +39,7 @@ def base_once() -> Iterator[None]:
         return found[model.robot]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(idim.estimation.data, "base_parameters", remembered)
+        patch.setattr(gtau.estimation.data, "base_parameters", remembered)
         yield
 
 
@@ -198,7 +198,7 @@ def test_a_link_two_per_cent_off_is_found(names: list[str], runs: list[Run]) -> 
 
 
 def test_millimetres_read_as_metres_are_refused(runs: list[Run]) -> None:
-    with pytest.raises(IdimError, match="if the log is in mm say so"):
+    with pytest.raises(GtauError, match="if the log is in mm say so"):
         identify(ROBOT, [replace(run, position=1e3 * run.position) for run in runs])
 
 
@@ -314,7 +314,7 @@ def test_degrees_read_as_radians() -> None:
         logged.append(Run(f"run {k}", model.actuated, time, q, current, payload=payload))
     right = identify(model.robot, logged)
     assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD, sentences(right)
-    with pytest.raises(IdimError, match="if the log is in deg say so"):
+    with pytest.raises(GtauError, match="if the log is in deg say so"):
         identify(model.robot, [replace(run, position=np.degrees(run.position)) for run in logged])
 
 
@@ -352,7 +352,7 @@ def test_clipped_currents_are_masked_and_said(runs: list[Run], tmp_path: Path) -
 
 
 def test_a_command_clipped_all_the_time_is_refused(runs: list[Run], tmp_path: Path) -> None:
-    with pytest.raises(IdimError, match=r"is clipped at .* record it again with slower motions"):
+    with pytest.raises(GtauError, match=r"is clipped at .* record it again with slower motions"):
         logged(tmp_path / "run.csv", limited(runs[1], 0.3))
 
 
@@ -368,7 +368,7 @@ def test_a_slipped_encoder_is_refused(slip: float, runs: list[Run], tmp_path: Pa
     run = runs[0]
     later = np.arange(len(run.time)) > 2000
     jumped = run.position + slip * np.outer(later, [0, 1, 0])
-    with pytest.raises(IdimError, match=r"joint '12' jumps by 0\.00[15].* at 5\.0025 s.* check the coupling"):
+    with pytest.raises(GtauError, match=r"joint '12' jumps by 0\.00[15].* at 5\.0025 s.* check the coupling"):
         logged(tmp_path / "run.csv", replace(run, position=jumped))
 
 
@@ -378,5 +378,5 @@ def test_a_gap_is_refused(runs: list[Run], tmp_path: Path) -> None:
     gap = replace(
         run, time=run.time[kept], position=run.position[kept], command=run.command[kept], valid=np.ones(0, bool)
     )
-    with pytest.raises(IdimError, match=r"0\.25.* s are missing after 2\.49"):
+    with pytest.raises(GtauError, match=r"0\.25.* s are missing after 2\.49"):
         logged(tmp_path / "run.csv", gap)

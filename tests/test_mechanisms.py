@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from engines import closed_torques, random_parameters
-from idim.errors import IdimError
-from idim.estimation.base_parameters import base_parameters, symmetric_order
-from idim.estimation.symmetry import identical_legs, leg_differences
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.assembly import assemble
-from idim.robots.geometry import pose_of
-from idim.robots.load import load_robot
-from idim.robots.robot import Attachment, Closure, Coupling, Joint, Mdh, Platform, Pose, Robot
-from idim.robots.urdf import turning
+from gtau.errors import GtauError
+from gtau.estimation.base_parameters import base_parameters, symmetric_order
+from gtau.estimation.symmetry import identical_legs, leg_differences
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.assembly import assemble
+from gtau.robots.geometry import pose_of
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Attachment, Closure, Coupling, Joint, Mdh, Platform, Pose, Robot
+from gtau.robots.urdf import turning
 from robots_for_tests import OBLIQUE, four_bar, hexapod, home, planar_3rrr
 
 
@@ -145,7 +145,7 @@ def test_a_loop_and_a_coupling_together(rng: np.random.Generator) -> None:
 
 def test_a_coupling_that_is_one_too_many_is_refused() -> None:
     robot = replace(load_robot("ur10e"), couplings=(Coupling("elbow_joint", (("wrist_1_joint", 1.0),)),))
-    with pytest.raises(IdimError, match="actuation is redundant"):
+    with pytest.raises(GtauError, match="actuation is redundant"):
         _ = InverseDynamics(robot).loops
 
 

@@ -11,18 +11,18 @@ import pytest
 from typer.testing import CliRunner
 
 from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
-from idim.cli.commands import app
-from idim.estimation.current_domain import ml
-from idim.estimation.data import Data, reduce_runs
-from idim.estimation.friction import Friction, told_terms
-from idim.estimation.identify import FOR_GAINS, WITH_GAINS, identify
-from idim.estimation.newton import one_step
-from idim.estimation.prior import standard_unknowns
-from idim.estimation.result import Result
-from idim.estimation.two_stage import two_stage
-from idim.robots.load import load_robot
-from idim.signals.experiment import Payload, Prior
-from idim.signals.run import Run
+from gtau.cli.commands import app
+from gtau.estimation.current_domain import ml
+from gtau.estimation.data import Data, reduce_runs
+from gtau.estimation.friction import Friction, told_terms
+from gtau.estimation.identify import FOR_GAINS, WITH_GAINS, identify
+from gtau.estimation.newton import one_step
+from gtau.estimation.prior import standard_unknowns
+from gtau.estimation.result import Result
+from gtau.estimation.two_stage import two_stage
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload, Prior
+from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")
 KNOWN = Payload(name="steel", mass=STEEL["m"])

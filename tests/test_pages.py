@@ -13,10 +13,10 @@ from pydantic import BaseModel
 from typer.testing import CliRunner
 
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
-from idim.cli.commands import app
-from idim.signals.columns import SampleRate, Signals, Units
-from idim.signals.experiment import Experiment, Payload, Prior
-from idim.simulation.description import (
+from gtau.cli.commands import app
+from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.experiment import Experiment, Payload, Prior
+from gtau.simulation.description import (
     Fourier,
     Friction,
     JointHardware,
@@ -188,22 +188,22 @@ def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, mon
     assert gain["rel_std"] == pytest.approx(100 * gain["std"] / gain["value"])
 
     (validated,) = json.loads(run("validate", "result/model.json", "experiment.yaml", "--json"))["runs"]
-    named("idim validate", "runs", validated)
+    named("gtau validate", "runs", validated)
     assert set(validated["joints"][0]) == keys("A torque error")
-    documented("idim payload", json.loads(run("payload", "result/model.json", "weighing.yaml", "--json")))
+    documented("gtau payload", json.loads(run("payload", "result/model.json", "weighing.yaml", "--json")))
     compared = json.loads(run("compare", "experiment.yaml", "--json"))
-    documented("idim compare", compared)
-    named("idim compare", "estimators", compared["estimators"][0])
+    documented("gtau compare", compared)
+    named("gtau compare", "estimators", compared["estimators"][0])
     checked = json.loads(run("check", "experiment.yaml", "--json"))
-    documented("idim check", checked)
-    named("idim check", "logs", checked["logs"][0])
-    documented("idim robot", json.loads(run("robot", "five-bar", "--json")))
+    documented("gtau check", checked)
+    named("gtau check", "logs", checked["logs"][0])
+    documented("gtau robot", json.loads(run("robot", "five-bar", "--json")))
 
 
 def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    from idim.estimation.log_check import check_logs
-    from idim.report.log_page import describe_logs, log_figure, log_page
+    from gtau.estimation.log_check import check_logs
+    from gtau.report.log_page import describe_logs, log_figure, log_page
 
     checked = check_logs(five_bar / "weighing.yaml")
     said = log_page(describe_logs(checked))
@@ -217,8 +217,8 @@ def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_pa
 
 def test_a_figure_of_torques_is_titled_with_its_run() -> None:
     pytest.importorskip("matplotlib")
-    from idim.estimation.estimates import Prediction
-    from idim.report.figures import torques_figure
+    from gtau.estimation.estimates import Prediction
+    from gtau.report.figures import torques_figure
 
     time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
     predicted = torques * [1.1, 1.01]

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
-from idim.estimation.estimates import PayloadEstimate
-from idim.estimation.identify import identify
-from idim.estimation.payload import weigh
-from idim.estimation.result import Result
+from gtau.estimation.estimates import PayloadEstimate
+from gtau.estimation.identify import identify
+from gtau.estimation.payload import weigh
+from gtau.estimation.result import Result
 
 MASS_STD = 0.06  # 5 % of the known payload
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}

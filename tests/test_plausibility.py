@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from five_bar_logs import Plant
-from idim.errors import IdimError
-from idim.estimation.data import prepare_runs
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.robots.robot import Limits, Robot
-from idim.signals.preparation import Prepared, choose_preparation
-from idim.signals.run import Run
+from gtau.errors import GtauError
+from gtau.estimation.data import prepare_runs
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Limits, Robot
+from gtau.signals.preparation import Prepared, choose_preparation
+from gtau.signals.run import Run
 
 
 def limited(limits: Limits) -> Robot:
@@ -57,5 +57,5 @@ def test_a_little_outside_is_a_note(run: Run) -> None:
     ],
 )
 def test_another_unit_is_refused(run: Run, limits: Limits, words: str) -> None:
-    with pytest.raises(IdimError, match=words):
+    with pytest.raises(GtauError, match=words):
         prepared(limited(limits), run)

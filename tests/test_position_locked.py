@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from idim.estimation.current_domain import ml
-from idim.estimation.data import reduce_runs
-from idim.estimation.friction import Friction
-from idim.estimation.identify import identify
-from idim.estimation.position_locked import Locked, position_locked
-from idim.robots.load import load_robot
-from idim.signals.run import Run
-from idim.simulation.orthoglide_truth import DRIVE_GAINS
+from gtau.estimation.current_domain import ml
+from gtau.estimation.data import reduce_runs
+from gtau.estimation.friction import Friction
+from gtau.estimation.identify import identify
+from gtau.estimation.position_locked import Locked, position_locked
+from gtau.robots.load import load_robot
+from gtau.signals.run import Run
+from gtau.simulation.orthoglide_truth import DRIVE_GAINS
 from orthoglide_logs import RATE, experiment
 
 ROBOT = load_robot("orthoglide")

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from idim.model._lanes import LANES
-from idim.model.coordinates import coordinates
-from idim.model.dynamics import parameter_names, torques
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.model.least_squares import solve as symbolic_solve
-from idim.model.program import compile_program
+from gtau.model._lanes import LANES
+from gtau.model.coordinates import coordinates
+from gtau.model.dynamics import parameter_names, torques
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.least_squares import solve as symbolic_solve
+from gtau.model.program import compile_program
 from robots_for_tests import planar_3rrr
 
 BATCHES = [0, 1, LANES - 1, LANES, LANES + 1, 3 * LANES + 5]

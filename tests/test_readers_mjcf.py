@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from engines import closed_torques, random_parameters
-from idim.errors import IdimError
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.geometry import Configuration, frames, home_configuration, loop_errors
-from idim.robots.load import load_robot
-from idim.robots.native import read_native
-from idim.robots.native_text import write_native
-from idim.robots.robot import GROUND, INERTIAL, Coupling, Robot
+from gtau.errors import GtauError
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.geometry import Configuration, frames, home_configuration, loop_errors
+from gtau.robots.load import load_robot
+from gtau.robots.native import read_native
+from gtau.robots.native_text import write_native
+from gtau.robots.robot import GROUND, INERTIAL, Coupling, Robot
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -41,7 +41,7 @@ def load(text: str, tmp_path: Path) -> Robot:
 
 def read(text: str, tmp_path: Path) -> Robot:
     """Without assembly, which would refuse what can still move."""
-    from idim.robots.mjcf import _compiled, _robot
+    from gtau.robots.mjcf import _compiled, _robot
 
     (tmp_path / "robot.xml").write_text(text)
     return _robot(_compiled(tmp_path / "robot.xml"), tmp_path / "robot.xml")
@@ -218,7 +218,7 @@ BAD: list[tuple[str, str, str]] = [
 
 @pytest.mark.parametrize(("text", "sentence"), [case[1:] for case in BAD], ids=[case[0] for case in BAD])
 def test_bad_mjcf(text: str, sentence: str, tmp_path: Path) -> None:
-    with pytest.raises(IdimError) as refused:
+    with pytest.raises(GtauError) as refused:
         load(text, tmp_path)
     said = str(refused.value)
     assert said.startswith(str(tmp_path / "robot.xml"))
@@ -238,7 +238,9 @@ def test_without_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     import sys
 
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(IdimError, match="read with MuJoCo; install it with 'pip install idim"):
+    with pytest.raises(
+        GtauError, match=r"MJCF file needs the package mujoco.*pip install 'gtau\[mujoco\]' \(in a clone: pip install"
+    ):
         load(BODY % ("", ""), tmp_path)
 
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from engines import closed_torques, random_parameters
-from idim.errors import IdimError
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.robots.native import read_native
-from idim.robots.native_text import write_native
-from idim.robots.robot import Attachment, Mdh, Robot
+from gtau.errors import GtauError
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.native import read_native
+from gtau.robots.native_text import write_native
+from gtau.robots.robot import Attachment, Mdh, Robot
 
 HEADER = "j,a,mu,sigma,gamma,b,alpha,d,theta,r\n"
 
@@ -116,7 +116,7 @@ def test_bad_csv(text: str | bytes, sentence: str, tmp_path: Path) -> None:
 
 def refused(path: Path, sentence: str) -> None:
     start = time.perf_counter()
-    with pytest.raises(IdimError) as refusal:
+    with pytest.raises(GtauError) as refusal:
         load_robot(path)
     said = str(refusal.value)
     assert said.startswith(str(path))
@@ -211,7 +211,7 @@ def test_a_loop_that_is_a_truss_is_refused_for_what_it_is(tmp_path: Path) -> Non
         "mu = {1,1,1,0,1,0,0,0,0,0,0}\ntheta = {th1,th2,th3,th4,th5,th6,th7,th8,th9,0,0}\nG = {0,0,-9.81}\n"
     )
     with pytest.raises(
-        IdimError, match=r"4 actuated joints \(1, 2, 3, 5\) for 3 dof, where the closures hold 3 fixed;"
+        GtauError, match=r"4 actuated joints \(1, 2, 3, 5\) for 3 dof, where the closures hold 3 fixed;"
     ):
         _ = InverseDynamics(par(text, tmp_path)).loops
 
@@ -284,7 +284,7 @@ def test_broken_files_are_refused_in_one_sentence(ending: str, tmp_path: Path, r
     good = {
         "csv": ORTHOGLIDE,
         "par": parallelogram(),
-        "yaml": (Path(__file__).parents[1] / "src/idim/robots/catalog/five-bar.yaml").read_text(),
+        "yaml": (Path(__file__).parents[1] / "src/gtau/robots/catalog/five-bar.yaml").read_text(),
         "urdf": '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
         '<child link="b"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint></robot>',
         "xml": '<mujoco><worldbody><body name="a"><joint name="j" axis="0 1 0" range="0 1"/></body></worldbody>'
@@ -306,7 +306,7 @@ def test_broken_files_are_refused_in_one_sentence(ending: str, tmp_path: Path, r
         path.write_bytes(bytes(text))
         try:
             load_robot(path)
-        except IdimError as refusal:
+        except GtauError as refusal:
             said.append(str(refusal))
     assert said
     assert not any("\n" in sentence for sentence in said)

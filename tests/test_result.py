@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant, five_bar, path
-from idim.errors import IdimError
-from idim.estimation.identify import identify
-from idim.estimation.model_file import to_document
-from idim.estimation.result import Result
-from idim.robots.load import load_robot
-from idim.signals.experiment import Payload
+from gtau.errors import GtauError
+from gtau.estimation.identify import identify
+from gtau.estimation.model_file import to_document
+from gtau.estimation.result import Result
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload
 
 PLANT = Plant(delays=(1e-3, 2e-3), noise=0.01)
 KNOWN = Payload(name="steel", mass=STEEL["m"])
@@ -93,18 +93,18 @@ def test_a_payload_that_the_model_knows_needs_no_more_than_its_name(result: Resu
     run = PLANT.run("check", seed=7, payload=STEEL)
     named, described = (replace(run, payload=Payload(name="steel", mass=mass)) for mass in (None, STEEL["m"]))
     np.testing.assert_array_equal(result.predict(named).predicted, result.predict(described).predicted)
-    with pytest.raises(IdimError, match="carries the payload 'lead', whose mass neither the run nor the model knows"):
+    with pytest.raises(GtauError, match="carries the payload 'lead', whose mass neither the run nor the model knows"):
         result.predict(replace(run, payload=Payload(name="lead")))
 
 
 def test_a_run_that_does_not_suit(result: Result) -> None:
     run = PLANT.run("check", seed=7, seconds=4.0)
-    with pytest.raises(IdimError, match="has the joints a, b, but the robot's actuated joints are left, right"):
+    with pytest.raises(GtauError, match="has the joints a, b, but the robot's actuated joints are left, right"):
         result.predict(replace(run, joints=("a", "b")))
-    with pytest.raises(IdimError, match="holds torques, but the model was identified from currents"):
+    with pytest.raises(GtauError, match="holds torques, but the model was identified from currents"):
         result.predict(replace(run, kind="torque"))
     short = {name: getattr(run, name)[:150] for name in ("time", "position", "command", "valid")}
-    with pytest.raises(IdimError, match="give a longer"):
+    with pytest.raises(GtauError, match="give a longer"):
         result.validate(replace(run, **short))
 
 
@@ -162,12 +162,12 @@ def test_gains_that_are_given_are_not_estimates() -> None:
     ],
 )
 def test_what_cannot_be_asked_for(arguments: dict, sentence: str) -> None:
-    with pytest.raises(IdimError) as refused:
+    with pytest.raises(GtauError) as refused:
         identify(load_robot("five-bar"), **({"runs": [PLANT.run("free", seconds=1.0)]} | arguments))
     assert sentence in str(refused.value)
 
 
 def test_currents_and_torques_do_not_mix() -> None:
     runs = [PLANT.run("free", seconds=2.0), PLANT.run("torques", seconds=2.0, kind="torque")]
-    with pytest.raises(IdimError, match="some runs hold currents and others torques"):
+    with pytest.raises(GtauError, match="some runs hold currents and others torques"):
         identify(load_robot("five-bar"), runs, "wls", prior_gains=dict(zip(JOINTS, GAINS, strict=True)))

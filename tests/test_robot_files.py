@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from idim.errors import IdimError
-from idim.robots.load import catalog_names, load_robot
-from idim.robots.native import read_native
-from idim.robots.native_text import native_text, write_native
-from idim.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Limits, Mdh, Platform, Pose, Robot
-from idim.robots.urdf import read_urdf
-from idim.robots.yaml_document import read_yaml
+from gtau.errors import GtauError
+from gtau.robots.load import catalog_names, load_robot
+from gtau.robots.native import read_native
+from gtau.robots.native_text import native_text, write_native
+from gtau.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Limits, Mdh, Platform, Pose, Robot
+from gtau.robots.urdf import read_urdf
+from gtau.robots.yaml_document import read_yaml
 
 Frames = dict[str, tuple[np.ndarray, np.ndarray]]
 
@@ -152,7 +152,7 @@ def test_load_robot_accepts_what_people_have(tmp_path: Path) -> None:
     ],
 )
 def test_load_robot_refuses(name: str, sentence: str) -> None:
-    with pytest.raises(IdimError) as refused:
+    with pytest.raises(GtauError) as refused:
         load_robot(name)
     assert sentence in str(refused.value)
 
@@ -246,10 +246,10 @@ def test_any_robot_survives_writing_and_reading(
 
 
 def test_a_write_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(IdimError, match=r"cannot be written \(No such file or directory\)"):
+    with pytest.raises(GtauError, match=r"cannot be written \(No such file or directory\)"):
         write_native(load_robot("ur10e"), tmp_path / "nowhere" / "robot.yaml")
     (tmp_path / "taken").mkdir()
-    with pytest.raises(IdimError, match="cannot be written"):
+    with pytest.raises(GtauError, match="cannot be written"):
         write_native(load_robot("ur10e"), tmp_path / "taken")
     assert [file.name for file in tmp_path.iterdir()] == ["taken"]
 
@@ -257,7 +257,7 @@ def test_a_write_that_fails_leaves_nothing(tmp_path: Path) -> None:
 def test_the_command_saves_and_draws(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
-    from idim.cli.commands import app
+    from gtau.cli.commands import app
 
     saved, drawn = tmp_path / "five-bar.yaml", tmp_path / "five-bar.png"
     done = CliRunner().invoke(app, ["robot", "five-bar", "--save", str(saved), "--figure", str(drawn)])
@@ -280,7 +280,7 @@ def test_the_command_saves_and_draws(tmp_path: Path) -> None:
 
 def test_mdh_axis_other_than_z_has_no_words() -> None:
     robot = Robot("r", (Joint("j", GROUND, "revolute", Mdh(), axis=(1.0, 0.0, 0.0)),))
-    with pytest.raises(IdimError, match="joint 'j' has an MDH placement but its axis is not z; place it by a Pose"):
+    with pytest.raises(GtauError, match="joint 'j' has an MDH placement but its axis is not z; place it by a Pose"):
         native_text(robot)
 
 
@@ -476,7 +476,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
 def test_bad_robot_file(text: str | bytes, sentence: str, tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_bytes(text.encode() if isinstance(text, str) else text)
-    with pytest.raises(IdimError) as refused:
+    with pytest.raises(GtauError) as refused:
         read_native(path)
     said = str(refused.value)
     assert said.startswith(str(path))
@@ -645,7 +645,7 @@ BAD_URDFS: list[tuple[str, str, str]] = [
 def test_bad_urdf(text: str, sentence: str, tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(IdimError) as refused:
+    with pytest.raises(GtauError) as refused:
         read_urdf(path)
     said = str(refused.value)
     assert said.startswith(str(path))

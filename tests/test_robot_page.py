@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from five_bar_logs import CHI, GAINS, STEEL, Plant
-from idim import identify
-from idim.estimation.base_parameters import base_parameters
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.report.robot_figure import robot_figure
-from idim.report.robot_page import describe, robot_page
-from idim.robots.load import catalog_names, load_robot
-from idim.robots.native import parse_native
-from idim.robots.native_text import native_text
-from idim.robots.oddities import oddities, tool_note
-from idim.robots.robot import GROUND, Joint, Limits, Mdh, Robot
-from idim.signals.experiment import Payload
+from gtau import identify
+from gtau.estimation.base_parameters import base_parameters
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.report.robot_figure import robot_figure
+from gtau.report.robot_page import describe, robot_page
+from gtau.robots.load import catalog_names, load_robot
+from gtau.robots.native import parse_native
+from gtau.robots.native_text import native_text
+from gtau.robots.oddities import oddities, tool_note
+from gtau.robots.robot import GROUND, Joint, Limits, Mdh, Robot
+from gtau.signals.experiment import Payload
 
 # A coupling bar stands last in the file, so the payload is taken to sit on it.
 BAR_ARM = """\
@@ -207,7 +207,7 @@ def test_picture_hides_no_name_under_a_joint_or_another_name(name: str) -> None:
 
 @pytest.mark.parametrize("length", [3e-4, 0.03, 1.0, 350.0])
 def test_picture_has_a_scale_in_any_size(length: float, tmp_path: Path) -> None:
-    from idim.report.style import save_figure
+    from gtau.report.style import save_figure
 
     robot = Robot("r", (Joint("1", GROUND, "revolute"), Joint("2", "1", "revolute", Mdh(d=length))))
     (scale,) = [text for text in texts(robot) if text.endswith((" m", " mm"))]

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from five_bar_logs import STEEL, Plant, five_bar
-from idim.errors import IdimError
-from idim.estimation.data import Part, reduce_part, reduce_runs
-from idim.estimation.factors import Factors, Weigh
-from idim.estimation.identify import identify
-from idim.scale import cache
-from idim.scale.cache import cache_folder, remembering
-from idim.scale.content import content_key
-from idim.scale.spread import here, in_turn
-from idim.signals.experiment import Payload
-from idim.signals.run import Run
+from gtau.errors import GtauError
+from gtau.estimation.data import Part, reduce_part, reduce_runs
+from gtau.estimation.factors import Factors, Weigh
+from gtau.estimation.identify import identify
+from gtau.scale import cache
+from gtau.scale.cache import cache_folder, remembering
+from gtau.scale.content import content_key
+from gtau.scale.spread import here, in_turn
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +140,7 @@ def test_any_change_of_the_inputs_changes_the_key(parts: list[Part], monkeypatch
     keys["nothing"] = content_key((reduce_part, parts[0]))
     keys["another function"] = content_key((content_key, parts[0]))
     assert len(set(keys.values())) == len(keys)
-    monkeypatch.setattr("idim.scale.content.program", lambda: "the next version")
+    monkeypatch.setattr("gtau.scale.content.program", lambda: "the next version")
     assert content_key((reduce_part, parts[0])) not in keys.values()
 
 
@@ -155,9 +155,9 @@ def test_another_payload_or_name_needs_no_new_factors(parts: list[Part], tmp_pat
 
 def test_what_is_refused_is_not_stored(parts: list[Part], tmp_path: Path) -> None:
     def refusing(function: Callable, items: list[Part]) -> Iterator[tuple[int, object]]:
-        yield 0, IdimError("singular.")
+        yield 0, GtauError("singular.")
 
-    with pytest.raises(IdimError, match="singular"):
+    with pytest.raises(GtauError, match="singular"):
         mapped(refusing, parts[:1], tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -183,13 +183,13 @@ def test_a_cache_that_cannot_be_written_is_done_without(parts: list[Part], tmp_p
 
 
 def test_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv("IDIM_CACHE", raising=False)
+    monkeypatch.delenv("GTAU_CACHE", raising=False)
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "idim"
+    assert cache_folder() == tmp_path / "gtau"
     monkeypatch.delenv("XDG_CACHE_HOME")
-    assert cache_folder() == Path.home() / ".cache" / "idim"
-    monkeypatch.setenv("IDIM_CACHE", str(tmp_path / "own"))
+    assert cache_folder() == Path.home() / ".cache" / "gtau"
+    monkeypatch.setenv("GTAU_CACHE", str(tmp_path / "own"))
     assert cache_folder() == tmp_path / "own"
-    monkeypatch.setenv("IDIM_CACHE", "")
-    assert cache_folder() == Path.home() / ".cache" / "idim"
+    monkeypatch.setenv("GTAU_CACHE", "")
+    assert cache_folder() == Path.home() / ".cache" / "gtau"

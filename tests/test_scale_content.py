@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from idim.errors import IdimError
-from idim.robots.load import load_robot
-from idim.scale import content
-from idim.scale.content import BLOCK, content_key
-from idim.signals.experiment import Payload
+from gtau.errors import GtauError
+from gtau.robots.load import load_robot
+from gtau.scale import content
+from gtau.scale.content import BLOCK, content_key
+from gtau.signals.experiment import Payload
 
 
 @dataclass(frozen=True)
@@ -114,5 +114,5 @@ def test_what_has_no_content_is_refused(tmp_path: Path) -> None:
     for value in (lambda x: x, object(), np.array([object()]), iter(())):
         with pytest.raises(TypeError, match="no content"):
             content_key((value,))
-    with pytest.raises(IdimError, match="cannot be read"):
+    with pytest.raises(GtauError, match="cannot be read"):
         content_key(tmp_path / "nowhere")

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
-from idim.errors import IdimError
-from idim.estimation import data
-from idim.estimation.data import reduce_part
-from idim.estimation.identify import identify
-from idim.scale import workers
-from idim.scale.processes import LIMITS, deaf_children
-from idim.scale.spread import in_turn
-from idim.scale.workers import connected, on_workers
-from idim.signals.run import read_run
+from gtau.errors import GtauError
+from gtau.estimation import data
+from gtau.estimation.data import reduce_part
+from gtau.estimation.identify import identify
+from gtau.scale import workers
+from gtau.scale.processes import LIMITS, deaf_children
+from gtau.scale.spread import in_turn
+from gtau.scale.workers import connected, on_workers
+from gtau.signals.run import read_run
 from spread_work import away, fragile, refusing
 
 distributed = pytest.importorskip("distributed")
@@ -121,7 +121,7 @@ def test_workers_that_do_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
         made = on_workers(time.sleep, [0.01, 60], client)
         next(made)
         cluster.scale(0)
-        with pytest.raises(IdimError, match="the Dask scheduler has had no workers for 2 s; see whether they"):
+        with pytest.raises(GtauError, match="the Dask scheduler has had no workers for 2 s; see whether they"):
             next(made)
 
 
@@ -147,7 +147,7 @@ def test_a_scheduler_that_stops(experiment: Path) -> None:
         made = on_workers(time.sleep, [0.01, 60], client)
         next(made)
         cluster.close()
-        with pytest.raises(IdimError, match="the Dask scheduler went away"):
+        with pytest.raises(GtauError, match="the Dask scheduler went away"):
             next(made)
 
 
@@ -158,13 +158,13 @@ def test_a_scheduler_that_stops(experiment: Path) -> None:
 def test_a_scheduler_that_is_not_there(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "PATIENCE", 0.5)
     says = f"the Dask scheduler '{address}' cannot be reached"
-    with pytest.raises(IdimError, match=says), connected(address):
+    with pytest.raises(GtauError, match=says), connected(address):
         pass
 
 
 def test_a_worker_is_no_scheduler(client) -> None:
     (address, *_) = client.scheduler_info()["workers"]
-    with pytest.raises(IdimError, match="this is a worker"), connected(address):
+    with pytest.raises(GtauError, match="this is a worker"), connected(address):
         pass
 
 
@@ -172,37 +172,37 @@ def test_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "PATIENCE", 1.0)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None, silence_logs="CRITICAL") as cluster,
-        pytest.raises(IdimError, match=f"'{cluster.scheduler_address}' has no workers; start some"),
+        pytest.raises(GtauError, match=f"'{cluster.scheduler_address}' has no workers; start some"),
         connected(cluster.scheduler_address),
     ):
         pass
 
 
-def test_another_version_of_idim_on_the_workers(client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_version_of_gtau_on_the_workers(client, monkeypatch: pytest.MonkeyPatch) -> None:
     address = client.scheduler.address
     with connected(address) as connection:
         assert dict(on_workers(refusing, [1], connection)) == {0: 1}
     monkeypatch.setattr(workers, "installed", lambda: "9.9.9")
-    with pytest.raises(IdimError, match=r"has idim .* and this machine 9.9.9; install the same"), connected(address):
+    with pytest.raises(GtauError, match=r"has gtau .* and this machine 9.9.9; install the same"), connected(address):
         pass
     late = dict(on_workers(refusing, [1], client))[0]  # what a worker says that came later
     assert "this machine 9.9.9; install the same version everywhere" in str(late)
 
 
-def test_workers_without_idim(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_without_gtau(monkeypatch: pytest.MonkeyPatch) -> None:
     from importlib.metadata import PackageNotFoundError
 
     cluster = SimpleNamespace(
         wait_for_workers=lambda n, timeout: None,
-        run=lambda function, name, on_error: {"tcp://far:1": PackageNotFoundError("idim")},
+        run=lambda function, name, on_error: {"tcp://far:1": PackageNotFoundError("gtau")},
     )
-    with pytest.raises(IdimError, match="the Dask worker tcp://far:1 has no idim; install idim"):
+    with pytest.raises(GtauError, match="the Dask worker tcp://far:1 has no gtau; install gtau"):
         workers._check_workers(cluster, "tcp://far:2")
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(IdimError, match=r"pip install 'idim\[dask\]'"), connected("local"):
+    with pytest.raises(GtauError, match=r"pip install 'gtau\[dask\]'"), connected("local"):
         pass
 
 
@@ -210,14 +210,14 @@ def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def program(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-c", "from idim.cli import main; main()", *arguments]
+    command = [sys.executable, "-c", "from gtau.cli import main; main()", *arguments]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
 
 
 def test_identify_on_a_scheduler(client, experiment: Path, tmp_path: Path) -> None:
     made = program(tmp_path, "identify", str(experiment), "--out", "out", "--dask", client.scheduler.address)
     assert (made.returncode, made.stderr) == (0, "")
-    from idim.estimation.result import Result
+    from gtau.estimation.result import Result
 
     found = numbers(Result.load(tmp_path / "out" / "model.json"))
     assert found == pytest.approx(numbers(identify(experiment)), rel=1e-10, abs=1e-12)

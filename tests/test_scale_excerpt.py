@@ -10,19 +10,19 @@ import numpy as np
 import polars as pl
 import pytest
 
-import idim.estimation.data
-import idim.signals.excerpt
-import idim.signals.log_file
-import idim.signals.resampling
-import idim.signals.storage
+import gtau.estimation.data
+import gtau.signals.excerpt
+import gtau.signals.log_file
+import gtau.signals.resampling
+import gtau.signals.storage
 from five_bar_logs import EXPERIMENT, Plant, five_bar, write_log
-from idim.errors import IdimError
-from idim.estimation.data import Part, read_runs, reduce_part, reduce_runs
-from idim.estimation.factors import joined
-from idim.signals.excerpt import read_excerpt
-from idim.signals.experiment import read_experiment
-from idim.signals.run import Run, arrange, read_run
-from idim.signals.storage import Placed
+from gtau.errors import GtauError
+from gtau.estimation.data import Part, read_runs, reduce_part, reduce_runs
+from gtau.estimation.factors import joined
+from gtau.signals.excerpt import read_excerpt
+from gtau.signals.experiment import read_experiment
+from gtau.signals.run import Run, arrange, read_run
+from gtau.signals.storage import Placed
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE = 6000, 500.0
@@ -86,11 +86,11 @@ def table(rng: np.random.Generator) -> Table:
 @pytest.fixture
 def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is read at once, and what is known by its place, as short as if the logs were long."""
-    monkeypatch.setattr(idim.signals.resampling, "LANDMARK", 128)
-    monkeypatch.setattr(idim.signals.excerpt, "LANDMARK", 128)
-    monkeypatch.setattr(idim.signals.storage, "BLOCK", 500)
-    monkeypatch.setattr(idim.signals.log_file, "ROWS", 300)
-    monkeypatch.setattr(idim.signals.log_file, "BYTES", 10_000)
+    monkeypatch.setattr(gtau.signals.resampling, "LANDMARK", 128)
+    monkeypatch.setattr(gtau.signals.excerpt, "LANDMARK", 128)
+    monkeypatch.setattr(gtau.signals.storage, "BLOCK", 500)
+    monkeypatch.setattr(gtau.signals.log_file, "ROWS", 300)
+    monkeypatch.setattr(gtau.signals.log_file, "BYTES", 10_000)
 
 
 def write(kind: str, columns: Table, folder: Path) -> list[Path]:
@@ -147,17 +147,17 @@ def test_no_more_is_read_than_is_needed(
     kind: str, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent = pickle.dumps(read(write(kind, table(rng), tmp_path), kind).only(range(2000, 2400)))
-    numbers, read_rows = idim.signals.log_file._numbers, []
+    numbers, read_rows = gtau.signals.log_file._numbers, []
 
     def counting(series: pl.Series) -> tuple[np.ndarray, str | None]:
         read_rows.append(len(series))
         return numbers(series)
 
-    monkeypatch.setattr(idim.signals.log_file, "_numbers", counting)
+    monkeypatch.setattr(gtau.signals.log_file, "_numbers", counting)
     parsed = []
-    of_text = idim.signals.log_file._csv_frame
+    of_text = gtau.signals.log_file._csv_frame
     monkeypatch.setattr(
-        idim.signals.log_file,
+        gtau.signals.log_file,
         "_csv_frame",
         lambda path, text, *rest: parsed.append(len(text)) or of_text(path, text, *rest),
     )
@@ -179,7 +179,7 @@ def test_a_part_needs_nothing_of_the_run_but_what_it_gets(
         experiment = read_experiment(tmp_path / "experiment.yaml")
         (run,) = read_runs(experiment, experiment.runs)
     whole = reduce_runs(five_bar().robot, [run], decimator=kind)
-    monkeypatch.setattr(idim.estimation.data, "PART", len(whole.prepared[0]) // 4)
+    monkeypatch.setattr(gtau.estimation.data, "PART", len(whole.prepared[0]) // 4)
     ((*parts,),) = whole.parts()
     assert len(parts) == 4
     expected = joined([reduce_part(part) for part in parts])
@@ -211,7 +211,7 @@ def test_a_log_that_is_not_there(tmp_path: Path, rng: np.random.Generator) -> No
     sent = pickle.dumps(read_run(path, SIGNALS))
     path.rename(tmp_path / "elsewhere.csv")
     read_excerpt.cache_clear()
-    with pytest.raises(IdimError, match=r"there is no log .*log\.csv; share its folder with all workers"):
+    with pytest.raises(GtauError, match=r"there is no log .*log\.csv; share its folder with all workers"):
         pickle.loads(sent)
 
 
@@ -228,7 +228,7 @@ def test_a_log_is_found_from_another_folder(
 def test_rows_put_in_place(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
     values = rng.normal(size=(50, 3))
     for limit in (10, 10**9):
-        monkeypatch.setattr(idim.signals.storage, "IN_MEMORY", limit)
+        monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", limit)
         place = Placed(1000, (3,))
         place.put(700, values[20:])
         place.put(680, values[:20])

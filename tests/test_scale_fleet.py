@@ -11,15 +11,15 @@ import pytest
 from typer.testing import CliRunner
 
 from five_bar_logs import EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
-from idim.cli.commands import app
-from idim.errors import IdimError
-from idim.estimation.identify import identify
-from idim.estimation.result import Result
-from idim.report.fleet_page import fleet_page
-from idim.scale import fleet
-from idim.scale.fleet import Member, Report, identify_fleet, read_fleet
-from idim.scale.fleet_gains import fleet_table
-from idim.scale.spread import here
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.estimation.identify import identify
+from gtau.estimation.result import Result
+from gtau.report.fleet_page import fleet_page
+from gtau.scale import fleet
+from gtau.scale.fleet import Member, Report, identify_fleet, read_fleet
+from gtau.scale.fleet_gains import fleet_table
+from gtau.scale.spread import here
 
 ONE = EXPERIMENT.split("validation")[0]
 ROBOTS, SECONDS = 30, 4.0
@@ -71,7 +71,7 @@ def test_the_two_that_are_off_are_found(cells: Path, tmp_path: Path, monkeypatch
     }
     assert outliers["difference_percent"].to_list() == pytest.approx([5, 5], abs=1)
     assert (out / "gains.png").stat().st_size > 10000
-    # the models are those of 'idim identify'
+    # the models are those of 'gtau identify'
     model = Result.load(out / "models" / "robot_3.json")
     alone = identify(cells / "robot_3" / "experiment.yaml")
     assert [g.value for g in model.drive_gains.values()] == pytest.approx([g.value for g in alone.drive_gains.values()])
@@ -105,7 +105,7 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("idim.estimation.identify.identify", broken)
+    monkeypatch.setattr("gtau.estimation.identify.identify", broken)
     (report,) = identify_fleet(some(cells, 3), tmp_path, here)
     assert "this should not have happened (ZeroDivisionError: oops); please report it" in report.sentence
     assert fleet_table([report]).refused[0][0] == report.member.name
@@ -113,7 +113,7 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
 
 def test_lost_robots_are_told(cells: Path, tmp_path: Path) -> None:
     def losing(function, items):
-        yield 1, IdimError("its worker died.")
+        yield 1, GtauError("its worker died.")
         yield 0, function(items[0])
 
     reports = identify_fleet(some(cells, 1, 2), tmp_path, losing)
@@ -153,8 +153,8 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
     elif change == "method":
         method = "mixed"
     else:
-        from idim.robots.load import load_robot
-        from idim.robots.native_text import native_text
+        from gtau.robots.load import load_robot
+        from gtau.robots.native_text import native_text
 
         (tmp_path / "five-bar").write_text(native_text(load_robot("five-bar")).replace("0.35", "0.36"))
         (tmp_path / "five-bar").rename(tmp_path / "other.yaml")

@@ -10,12 +10,12 @@ import polars as pl
 import pytest
 
 from five_bar_logs import EXPERIMENT, Plant, write_log
-from idim.errors import IdimError
-from idim.estimation.data import read_runs
-from idim.files import in_order
-from idim.signals.excerpt import read_excerpt
-from idim.signals.experiment import Experiment, read_experiment
-from idim.signals.log_file import read_log
+from gtau.errors import GtauError
+from gtau.estimation.data import read_runs
+from gtau.files import in_order
+from gtau.signals.excerpt import read_excerpt
+from gtau.signals.experiment import Experiment, read_experiment
+from gtau.signals.log_file import read_log
 
 HEAD = EXPERIMENT.split("runs:")[0] + "runs:\n"
 
@@ -59,7 +59,7 @@ def test_a_pattern_leaves_out_the_file_that_it_stands_in(folder: Path) -> None:
 def test_times_of_day_are_no_seconds(tmp_path: Path, kind: pl.DataType) -> None:
     pl.DataFrame({"t": [0, 1], "q": [0.0, 1.0]}).cast({"t": kind}).write_parquet(tmp_path / "a.parquet")
     with pytest.raises(
-        IdimError, match=r"column 't' holds dates or times \(.*write the seconds since the first sample"
+        GtauError, match=r"column 't' holds dates or times \(.*write the seconds since the first sample"
     ):
         read_log(tmp_path / "a.parquet", ["t", "q"])
 
@@ -86,7 +86,7 @@ def test_a_file_whose_name_looks_like_a_pattern(folder: Path) -> None:
     ],
 )  # fmt: skip
 def test_what_does_not_match(folder: Path, runs: str, says: str) -> None:
-    with pytest.raises(IdimError) as refused:
+    with pytest.raises(GtauError) as refused:
         read(folder, runs)
     assert says in str(refused.value)
 
@@ -123,5 +123,5 @@ def test_a_run_sent_to_another_process_is_of_the_same_log(tmp_path: Path) -> Non
     write_log(tmp_path / "a.csv", Plant(noise=0.03).run("a", seconds=6.0))
     assert np.array_equal(pickle.loads(pickle.dumps(changed)).command, changed.command)  # it was read in time
     read_excerpt.cache_clear()  # as in a process that has not read it
-    with pytest.raises(IdimError, match=r"a\.csv is not the one that was read where this was begun, or has"):
+    with pytest.raises(GtauError, match=r"a\.csv is not the one that was read where this was begun, or has"):
         pickle.loads(pickle.dumps(changed))

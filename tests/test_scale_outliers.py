@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from idim.scale.outliers import LEAST, apart
+from gtau.scale.outliers import LEAST, apart
 
 JOINTS = 3
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from idim.errors import IdimError
-from idim.scale.processes import in_processes
-from idim.scale.spread import here, in_turn
+from gtau.errors import GtauError
+from gtau.scale.processes import in_processes
+from gtau.scale.spread import here, in_turn
 from spread_work import fragile, limits, square
 
 
@@ -41,15 +41,15 @@ def test_results_in_turn() -> None:
 
 
 def test_an_error_in_its_turn_is_raised() -> None:
-    with pytest.raises(IdimError, match="no two"):
-        list(in_turn(lambda function, items: [(0, 1), (1, IdimError("no two."))])(square, range(2)))
+    with pytest.raises(GtauError, match="no two"):
+        list(in_turn(lambda function, items: [(0, 1), (1, GtauError("no two."))])(square, range(2)))
 
 
 def test_ctrl_c_ends_all_processes_at_once_and_without_a_word(tmp_path: Path) -> None:
     code = """
 import sys, pathlib
 sys.path.insert(0, sys.argv[1])
-from idim.scale.processes import in_processes
+from gtau.scale.processes import in_processes
 from spread_work import slow
 if __name__ == "__main__":
     try:

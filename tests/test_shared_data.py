@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from idim.estimation.identify import identify
-from idim.estimation.payload import weigh
-from idim.estimation.result import Result
-from idim.estimation.verdicts import Outcome
-from idim.signals.experiment import read_experiment
-from idim.signals.run import read_run
+from gtau.estimation.identify import identify
+from gtau.estimation.payload import weigh
+from gtau.estimation.result import Result
+from gtau.estimation.verdicts import Outcome
+from gtau.signals.experiment import read_experiment
+from gtau.signals.run import read_run
 
 PAGE = Path(__file__).parents[1] / "docs" / "measured.md"
 CONTROLLER = (11.976, 11.976, 9.839, 10.763, 10.76, 10.76)  # N m/A

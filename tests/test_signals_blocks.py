@@ -15,18 +15,18 @@ import numpy as np
 import polars as pl
 import pytest
 
-import idim.estimation.data
-import idim.signals.log_file
-import idim.signals.storage
+import gtau.estimation.data
+import gtau.signals.log_file
+import gtau.signals.storage
 from five_bar_logs import JOINTS, Plant, five_bar
-from idim.errors import IdimError
-from idim.estimation.data import cut, joined, reduce_part, reduce_runs
-from idim.estimation.factors import STRETCHES, Weigh
-from idim.signals.filters import SEGMENT, joint_bandwidths, position_filter
-from idim.signals.preparation import Preparation, choose_preparation, prepare
-from idim.signals.quantiles import Quantiles, medians
-from idim.signals.run import Run, arrange, read_run
-from idim.signals.storage import Store, block, store
+from gtau.errors import GtauError
+from gtau.estimation.data import cut, joined, reduce_part, reduce_runs
+from gtau.estimation.factors import STRETCHES, Weigh
+from gtau.signals.filters import SEGMENT, joint_bandwidths, position_filter
+from gtau.signals.preparation import Preparation, choose_preparation, prepare
+from gtau.signals.quantiles import Quantiles, medians
+from gtau.signals.run import Run, arrange, read_run
+from gtau.signals.storage import Store, block, store
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE = 6000, 500.0
@@ -76,10 +76,10 @@ def test_a_log_read_in_blocks_is_the_log(
     path = tmp_path / f"log.{kind}"
     table.fill_nan(None).write_csv(path) if kind == "csv" else table.write_parquet(path)
     whole = read_run(path, SIGNALS)
-    monkeypatch.setattr(idim.signals.storage, "BLOCK", 10 * size)
-    monkeypatch.setattr(idim.signals.storage, "IN_MEMORY", 1000)
-    monkeypatch.setattr(idim.signals.log_file, "ROWS", 13 * size)
-    monkeypatch.setattr(idim.signals.log_file, "BYTES", 500 * size)
+    monkeypatch.setattr(gtau.signals.storage, "BLOCK", 10 * size)
+    monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", 1000)
+    monkeypatch.setattr(gtau.signals.log_file, "ROWS", 13 * size)
+    monkeypatch.setattr(gtau.signals.log_file, "BYTES", 500 * size)
     seen: list[float] = []
     run = read_run(path, SIGNALS, progress=seen.append)
     assert run.notes == whole.notes
@@ -118,7 +118,7 @@ def test_values_that_cannot_be_right(
 ) -> None:
     table = columns(rng)
     pl.DataFrame(table | {name: table[name] * scale for name, scale in change.items()}).write_csv(tmp_path / "log.csv")
-    with pytest.raises(IdimError, match=sentence):
+    with pytest.raises(GtauError, match=sentence):
         read_run(tmp_path / "log.csv", SIGNALS)
 
 
@@ -185,7 +185,7 @@ def test_medians_of_what_goes_by_are_exact(count: int, rng: np.random.Generator)
 def test_a_stored_array_is_what_was_written(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     values = rng.normal(size=(1000, 3))
     for limit in (100, 10**9):
-        monkeypatch.setattr(idim.signals.storage, "IN_MEMORY", limit)
+        monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", limit)
         stored = store(np.array_split(values, 13), (3,))
         np.testing.assert_array_equal(stored, values)
         np.testing.assert_array_equal(block(stored[:, 1:], 10, 500), values[10:500, 1:])
@@ -194,13 +194,13 @@ def test_a_stored_array_is_what_was_written(rng: np.random.Generator, monkeypatc
 
 
 def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(idim.signals.storage, "IN_MEMORY", 10)
+    monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", 10)
 
     def full(*arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(idim.signals.storage.tempfile, "TemporaryFile", full)
-    with pytest.raises(IdimError, match=r"no space left on device\); make room there, or set TMPDIR"):
+    monkeypatch.setattr(gtau.signals.storage.tempfile, "TemporaryFile", full)
+    with pytest.raises(GtauError, match=r"no space left on device\); make room there, or set TMPDIR"):
         store([np.ones(100)])
 
 
@@ -247,7 +247,7 @@ def test_long_runs_are_cut_and_their_parts_mapped(monkeypatch: pytest.MonkeyPatc
     assert [s for part in cut(7 << 19) for s in part] == list(range(STRETCHES))
     run = Plant(noise=0.01).run("r")
     whole = reduce_runs(five_bar().robot, [run])
-    monkeypatch.setattr(idim.estimation.data, "PART", 1000)
+    monkeypatch.setattr(gtau.estimation.data, "PART", 1000)
     seen: list[tuple[str, int, int]] = []
     data = reduce_runs(five_bar().robot, [run], progress=lambda *what: seen.append(what), mapper=sent)
     done = [(now, total) for what, now, total in seen if what == "model along the runs"]
@@ -279,7 +279,7 @@ PART = 250_000
 
 
 def peak_mib(folder: Path, parts: int) -> float:
-    """Peak memory, MiB, of ``idim identify`` as a program with a log of a pendulum in so many files."""
+    """Peak memory, MiB, of ``gtau identify`` as a program with a log of a pendulum in so many files."""
     (folder / "log").mkdir(parents=True)
     rng = np.random.default_rng(1)
     for k in range(parts):
@@ -289,7 +289,7 @@ def peak_mib(folder: Path, parts: int) -> float:
         pl.DataFrame({"t": time, "qa": q, "va": tau}).write_parquet(folder / "log" / f"part_{k}.parquet")
     (folder / "robot.yaml").write_text(ROBOT)
     (folder / "experiment.yaml").write_text(EXPERIMENT)
-    code = "import sys; from idim.cli import main; sys.argv[0] = 'idim'; main()"
+    code = "import sys; from gtau.cli import main; sys.argv[0] = 'gtau'; main()"
     arguments = [sys.executable, "-c", code, "identify", str(folder / "experiment.yaml"), "--method", "wls"]
     arguments += ["--no-cache", "--out", str(folder)]
     source = str(Path(__file__).parents[1] / "src")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from idim.errors import IdimError
-from idim.signals.decimation import Decimator, decimation_factor
-from idim.signals.filters import (
+from gtau.errors import GtauError
+from gtau.signals.decimation import Decimator, decimation_factor
+from gtau.signals.filters import (
     bandwidth,
     cutoff_frequency,
     differentiate,
@@ -17,7 +17,7 @@ from idim.signals.filters import (
     low_pass,
     position_filter,
 )
-from idim.signals.run import Run
+from gtau.signals.run import Run
 
 
 def phasor(x: np.ndarray, time: np.ndarray, frequency: float) -> complex:
@@ -98,7 +98,7 @@ def test_bandwidth_of_sines_in_noise(rng: np.random.Generator) -> None:
 
 def test_rest_has_no_bandwidth(rng: np.random.Generator) -> None:
     rest = np.round(0.5 + 0.4 * rng.standard_normal((2000, 2))) * 1e-4
-    with pytest.raises(IdimError, match="no joint's motion stands out"):
+    with pytest.raises(GtauError, match="no joint's motion stands out"):
         bandwidth(run_of(rest, 95.0))
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from idim.errors import IdimError
-from idim.signals.run import Run, arrange, read_run
+from gtau.errors import GtauError
+from gtau.signals.run import Run, arrange, read_run
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE = 1000, 500.0
@@ -56,7 +56,7 @@ def test_columns_go_by_name_not_by_place(log: Path) -> None:
     assert other.joints == ("b", "a")
     np.testing.assert_array_equal(other.position[:, 1], run.position[:, 0])
     np.testing.assert_array_equal(arrange(other, run.joints).command, run.command)
-    with pytest.raises(IdimError, match="the robot's actuated joints are a, c"):
+    with pytest.raises(GtauError, match="the robot's actuated joints are a, c"):
         arrange(run, ("a", "c"))
 
 
@@ -233,7 +233,7 @@ def test_a_bad_log_is_refused_in_one_sentence(
     log: Path, change: Callable[[list[str]], list[str]], header: str, sentence: str
 ) -> None:
     write(log, change(rows()), header)
-    with pytest.raises(IdimError) as refusal:
+    with pytest.raises(GtauError) as refusal:
         read_run(log, SIGNALS)
     assert sentence in str(refusal.value)
     assert str(refusal.value).startswith(str(log))
@@ -241,26 +241,26 @@ def test_a_bad_log_is_refused_in_one_sentence(
 
 
 def test_files_that_are_no_logs(tmp_path: Path, log: Path) -> None:
-    with pytest.raises(IdimError, match="cannot be read: no such file"):
+    with pytest.raises(GtauError, match="cannot be read: no such file"):
         read_run(tmp_path / "none.csv", SIGNALS)
     log.write_bytes(b"\x89PNG\xff\x00" * 50)
-    with pytest.raises(IdimError, match="is not a text file"):
+    with pytest.raises(GtauError, match="is not a text file"):
         read_run(log, SIGNALS)
     (tmp_path / "log.parquet").write_bytes(b"no parquet")
-    with pytest.raises(IdimError, match="is not a readable Parquet file"):
+    with pytest.raises(GtauError, match="is not a readable Parquet file"):
         read_run(tmp_path / "log.parquet", SIGNALS)
 
 
 def test_two_files_of_different_length(tmp_path: Path) -> None:
     first, second = write(tmp_path / "p.csv", rows()), write(tmp_path / "c.csv", rows()[:-1])
-    with pytest.raises(IdimError, match=r"1000 rows but .* has 999"):
+    with pytest.raises(GtauError, match=r"1000 rows but .* has 999"):
         read_run([first, second], SIGNALS)
-    with pytest.raises(IdimError, match="a run has 3 logs"):
+    with pytest.raises(GtauError, match="a run has 3 logs"):
         read_run([first, second, first], SIGNALS)
 
 
 def test_one_column_for_two_things(log: Path) -> None:
-    with pytest.raises(IdimError, match="'qa' is given both as a position and as a current"):
+    with pytest.raises(GtauError, match="'qa' is given both as a position and as a current"):
         read_run(write(log, rows()), SIGNALS | {"current": {"a": "va", "b": "qa"}})
 
 
@@ -274,13 +274,13 @@ def test_one_column_for_two_things(log: Path) -> None:
 )
 def test_wrong_mappings(log: Path, arguments: dict, sentence: str) -> None:
     write(log, rows())
-    with pytest.raises(IdimError) as refusal:
+    with pytest.raises(GtauError) as refusal:
         read_run(log, **({"signals": SIGNALS} | arguments))
     assert sentence in str(refusal.value)
 
 
 def test_a_run_from_arrays_has_one_shape() -> None:
-    with pytest.raises(IdimError, match=r"must all have the shape \(5, 2\)"):
+    with pytest.raises(GtauError, match=r"must all have the shape \(5, 2\)"):
         Run("r", ("a", "b"), np.arange(5.0), np.zeros((5, 2)), np.zeros((5, 3)))
 
 

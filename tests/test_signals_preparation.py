@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from idim.errors import IdimError
-from idim.signals.preparation import choose_preparation, prepare
-from idim.signals.run import Run, read_run
+from gtau.errors import GtauError
+from gtau.signals.preparation import choose_preparation, prepare
+from gtau.signals.run import Run, read_run
 
 RATE = 1000.0
 
@@ -82,7 +82,7 @@ def test_all_runs_share_one_preparation() -> None:
     shared = choose_preparation([slow, fast])
     assert shared.bandwidth == choose_preparation([fast]).bandwidth > choose_preparation([slow]).bandwidth
     assert choose_preparation([slow], decimator="chebyshev").decimator.kind == "chebyshev"
-    with pytest.raises(IdimError, match="run 'half' is sampled at 500 Hz and run 'slow' at 1000 Hz"):
+    with pytest.raises(GtauError, match="run 'half' is sampled at 500 Hz and run 'slow' at 1000 Hz"):
         choose_preparation([slow, run_with_rest("half", 500.0)])
 
 
@@ -90,9 +90,9 @@ def test_a_run_at_rest_is_refused() -> None:
     run = run_with_rest()
     at_rest = replace(run, position=np.full_like(run.position, 0.3))
     preparation = choose_preparation([run])
-    with pytest.raises(IdimError, match="no joint's motion stands out"):
+    with pytest.raises(GtauError, match="no joint's motion stands out"):
         choose_preparation([at_rest])
-    with pytest.raises(IdimError, match="no joint moves"):
+    with pytest.raises(GtauError, match="no joint moves"):
         prepare(at_rest, preparation)
 
 
@@ -116,7 +116,7 @@ def test_ur10e_speeds_are_those_of_its_controller(shared: Path) -> None:
 
 
 def test_ur10e_at_rest_and_one_joint_at_a_time(shared: Path) -> None:
-    with pytest.raises(IdimError, match="no joint's motion stands out"):
+    with pytest.raises(GtauError, match="no joint's motion stands out"):
         choose_preparation([read_run(shared / "ur10e" / "ur-20_01_17-p1.csv", UR10E)])
     run = read_run(shared / "ur10e" / "jointwise" / "ur-20_01_22-joint_2.csv", UR10E)
     prepared = prepare(run, choose_preparation([run])).samples()

@@ -11,30 +11,30 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from five_bar_logs import CHI, GAINS, STEEL, Plant, five_bar
-from idim.errors import IdimError
-from idim.estimation import resimulation
-from idim.estimation.assembly import Assembly
-from idim.estimation.base_parameters import base_parameters
-from idim.estimation.current_domain import ml
-from idim.estimation.data import Data, reduce_runs, silent
-from idim.estimation.didim import along_simulated_motion
-from idim.estimation.friction import Friction
-from idim.estimation.identify import identify
-from idim.estimation.instruments import Pair, instrumental, paired, with_instruments
-from idim.estimation.problem import Problem
-from idim.estimation.resimulation import POLE, resimulated
-from idim.estimation.result import Result
-from idim.estimation.triangle import triangle
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.signals.decimation import Decimator
-from idim.signals.experiment import Payload
-from idim.signals.preparation import Preparation, choose_preparation, prepare
-from idim.signals.run import Run
-from idim.simulation import plant
-from idim.simulation.closed_loop import simulate
-from idim.simulation.controllers import Controller, Reference
-from idim.simulation.drive import Drive, hardware
+from gtau.errors import GtauError
+from gtau.estimation import resimulation
+from gtau.estimation.assembly import Assembly
+from gtau.estimation.base_parameters import base_parameters
+from gtau.estimation.current_domain import ml
+from gtau.estimation.data import Data, reduce_runs, silent
+from gtau.estimation.didim import along_simulated_motion
+from gtau.estimation.friction import Friction
+from gtau.estimation.identify import identify
+from gtau.estimation.instruments import Pair, instrumental, paired, with_instruments
+from gtau.estimation.problem import Problem
+from gtau.estimation.resimulation import POLE, resimulated
+from gtau.estimation.result import Result
+from gtau.estimation.triangle import triangle
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.signals.decimation import Decimator
+from gtau.signals.experiment import Payload
+from gtau.signals.preparation import Preparation, choose_preparation, prepare
+from gtau.signals.run import Run
+from gtau.simulation import plant
+from gtau.simulation.closed_loop import simulate
+from gtau.simulation.controllers import Controller, Reference
+from gtau.simulation.drive import Drive, hardware
 
 FIVE_BAR = load_robot("five-bar")
 KNOWN = Payload(name="steel", mass=STEEL["m"])
@@ -126,7 +126,7 @@ def test_an_inertia_that_is_not_positive_is_refused(clean: list[Run]) -> None:
     base = base_parameters(five_bar())
     chi = {**CHI, "ia_left": -5.0}
     values = base.matrix @ np.array([chi.get(name, 0.0) for name in five_bar().parameter_names])
-    with pytest.raises(IdimError, match=r"inertia estimated is not positive \(t = .* of run 'free'\)"):
+    with pytest.raises(GtauError, match=r"inertia estimated is not positive \(t = .* of run 'free'\)"):
         resimulated(five_bar(), five_bar().columns(base.standard), values, prepare(clean[0], preparation), preparation)
 
 
@@ -240,9 +240,9 @@ def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(solved: tuple
 
 
 def test_refusals(clean: list[Run]) -> None:
-    with pytest.raises(IdimError, match="the paper has no method 'iv'"):
+    with pytest.raises(GtauError, match="the paper has no method 'iv'"):
         identify(FIVE_BAR, clean, method="iv", as_paper=True)
-    with pytest.raises(IdimError, match="use --method didim or ml"):
+    with pytest.raises(GtauError, match="use --method didim or ml"):
         identify(FIVE_BAR, clean, method="iv", consistent=True)
 
 

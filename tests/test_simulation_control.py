@@ -10,24 +10,24 @@ import pytest
 from typer.testing import CliRunner
 
 from engines import random_parameters
-from idim.cli.commands import app
-from idim.errors import IdimError
-from idim.estimation.identify import identify
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
-from idim.robots.native_text import native_text
-from idim.robots.robot import Joint, Limits, Robot
-from idim.signals.experiment import read_experiment
-from idim.signals.run import read_run
-from idim.simulation import experiment_files
-from idim.simulation.closed_loop import simulate, write_log
-from idim.simulation.controllers import Reference, pid_with_velocity, simple_pid
-from idim.simulation.description import Motion, read_simulation
-from idim.simulation.drive import Drive, Sensors, hardware
-from idim.simulation.experiment_files import simulate_experiment
-from idim.simulation.motions import make_trajectory, moves_through
-from idim.simulation.plant import Plant
-from idim.simulation.trajectories import Envelope, envelope, sines
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.estimation.identify import identify
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.native_text import native_text
+from gtau.robots.robot import Joint, Limits, Robot
+from gtau.signals.experiment import read_experiment
+from gtau.signals.run import read_run
+from gtau.simulation import experiment_files
+from gtau.simulation.closed_loop import simulate, write_log
+from gtau.simulation.controllers import Reference, pid_with_velocity, simple_pid
+from gtau.simulation.description import Motion, read_simulation
+from gtau.simulation.drive import Drive, Sensors, hardware
+from gtau.simulation.experiment_files import simulate_experiment
+from gtau.simulation.motions import make_trajectory, moves_through
+from gtau.simulation.plant import Plant
+from gtau.simulation.trajectories import Envelope, envelope, sines
 
 RATE = 1000.0
 
@@ -329,11 +329,11 @@ def fourier(frequency: float, amplitude: float) -> dict:
             {"runs": [{"name": "a", "trajectory": fourier(8.0, 0.01)}]},
             "joint '11' is to reach 25.22 m/s2, beyond its limit of 20 m/s2",
         ),
-        ({"engine": "bullet"}, "write 'idim' or 'mujoco', not 'bullet'"),
+        ({"engine": "bullet"}, "write 'gtau' or 'mujoco', not 'bullet'"),
     ],
 )
 def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
-    with pytest.raises(IdimError) as refused:
+    with pytest.raises(GtauError) as refused:
         simulate_experiment(written(tmp_path, **changes), tmp_path, silent)
     assert sentence in str(refused.value)
     assert [path.name for path in tmp_path.iterdir()] == ["simulation.yaml"]
@@ -342,18 +342,18 @@ def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
 def test_passive_joints_keep_to_their_limits_too(tmp_path):
     narrow = native_text(load_robot("orthoglide")).replace("31: {", "31: {limits: {position: [-0.1, 0.1]}, ", 1)
     (tmp_path / "narrow.yaml").write_text(narrow, encoding="utf-8")
-    with pytest.raises(IdimError, match=r"run 'a': joint '31' is to move from -0\.\d+ to 0\.\d+, beyond its limits"):
+    with pytest.raises(GtauError, match=r"run 'a': joint '31' is to move from -0\.\d+ to 0\.\d+, beyond its limits"):
         simulate_experiment(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
 
 
 def test_the_mujoco_engine_makes_the_same_run(tmp_path):
-    from idim.simulation.experiment_files import make_run
+    from gtau.simulation.experiment_files import make_run
 
     simulation = read_simulation(written(tmp_path))
     model = InverseDynamics(load_robot("orthoglide"))
     ours, theirs = (
         make_run(simulation.model_copy(update={"engine": engine}), model, simulation.runs[0]).run
-        for engine in ("idim", "mujoco")
+        for engine in ("gtau", "mujoco")
     )
     assert theirs.position == pytest.approx(ours.position, abs=5e-5)
     assert np.abs(theirs.command - ours.command).max() < 0.03 * np.abs(ours.command).max()

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from engines import Mujoco, Pinocchio, closed_torques, random_parameters
-from idim.errors import IdimError
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.model.loops import advance
-from idim.robots.load import load_robot
-from idim.robots.robot import Joint, Mdh, Robot
-from idim.simulation.mujoco_plant import MujocoPlant
-from idim.simulation.plant import Plant, State
+from gtau.errors import GtauError
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import advance
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.simulation.mujoco_plant import MujocoPlant
+from gtau.simulation.plant import Plant, State
 from robots_for_tests import four_bar, seven_r
 
 NAMES = ("orthoglide", "five-bar", "delta", "gough-stewart")
@@ -171,7 +171,7 @@ def test_mujoco_takes_massless_links():
     ],
 )
 def test_what_cannot_move_is_refused(chi, sentence):
-    with pytest.raises(IdimError, match=sentence):
+    with pytest.raises(GtauError, match=sentence):
         Plant(InverseDynamics(load_robot("orthoglide")), chi)
 
 
@@ -184,5 +184,5 @@ def test_a_singular_pose_ends_the_motion():
         for _ in range(300):
             state = plant.advance(state, np.full(3, -60.0), 1e-3)
 
-    with pytest.raises(IdimError, match=r"cannot be continued at q_11 = -0\.07"):
+    with pytest.raises(GtauError, match=r"cannot be continued at q_11 = -0\.07"):
         push(state)

@@ -16,15 +16,15 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from five_bar_logs import EXPERIMENT, STEEL, Plant, five_bar, write_log
-from idim.cli.commands import app
-from idim.errors import IdimError
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.model.loops import Motion
-from idim.model.states import random_motion
-from idim.robots.geometry import Configuration, attached, frames
-from idim.robots.load import load_robot
-from idim.robots.native import parse_native
-from idim.robots.robot import Robot
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import Motion
+from gtau.model.states import random_motion
+from gtau.robots.geometry import Configuration, attached, frames
+from gtau.robots.load import load_robot
+from gtau.robots.native import parse_native
+from gtau.robots.robot import Robot
 from robots_for_tests import seven_r, slider_crank
 
 
@@ -122,7 +122,7 @@ def test_forearms_side_by_side_are_of_type_2_alone() -> None:
     assert type_2[-1] < 0.03
     assert type_1.min() > 0.3
     assert np.linalg.cond(five_bar().singularities.jacobian(motion)[0]) > 10  # of J_t itself: no measure of type 1
-    with pytest.raises(IdimError, match=r"too close to a singularity of type 2, where passive joints can move"):
+    with pytest.raises(GtauError, match=r"too close to a singularity of type 2, where passive joints can move"):
         at_rest(five_bar(), np.array([[meet + 4e-4, pi - meet - 4e-4]]))
 
 
@@ -363,8 +363,8 @@ def test_a_check_names_where_the_loops_do_not_close(folder: Path) -> None:
 def test_figures_without_matplotlib_are_refused_and_the_table_is_not(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("idim.report.style.find_spec", lambda name: None)
+    monkeypatch.setattr("gtau.report.style.find_spec", lambda name: None)
     assert "five-bar" in run("check", str(folder / "experiment.yaml"))
     result = CliRunner().invoke(app, ["check", str(folder / "experiment.yaml"), "--out", str(folder / "none")])
     assert result.exit_code == 2
-    assert "pictures need matplotlib" in result.stderr
+    assert "drawing figures needs the package matplotlib" in result.stderr

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from idim.estimation.current_domain import ml
-from idim.estimation.data import reduce_runs
-from idim.estimation.friction import Friction
-from idim.estimation.identify import identify
-from idim.estimation.newton import FLATTEST, curved
-from idim.estimation.verdicts import Outcome, lack_of_fit
-from idim.robots.load import load_robot
-from idim.signals.experiment import Payload
-from idim.signals.run import Run
-from idim.simulation.orthoglide_truth import standard_parameters
+from gtau.estimation.current_domain import ml
+from gtau.estimation.data import reduce_runs
+from gtau.estimation.friction import Friction
+from gtau.estimation.identify import identify
+from gtau.estimation.newton import FLATTEST, curved
+from gtau.estimation.verdicts import Outcome, lack_of_fit
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
+from gtau.simulation.orthoglide_truth import standard_parameters
 from orthoglide_logs import orthoglide
 
 ROBOT = load_robot("orthoglide")

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from idim.estimation.data import reduce_runs
-from idim.estimation.identify import identify
-from idim.estimation.swapped import unexplained
-from idim.estimation.verdicts import Outcome
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.robot import Joint, Mdh, Robot
-from idim.signals.experiment import Payload
-from idim.signals.run import Run
+from gtau.estimation.data import reduce_runs
+from gtau.estimation.identify import identify
+from gtau.estimation.swapped import unexplained
+from gtau.estimation.verdicts import Outcome
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
 
 SCARA = Robot(
     "scara",

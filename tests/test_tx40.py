@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import butter, decimate, filtfilt
 
-from idim.errors import IdimError
-from idim.estimation.base_parameters import base_parameters
-from idim.estimation.identify import identify
-from idim.model.inverse_dynamics import InverseDynamics
-from idim.robots.load import load_robot
+from gtau.errors import GtauError
+from gtau.estimation.base_parameters import base_parameters
+from gtau.estimation.identify import identify
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
 
 RATE = 5000.0
 MOTORS = [f"motor_{k}" for k in range(1, 7)]
@@ -109,7 +109,7 @@ def test_identify_takes_the_log_as_it_is(folder: Path) -> None:
 
 
 def test_gains_are_refused_without_a_payload(folder: Path) -> None:
-    with pytest.raises(IdimError, match="payload"):
+    with pytest.raises(GtauError, match="payload"):
         identify(folder / "current.yaml", method="ml")
-    with pytest.raises(IdimError, match="the logs hold torques, whose gain is 1"):
+    with pytest.raises(GtauError, match="the logs hold torques, whose gain is 1"):
         identify(folder / "torque.yaml", method="ml")

@@ -11,18 +11,18 @@ import pytest
 import scipy.stats
 
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
-from idim.errors import IdimError
-from idim.estimation.current_domain import ml
-from idim.estimation.data import reduce_runs
-from idim.estimation.drift import worst_drifts
-from idim.estimation.factors import STRETCHES
-from idim.estimation.friction import Friction
-from idim.estimation.identify import identify
-from idim.estimation.result import Estimate, Result
-from idim.estimation.verdicts import INFLATED, Outcome, known_verdict, parameter_verdict, worst
-from idim.robots.load import load_robot
-from idim.signals.experiment import Payload
-from idim.signals.run import Run
+from gtau.errors import GtauError
+from gtau.estimation.current_domain import ml
+from gtau.estimation.data import reduce_runs
+from gtau.estimation.drift import worst_drifts
+from gtau.estimation.factors import STRETCHES
+from gtau.estimation.friction import Friction
+from gtau.estimation.identify import identify
+from gtau.estimation.result import Estimate, Result
+from gtau.estimation.verdicts import INFLATED, Outcome, known_verdict, parameter_verdict, worst
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")
 
@@ -77,7 +77,7 @@ def test_the_paper_s_deviations_rest_on_all_rows(runs: list[Run]) -> None:
     result = identify(FIVE_BAR, runs, as_paper=True)
     assert result.method == "tls"
     assert result.drive_gains["left"].freedom is None
-    with pytest.raises(IdimError, match=r"the paper has no method 'ml'.*choose from tls, ols, wls"):
+    with pytest.raises(GtauError, match=r"the paper has no method 'ml'.*choose from tls, ols, wls"):
         identify(FIVE_BAR, runs, "ml", as_paper=True)
 
 

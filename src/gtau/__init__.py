@@ -1,0 +1,73 @@
+"""gtau: drive gains and dynamic parameters of robots, serial and parallel, from their logs."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gtau.errors import GtauError
+    from gtau.estimation.base_parameters import BaseParameters, base_parameters
+    from gtau.estimation.comparison import compare
+    from gtau.estimation.estimates import Estimate
+    from gtau.estimation.identify import identify
+    from gtau.estimation.payload import weigh
+    from gtau.estimation.result import Result
+    from gtau.experiment.design import design as excite
+    from gtau.experiment.design_file import read_design
+    from gtau.model.inverse_dynamics import InverseDynamics
+    from gtau.robots.load import load_robot
+    from gtau.robots.robot import Robot
+    from gtau.signals.run import Run, read_run
+    from gtau.simulation.experiment_files import simulate_experiment as simulate
+
+__version__ = "0.1.0"
+__all__ = [
+    "BaseParameters",
+    "Estimate",
+    "GtauError",
+    "InverseDynamics",
+    "Result",
+    "Robot",
+    "Run",
+    "base_parameters",
+    "compare",
+    "excite",
+    "identify",
+    "load_robot",
+    "read_design",
+    "read_run",
+    "simulate",
+    "weigh",
+]
+
+_HOMES = {
+    "BaseParameters": "estimation.base_parameters",
+    "Estimate": "estimation.estimates",
+    "GtauError": "errors",
+    "InverseDynamics": "model.inverse_dynamics",
+    "Result": "estimation.result",
+    "Robot": "robots.robot",
+    "Run": "signals.run",
+    "base_parameters": "estimation.base_parameters",
+    "compare": "estimation.comparison",
+    "excite": "experiment.design",
+    "identify": "estimation.identify",
+    "load_robot": "robots.load",
+    "read_design": "experiment.design_file",
+    "read_run": "signals.run",
+    "simulate": "simulation.experiment_files",
+    "weigh": "estimation.payload",
+}
+_NAMES_AT_HOME = {"excite": "design", "simulate": "simulate_experiment"}  # the others are called the same there
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for when it is asked for (PEP 562): ``import gtau`` itself stays light."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gtau' has no attribute '{name}'")
+    return getattr(import_module(f"gtau.{_HOMES[name]}"), _NAMES_AT_HOME.get(name, name))
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,45 @@
+"""The list of commands."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from gtau import __version__
+from gtau.cli.excitation import excite
+from gtau.cli.fleet import fleet
+from gtau.cli.identification import compare, identify, payload, validate
+from gtau.cli.logs import check
+from gtau.cli.robots import robot
+from gtau.cli.simulations import compare_control, demo, simulate
+
+
+def show_version(wanted: bool) -> None:
+    """Print the version, where it is asked for."""
+    if wanted:
+        typer.echo(f"gtau {__version__}")
+        raise typer.Exit
+
+
+app = typer.Typer(
+    name="gtau",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+
+@app.callback()
+def gtau(
+    version: Annotated[
+        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """Drive gains and dynamic parameters of robots, serial and parallel, from logged positions and motor currents."""
+
+
+for command in (check, identify, fleet, compare, validate, payload, robot, demo, simulate):
+    app.command()(command)
+app.command(name="compare-control")(compare_control)
+app.command(context_settings={"allow_extra_args": True})(excite)  # the masses of --payload-mass

@@ -1,0 +1,72 @@
+"""The command for many robots: fleet."""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gtau.cli.console import Dask, Json, print_json, progress_bar, refusals
+from gtau.cli.identification import Method
+from gtau.errors import GtauError
+from gtau.files import folder_of
+
+
+def fleet(
+    experiments: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="EXPERIMENTS... | FLEET.yaml",
+            help="Experiment files of the robots, or patterns ('cells/*/experiment.yaml'); or a fleet file.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for models, table and figure.")],
+    method: Annotated[Method, typer.Option(help="Estimator, one that finds drive gains.")] = Method.ml,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine; default: one for each core.")
+    ] = None,
+    dask: Dask = None,
+    json_: Json = False,
+) -> None:
+    """Identify each of many robots, and mark the drive gains that stand apart from the others.
+
+    Finished robots stay in DIR/models: the same command again does what is left, or what has changed.
+    """
+    with refusals(json_):
+        from gtau.report.fleet_page import fleet_document, fleet_page, write_fleet
+        from gtau.scale.fleet import identify_fleet, read_fleet
+        from gtau.scale.fleet_gains import fleet_table
+        from gtau.scale.processes import in_processes
+        from gtau.scale.workers import connected, on_workers
+
+        if method in (Method.wls, Method.ols):
+            raise GtauError(f"--method {method} takes the drive gains as given; choose one that finds them.")
+        if dask is not None and jobs is not None:
+            raise GtauError("--jobs is for processes without Dask; give one of --jobs and --dask.")
+        members = read_fleet(experiments)
+        folder = folder_of(out)
+        try:
+            with progress_bar() as progress, ExitStack() as stack:
+                if dask is not None:
+                    spread = partial(on_workers, client=stack.enter_context(connected(dask)))
+                else:
+                    spread = partial(in_processes, jobs=min(jobs or os.cpu_count() or 1, len(members)))
+                reports = identify_fleet(members, folder, spread, method.value, progress)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"what is finished stays in {folder / 'models'}, and the same command goes on"
+            ) from None
+        table = fleet_table(reports)
+        written = write_fleet(table, folder)
+        if json_:
+            print_json(fleet_document(table))
+        else:
+            typer.echo(fleet_page(table))
+            typer.echo("\n".join(f"written: {path}" for path in written))
+        if not table.robots:
+            raise typer.Exit(3)  # a script is not to go on with such a fleet

@@ -1,0 +1,35 @@
+"""The command that looks at logs before anything is identified."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
+from gtau.files import folder_of
+
+
+def check(
+    experiment: ExperimentFile,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for a figure of each log and singularities.parquet."),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Look at the logs before identifying: repairs, rates, motions, usable rows, distances to singularities."""
+    with refusals(json_):
+        from gtau.estimation.log_check import check_logs
+        from gtau.report.log_page import describe_logs, log_page, write_check
+
+        with progress_bar() as progress:
+            checked = check_logs(experiment, progress)
+        written = [] if out is None else write_check(checked, folder_of(out))
+        document = describe_logs(checked)
+        if json_:
+            print_json(document)
+        else:
+            typer.echo(log_page(document))
+            typer.echo("\n".join(f"written: {path}" for path in written), nl=bool(written))

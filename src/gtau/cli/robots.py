@@ -1,0 +1,57 @@
+"""The command that reads, shows and converts robots."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gtau.cli.console import Json, print_json, refusals
+from gtau.errors import GtauError
+
+
+def robot(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME_OR_FILE",
+            help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv).",
+            show_default=False,
+        ),
+    ],
+    save: Annotated[
+        Path | None, typer.Option("--save", metavar="ROBOT.yaml", help="Write it as a robot file, to edit or keep.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it at home (needs matplotlib).")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Joints, loops, degrees of freedom and base parameters of a robot."""
+    with refusals(json_):
+        from gtau.report.robot_page import describe, robot_page
+        from gtau.robots.load import load_robot
+
+        found = load_robot(source)
+        if save is not None:
+            from gtau.robots.loops_yaml import is_loops_file
+            from gtau.robots.native_text import write_native
+
+            if save.exists() and (
+                (Path(source).exists() and save.samefile(source))
+                or (save.suffix in (".yaml", ".yml") and is_loops_file(save))
+            ):
+                raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
+            write_native(found, save)
+        if figure is not None:
+            from gtau.report.robot_figure import robot_figure
+            from gtau.report.style import save_figure
+
+            save_figure(robot_figure(found), figure)
+        description = describe(found)
+        if json_:
+            print_json(description)
+        else:
+            written = [path for path in (save, figure) if path is not None]
+            typer.echo("\n".join([robot_page(description), *(f"written: {path}" for path in written)]))

@@ -1,0 +1,76 @@
+"""Commands that make logs: demo, simulate, compare-control."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
+from gtau.files import folder_of
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for logs, model, tables and figures.")],
+    json_: Json = False,
+) -> None:
+    """Identify an Orthoglide from logs made on the spot, and weigh a second payload with the result."""
+    with refusals(json_):
+        from gtau.report.demo import demo as run
+
+        with progress_bar(lines=True) as progress:
+            document, text = run(folder_of(out), progress)
+        if json_:
+            print_json(document)
+        else:
+            typer.echo(text)
+
+
+SimulationFile = Annotated[
+    Path, typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False)
+]
+
+
+def simulate(
+    simulation: SimulationFile,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the logs and experiment.yaml.")],
+    json_: Json = False,
+) -> None:
+    """Make logs of a simulated robot under control, and the experiment file for 'gtau identify'."""
+    with refusals(json_):
+        from gtau.robots.load import load_robot
+        from gtau.simulation.description import massless, read_simulation
+        from gtau.simulation.experiment_files import simulate_experiment
+
+        with progress_bar(lines=True) as progress:
+            written = simulate_experiment(simulation, out, progress)
+        described = read_simulation(simulation)
+        light = massless(described, load_robot(described.robot))
+        if json_:
+            print_json({"files": [str(path) for path in written], "massless": light})
+        else:
+            typer.echo("\n".join(f"written: {path}" for path in written))
+            if light:
+                typer.echo(f"without mass and inertia, as 'parameters' names none of theirs: {', '.join(light)}")
+
+
+def compare_control(
+    simulation: SimulationFile,
+    experiment: ExperimentFile,
+    json_: Json = False,
+) -> None:
+    """Compare PID and computed torque with three sets of drive gains on a simulated robot (the paper's Table 4).
+
+    The models of computed torque are identified from the logs of EXPERIMENT.yaml, those that 'gtau simulate' wrote.
+    """
+    with refusals(json_):
+        from gtau.simulation.comparison import compare_control as run
+        from gtau.simulation.comparison import table, table_document
+
+        with progress_bar(lines=True) as progress:
+            comparison = run(simulation, experiment, progress)
+        if json_:
+            print_json({"tracking": table_document(comparison)})
+        else:
+            typer.echo(table(comparison))

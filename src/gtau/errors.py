@@ -1,0 +1,21 @@
+"""The one error a user meets."""
+
+
+class GtauError(Exception):
+    """Input that gtau refuses.
+
+    The message is one sentence for a person: what is wrong, where (file, key, joint, time), and
+    what to do about it.
+    """
+
+
+def missing_extra(purpose: str, package: str, extra: str) -> GtauError:
+    """Make the error for a ``package`` that is not installed, with the commands that install it as an ``extra``."""
+    return GtauError(
+        f"{purpose} needs the package {package}, which is not installed; install it with: {install_command(extra)}."
+    )
+
+
+def install_command(extra: str) -> str:
+    """Name the command that installs an ``extra``, from the package index and in a clone."""
+    return f"pip install 'gtau[{extra}]' (in a clone: pip install '.[{extra}]')"

@@ -1,0 +1,84 @@
+"""Finding files, reading those of a sane size, and writing them so that they are either whole or not there."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterable
+from glob import glob
+from pathlib import Path
+
+from gtau.errors import GtauError
+
+
+def write_atomically(path: str | Path, content: str | bytes) -> None:
+    """Write ``content`` (text as UTF-8) to ``path``; an interruption leaves the old file, or none.
+
+    Raises
+    ------
+    GtauError
+        Where the folder does not exist or cannot be written to.
+    """
+    path = Path(path)
+    data = content.encode() if isinstance(content, str) else content
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            os.chmod(name, 0o644)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as error:
+        raise GtauError(
+            f"{path} cannot be written ({error.strerror}); choose another folder or free some space."
+        ) from None
+
+
+def folder_of(path: str | Path) -> Path:
+    """The folder itself, made where it is missing; raises GtauError."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GtauError(f"the folder {path} cannot be made ({error.strerror}); choose another one.") from None
+    return path
+
+
+def read_at_most(size: int, path: Path, larger: str) -> bytes:
+    """Content of a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
+
+    Raises
+    ------
+    GtauError
+        Where the file cannot be read, or with the sentence ``larger`` where it is longer. The caller names the file.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(size + 1)
+    except OSError as error:
+        raise GtauError(
+            f"the file cannot be read ({(error.strerror or str(error)).lower()}); check the path."
+        ) from None
+    if len(content) > size:
+        raise GtauError(larger)
+    return content
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """Paths sorted as people number them: ``part_2`` before ``part_10``."""
+
+    def key(path: Path) -> list[tuple[bool, int, str]]:
+        return [(not number, int(number or 0), text) for number, text in re.findall(r"(\d+)|(\D+)", str(path))]
+
+    return sorted(paths, key=key)
+
+
+def matching(pattern: Path) -> list[Path]:
+    """The path itself where it exists, otherwise what it matches as a pattern with ``*``, ``?``, ``[]`` or ``**``."""
+    if pattern.exists():
+        return [pattern]
+    return in_order(Path(each) for each in glob(str(pattern), recursive=True))

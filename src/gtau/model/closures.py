@@ -1,0 +1,196 @@
+"""Loop-closure equations derived from the geometry (paper, eqs. 3 to 10).
+
+A closure ties two frames; its residual is how far their origins (and, for a weld, their axes) are
+apart in base axes. A coupling ties joint coordinates by a linear equation. Differentiated once both
+give ``G yd = 0``, in which the columns of the passive coordinates are J_k and J_tk of the paper and
+those of the actuated ones B_p; differentiated twice, ``G ydd + gamma = 0``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from gtau.model.coordinates import Coordinates
+from gtau.model.kinematics import Frame, Twist, accelerations, configuration_rates, constant, frames, twists
+from gtau.model.least_squares import solve
+from gtau.model.program import Program, compile_program
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.robot import Attachment
+
+
+@dataclass(frozen=True)
+class ClosureEquations:
+    """The closures of a robot, ready to be evaluated for many samples.
+
+    ``columns`` maps c to the residual (rows,), ``G`` of the passive coordinates (rows, n_passive) and of the
+    actuated ones (rows, n). ``step`` maps c to the configuration after a step of Newton's method, the largest
+    correction and the condition number of the passive columns, ``fast_step`` to the same without the condition
+    number, and ``gap`` to the largest residual less what angles of many turns are rounded by. ``motion``
+    maps c, qd and qdd to the condition number, yd, ydd and J (n_y, n) (eqs. 5 to 8). ``scale`` (n_c,) turns the
+    entries of c into rad, or lengths over ``length``; it is zero for the actuated ones.
+
+    Lengths are in units of the robot's ``length``, so that rows and columns are pure numbers: rad, or
+    lengths over ``length``.
+    """
+
+    rows: int
+    length: float
+    columns: Program
+    step: Program
+    fast_step: Program
+    gap: Program
+    motion: Program
+    scale: np.ndarray
+
+
+def _attached(end: Attachment, frame: dict[str, Frame]) -> tuple[ca.SX, ca.SX]:
+    """Orientation and position of an attached frame in the base."""
+    body = frame[end.body]
+    rotation, arm = constant(end.placement.rotation), constant(end.placement.position)
+    return body.R_0 @ rotation, body.p_0 + body.R_0 @ arm
+
+
+def _velocity(end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist]) -> Twist:
+    body, arm = twist[end.body], constant(end.placement.position)
+    R_0 = frame[end.body].R_0
+    return Twist(R_0 @ body.angular, R_0 @ (body.linear + ca.cross(body.angular, arm)))
+
+
+def _acceleration(
+    end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist], acceleration: dict[str, Twist]
+) -> Twist:
+    body, omega, arm = acceleration[end.body], twist[end.body].angular, constant(end.placement.position)
+    R_0 = frame[end.body].R_0
+    linear = body.linear + ca.cross(body.angular, arm) + ca.cross(omega, ca.cross(omega, arm))
+    return Twist(R_0 @ body.angular, R_0 @ linear)
+
+
+def gaps(layout: Coordinates, c: np.ndarray) -> np.ndarray:
+    """How far apart the frames of every closure are at ``c`` (n_c,): distance in m and angle in rad, (closures, 2)."""
+    frame = frames(layout, ca.SX(c))
+    found = np.zeros((len(layout.robot.closures), 2))
+    for k, closure in enumerate(layout.robot.closures):
+        (R_a, p_a), (R_b, p_b) = _attached(closure.a, frame), _attached(closure.b, frame)
+        found[k, 0] = np.linalg.norm(np.array(ca.evalf(p_a - p_b)))
+        if closure.kind == "weld":
+            R = np.array(ca.evalf(R_b.T @ R_a))
+            sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+            found[k, 1] = np.arctan2(sine, np.trace(R) - 1.0)
+    return found
+
+
+def _largest(values: ca.SX) -> ca.SX:
+    found = ca.SX(0)
+    for value in ca.vertsplit(values):
+        found = ca.fmax(found, ca.fabs(value))
+    return found
+
+
+def _scale(layout: Coordinates, length: float) -> np.ndarray:
+    scale = np.full(layout.n_c, 1.0 / length)
+    joints = np.arange(len(layout.robot.joints))
+    scale[joints[layout.angular[joints]]] = 1.0
+    scale[layout.actuated] = 0.0
+    for slots in layout.platforms:
+        if slots.quaternion is not None:
+            scale[slots.quaternion] = 2.0  # of a turn by an angle, at most half of it
+    return scale
+
+
+def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
+    """Configuration ``c`` with its quaternions made unit: those of a guess are not."""
+    parts = [c[: len(layout.robot.joints)]]
+    for slots in layout.platforms:
+        parts.append(c[slots.position])
+        if slots.quaternion is not None:
+            parts.append(c[slots.quaternion] / ca.sqrt(ca.sumsqr(c[slots.quaternion])))
+    return ca.vertcat(*parts)
+
+
+def closure_equations(layout: Coordinates) -> ClosureEquations:
+    """Derive the closure equations of a robot from its geometry."""
+    length = characteristic_length(layout.robot)
+    given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    c = _on_unit_quaternions(layout, given)
+    residual, velocity, gamma = closure_expressions(layout, c, yd)
+    unit = np.where(layout.angular, 1.0, length)
+    actuated, passive = layout.actuated.tolist(), layout.passive.tolist()
+    G = ca.jacobian(velocity, yd)
+    G_p, G_a = G[:, passive] @ constant(np.diag(unit[passive])), G[:, actuated]
+
+    correction, condition = solve(G_p, -residual, refine=False)
+    step = ca.SX(layout.n_y, 1)
+    step[passive] = correction * unit[passive]
+    moved = _on_unit_quaternions(layout, c + configuration_rates(layout, c, step))
+    size = _largest(correction)
+    rounding = 1e-15 * _largest(c)  # of angles of many turns
+
+    qd, qdd = ca.SX.sym("qd", len(actuated)), ca.SX.sym("qdd", len(actuated))
+    J = ca.SX(layout.n_y, len(actuated))
+    J[actuated, :] = ca.SX.eye(len(actuated))
+    J[passive, :] = constant(np.diag(unit[passive])) @ solve(G_p, -G_a, refine=True)[0]
+    yd_all, ydd_all = J @ qd, J @ qdd
+    drift, _ = solve(G_p, -ca.substitute(gamma, yd, yd_all), refine=True)
+    ydd_all[passive] += drift * unit[passive]
+    return ClosureEquations(
+        G.shape[0],
+        length,
+        columns=compile_program([given], [residual, G_p.T, (G_a @ constant(np.diag(unit[actuated]))).T]),
+        step=compile_program([given], [moved, size, condition]),
+        fast_step=compile_program([given], [moved, size]),
+        gap=compile_program([given], [_largest(residual) - rounding]),
+        motion=compile_program([given, qd, qdd], [condition, yd_all, ydd_all, J.T]),
+        scale=_scale(layout, length),
+    )
+
+
+def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The closures and couplings as symbolic expressions, from which all that is known of the loops is derived.
+
+    ``G = jacobian(velocity, yd)``, and accelerations obey ``G ydd + gamma = 0``. Where the loops are closed velocity
+    and gamma are the time derivatives of the residual, so that derivatives along the closed loops may be taken of any
+    of the three (``ca.gradient``, with :func:`gtau.model.kinematics.configuration_rates` for those by c).
+
+    Parameters
+    ----------
+    layout : Coordinates
+        Of the robot.
+    c, yd : SX
+        Configuration (n_c,), its quaternions of unit length, and velocities (n_y,), rad or m, s.
+
+    Returns
+    -------
+    residual, velocity, gamma : SX
+        (rows,) each: rad or lengths over the characteristic length, and per s and s2.
+    """
+    robot, length = layout.robot, characteristic_length(layout.robot)
+    frame = frames(layout, c)
+    twist = twists(layout, frame, yd)
+    still = accelerations(layout, frame, twist, yd, ca.SX(layout.n_y, 1), np.zeros(3))
+    residual, velocity, gamma = [], [], []
+    for closure in robot.closures:
+        (R_a, p_a), (R_b, p_b) = _attached(closure.a, frame), _attached(closure.b, frame)
+        v_a, v_b = _velocity(closure.a, frame, twist), _velocity(closure.b, frame, twist)
+        a_a, a_b = (_acceleration(end, frame, twist, still) for end in (closure.a, closure.b))
+        residual.append((p_a - p_b) / length)
+        velocity.append((v_a.linear - v_b.linear) / length)
+        gamma.append((a_a.linear - a_b.linear) / length)
+        if closure.kind == "weld":
+            # half the rotation's skew part: its derivative is the relative angular velocity
+            residual.append(sum((ca.cross(R_b[:, k], R_a[:, k]) for k in range(3)), ca.SX(3, 1)) / 2)
+            velocity.append(v_a.angular - v_b.angular)
+            gamma.append(a_a.angular - a_b.angular)
+    index = {joint.name: k for k, joint in enumerate(robot.joints)}
+    for coupling in robot.couplings:
+        row = np.zeros(layout.n_y)
+        row[index[coupling.joint]] = 1.0
+        for name, ratio in coupling.ratios:
+            row[index[name]] = -ratio
+        size = np.linalg.norm(row * np.where(layout.angular, 1.0, length))
+        residual.append((ca.dot(constant(row[: len(index)]), c[: len(index)]) - coupling.offset) / size)
+        velocity.append(ca.dot(constant(row), yd) / size)
+        gamma.append(ca.SX(1, 1))
+    return ca.vertcat(*residual), ca.vertcat(*velocity), ca.vertcat(*gamma)

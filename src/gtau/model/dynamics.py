@@ -1,0 +1,83 @@
+"""The inverse dynamic model of any robot, linear in its standard parameters (paper, eqs. 1, 2, 15).
+
+By the principle of virtual power (eq. 14) a body's wrench acts on actuated joint k through the
+body's partial twist, its twist when q_k alone moves at unit rate and the closures hold. The partial
+twists are carried up each chain from the columns of ``J = dy/dq``, so that the projection
+``J_t^T IDM_t`` and ``J_p^T D^T IDM_p`` of eq. (15) is built in and IDM_t is never formed.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from gtau.model.coordinates import Coordinates
+from gtau.model.kinematics import Twist, accelerations, frames, twists
+from gtau.robots.robot import DRIVE, INERTIAL, Robot
+
+
+def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
+    """Names of the standard parameters: 14 a joint (10 with ``"inertial"``) or what it has, then 10 a platform."""
+    kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
+    joints = [
+        f"{kind}_{joint.name}"
+        for joint in robot.joints
+        for kind in kinds[joint.parameters]
+        if kind in kinds[parameters]
+    ]
+    platforms = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
+    return (*joints, *platforms)
+
+
+def _wrench(chi: dict[str, ca.SX], body: str, twist: Twist, acceleration: Twist) -> Twist:
+    """Newton-Euler at the frame's origin: the moment (angular) and force (linear) that move a body."""
+    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[f"{kind}_{body}"] for kind in INERTIAL)
+    inertia = ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
+    ms = ca.vertcat(mx, my, mz)
+    omega, alpha, a = twist.angular, acceleration.angular, acceleration.linear
+    force = m * a + ca.cross(alpha, ms) + ca.cross(omega, ca.cross(omega, ms))
+    moment = inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(ms, a)
+    return Twist(moment, force)
+
+
+def torques(
+    layout: Coordinates,
+    c: ca.SX,
+    yd: ca.SX,
+    ydd: ca.SX,
+    J: ca.SX,
+    chi: dict[str, ca.SX],
+) -> ca.SX:
+    """Torques of the actuated joints ``tau_idm`` (n,), eq. (15).
+
+    Parameters
+    ----------
+    layout : Coordinates
+        Of the robot.
+    c, yd, ydd : SX
+        Configuration (n_c,), velocities and accelerations (n_y,) of the whole virtual tree.
+    J : SX
+        ``dy/dq`` (n_y, n): the identity in the actuated rows, J_t and J_p in the others.
+    chi : dict
+        Standard parameters by name; drive parameters that are missing do not act.
+    """
+    robot = layout.robot
+    frame = frames(layout, c)
+    twist = twists(layout, frame, yd)
+    acceleration = accelerations(layout, frame, twist, yd, ydd, np.array(robot.gravity))
+    massive = [body for body in robot.bodies if f"m_{body}" in chi]
+    wrench = {body: _wrench(chi, body, twist[body], acceleration[body]) for body in massive}
+    tau = []
+    for k in range(J.shape[1]):
+        partial = twists(layout, frame, J[:, k])
+        power = ca.SX(0)
+        for body in massive:
+            power += ca.dot(partial[body].angular, wrench[body].angular)
+            power += ca.dot(partial[body].linear, wrench[body].linear)
+        for row, joint in enumerate(robot.joints):
+            effort = dict(zip(DRIVE, (ydd[row], yd[row], ca.sign(yd[row]), ca.SX(1)), strict=True))
+            for kind in DRIVE:
+                if f"{kind}_{joint.name}" in chi:
+                    power += J[row, k] * chi[f"{kind}_{joint.name}"] * effort[kind]
+        tau.append(power)
+    return ca.vertcat(*tau)

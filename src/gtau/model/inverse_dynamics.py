@@ -1,0 +1,273 @@
+"""The inverse dynamic identification model of a robot, evaluated for many samples (eqs. 15, 16)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.model._threads import share
+from gtau.model.coordinates import Coordinates, coordinates
+from gtau.model.dynamics import parameter_names, torques
+from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
+from gtau.model.program import Program, compile_program
+from gtau.model.singularities import Singularities, singularities
+from gtau.robots.robot import Robot
+
+PATH = 65536  # samples whose loops are closed together: parallel, at the cost of finding the way to each part
+BLOCK = 2048  # samples whose motion is made together: enough to amortise Python, and few enough for the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Regressor:
+    """Chosen columns of ``IDM_st``: the entries that can be other than zero.
+
+    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J. Entry k stands in
+    row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``).
+    """
+
+    names: tuple[str, ...]
+    inputs: list[ca.SX]
+    matrix: ca.SX
+    rows: np.ndarray
+    columns: np.ndarray
+
+    @cached_property
+    def program(self) -> Program:
+        """From the inputs of a sample to its entries."""
+        return compile_program(self.inputs, [self.matrix.nz[:]])
+
+    @cached_property
+    def summed(self) -> Program:
+        """From the inputs to torques: every entry is made, and used at once."""
+        chi = ca.SX.sym("chi", len(self.names))
+        return compile_program(self.inputs, [self.matrix @ chi], [chi])
+
+    def __call__(self, layout: Coordinates, motion: Motion) -> np.ndarray:
+        """Entries (entries, N) for the samples of ``motion``."""
+        return self.program(*self._sources(layout, motion))
+
+    def torques(self, entries: np.ndarray, chi: np.ndarray, n: int) -> np.ndarray:
+        """Torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
+        tau = np.zeros((n, entries.shape[1]))
+        for entry, row, column in zip(entries, self.rows, self.columns, strict=True):
+            if chi[column]:
+                tau[row] += chi[column] * entry
+        return tau
+
+    def torques_along(self, layout: Coordinates, motion: Motion, chi: np.ndarray) -> np.ndarray:
+        """The same without the entries ever in memory, (n, N)."""
+        return self.summed(*self._sources(layout, motion), parameters=np.asarray(chi, dtype=float))
+
+    def fill(self, layout: Coordinates, motion: Motion, W: np.ndarray) -> None:
+        """Put the entries into ``W`` (N, n, columns), whose other entries are zero."""
+        self.program.fill(W.reshape(len(W), -1), *self._places, *self._sources(layout, motion))
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """The entries in the order of a sample's numbers in memory, and their places there."""
+        places = self.rows * len(self.names) + self.columns
+        order = np.argsort(places)
+        return order, places[order]
+
+    def _sources(self, layout: Coordinates, motion: Motion) -> tuple[np.ndarray, ...]:
+        passive = motion.J[layout.passive].reshape(layout.passive.size * len(layout.actuated), motion.c.shape[1])
+        return motion.c, motion.yd, motion.ydd, passive
+
+
+class InverseDynamics:
+    """``tau_idm = IDM_st(q, qd, qdd) chi_st`` of a serial, tree or parallel robot.
+
+    Parameters
+    ----------
+    robot : Robot
+        From :func:`gtau.load_robot`.
+    parameters : {"all", "inertial"}
+        ``"all"``: 14 standard parameters a joint (inertia, rotor, friction, offset); ``"inertial"``:
+        the ten inertial ones alone. A platform always has ten.
+
+    Attributes
+    ----------
+    robot : Robot
+        The robot.
+    layout : Coordinates
+        The virtual tree's coordinates c (configuration) and y (velocities), and which of them are actuated or passive.
+    parameter_names : tuple of str
+        Names of the n_st standard parameters, the order of the regressor's columns.
+    actuated : tuple of str
+        Names of the n actuated joints, the order of the regressor's rows.
+    """
+
+    def __init__(self, robot: Robot, parameters: str = "all"):
+        if parameters not in ("all", "inertial"):
+            raise GtauError(f"parameters is {parameters!r}; write 'all' or 'inertial'.")
+        self.robot = robot
+        self.layout = coordinates(robot)
+        self.parameter_names = parameter_names(robot, parameters)
+        self.actuated = robot.actuated
+        self._regressors: dict[tuple[str, ...], Regressor] = {}
+
+    def __repr__(self) -> str:
+        return f"InverseDynamics({self.robot!r}, {len(self.parameter_names)} standard parameters)"
+
+    @cached_property
+    def loops(self) -> Loops | None:
+        """The solved closures; None for a robot without closures and couplings whose joints are all actuated."""
+        layout = self.layout
+        return close_loops(layout) if self.robot.closures or self.robot.couplings or layout.passive.size else None
+
+    @cached_property
+    def singularities(self) -> Singularities:
+        """What tells how far poses are from singularities of both types."""
+        return singularities(self)
+
+    def motion(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        qdd: np.ndarray,
+        labels: Labels | None = None,
+        start: np.ndarray | None = None,
+    ) -> Motion:
+        """State of the whole virtual tree along a path of actuated samples (n, N).
+
+        ``labels[k]`` is what messages call sample k; the path begins from the closed configuration
+        ``start`` (n_c,), home if left out.
+        """
+        return self.rates(self.path(q, labels, start), qd, qdd, labels)
+
+    def path(self, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
+        """Configurations (n_c, N) of :meth:`motion`."""
+        return q if self.loops is None else follow(self.loops, q, labels, start)
+
+    def rates(self, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, labels: Labels | None = None) -> Motion:
+        """State of the whole virtual tree at configurations ``c`` (n_c, N) from :meth:`path`."""
+        if self.loops is None:
+            n, samples = qd.shape
+            J = np.broadcast_to(np.eye(n)[:, :, None], (n, n, samples))
+            return Motion(c, qd, qdd, J, np.ones(samples))
+        return differentiate(self.loops, c, qd, qdd, labels)
+
+    def columns(self, names: Sequence[str]) -> Regressor:
+        """The regressor pruned to the standard parameters ``names``."""
+        names = tuple(names)
+        if names not in self._regressors:
+            inputs, whole = self._symbolic
+            position = {name: k for k, name in enumerate(self.parameter_names)}
+            W = whole[:, [position[name] for name in names]]
+            rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
+            self._regressors[names] = Regressor(names, inputs, W, rows, columns)
+        return self._regressors[names]
+
+    @cached_property
+    def _symbolic(self) -> tuple[list[ca.SX], ca.SX]:
+        """The inputs c, yd, ydd and the passive rows of J, and the regressor (n, n_st)."""
+        layout, n = self.layout, len(self.actuated)
+        c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
+        passive = ca.SX.sym("J", len(layout.passive), n)
+        J = ca.SX(layout.n_y, n)
+        J[layout.actuated.tolist(), :] = ca.SX.eye(n)
+        J[layout.passive.tolist(), :] = passive
+        chi = {name: ca.SX.sym(name) for name in self.parameter_names}
+        tau = torques(layout, c, yd, ydd, J, chi)
+        return [c, yd, ydd, passive.T], ca.jacobian(tau, ca.vertcat(*chi.values()))
+
+    @property
+    def full(self) -> Regressor:
+        """All standard columns."""
+        return self.columns(self.parameter_names)
+
+    def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """The regressor ``IDM_st`` of eq. (15), (N, n, n_st).
+
+        Parameters
+        ----------
+        q, qd, qdd : ndarray
+            Positions, velocities and accelerations of the actuated joints, (N, n), SI units. The
+            samples are taken as points of a path that starts at home.
+
+        Raises
+        ------
+        GtauError
+            Where the loops cannot be closed, or a pose is too close to a singularity.
+        """
+        W, full = np.zeros((len(q), len(self.actuated), len(self.parameter_names))), self.full
+        _ = full.program  # compiled before threads want it
+        self._for_blocks(q, qd, qdd, lambda block, motion: full.fill(self.layout, motion, W[block]))
+        return W
+
+    def torques(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        qdd: np.ndarray,
+        chi: Mapping[str, float] | np.ndarray,
+    ) -> np.ndarray:
+        """Torques of the actuated joints, (N, n) in N m or N, for standard parameters ``chi``.
+
+        ``chi`` is a vector (n_st,) or a mapping by name, in which what is missing is zero.
+        """
+        vector, tau, full = self._vector(chi), np.zeros((len(q), len(self.actuated))), self.full
+        _ = full.summed
+
+        def work(block: slice, motion: Motion) -> None:
+            tau[block] = full.torques_along(self.layout, motion, vector).T
+
+        self._for_blocks(q, qd, qdd, work)
+        return tau
+
+    def _for_blocks(
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, work: Callable[[slice, Motion], None]
+    ) -> None:
+        """Do some work, in threads, with the blocks of a path and their motion, which stays in the cache."""
+        q, qd, qdd = self._samples(q, qd, qdd)
+        c: np.ndarray | None = None
+        for start in range(0, q.shape[1], PATH):
+            chunk = slice(start, min(start + PATH, q.shape[1]))
+            c = self.path(q[:, chunk], Numbers(start), None if c is None else c[:, -1])
+            self._share_blocks(start, c, qd[:, chunk], qdd[:, chunk], work)
+
+    def _share_blocks(
+        self, offset: int, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, work: Callable[[slice, Motion], None]
+    ) -> None:
+        def stretch(first: int, last: int) -> None:
+            for begin in range(first, last, BLOCK):
+                part = slice(begin, min(begin + BLOCK, last))
+                block = slice(offset + part.start, offset + part.stop)
+                # blocks are copied, as fresh memory for whole paths would cost more than the copies
+                now, speed, push = (np.ascontiguousarray(each[:, part]) for each in (c, qd, qdd))
+                work(block, self.rates(now, speed, push, Numbers(block.start)))
+
+        share(stretch, c.shape[1])
+
+    def _samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
+        n = len(self.actuated)
+        samples = [np.asarray(array, dtype=float) for array in arrays]
+        if samples[0].ndim != 2 or samples[0].shape[1] != n or len({array.shape for array in samples}) > 1:
+            shapes = ", ".join(str(array.shape) for array in samples)
+            raise GtauError(
+                f"q, qd and qdd have the shapes {shapes}; give each as (N, {n}), a column for each of the joints "
+                f"{', '.join(self.actuated)}."
+            )
+        return [array.T for array in samples]
+
+    def _vector(self, chi: Mapping[str, float] | np.ndarray) -> np.ndarray:
+        if not isinstance(chi, Mapping):
+            vector = np.asarray(chi, dtype=float)
+            if vector.shape != (len(self.parameter_names),):
+                raise GtauError(
+                    f"chi has the shape {vector.shape}; give a vector of {len(self.parameter_names)} entries, one for "
+                    "each of parameter_names, or a mapping by name."
+                )
+            return vector
+        unknown = [name for name in chi if name not in self.parameter_names]
+        if unknown:
+            close = get_close_matches(unknown[0], self.parameter_names, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists those it has."
+            raise GtauError(f"the model of '{self.robot.name}' has no standard parameter '{unknown[0]}'; {hint}")
+        return np.array([chi.get(name, 0.0) for name in self.parameter_names], dtype=float)

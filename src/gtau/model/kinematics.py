@@ -1,0 +1,152 @@
+"""Positions, twists and accelerations of all bodies, as symbolic expressions.
+
+Twists and accelerations are those of a body's frame origin in the body's own axes, the form in which
+its inertial parameters are constant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from gtau.model.coordinates import Coordinates
+from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Joint
+
+Vector = ca.SX  # (3, 1)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame's pose in its antecedent (``R``, ``p``) and in the base (``R_0``, ``p_0``)."""
+
+    R: ca.SX
+    p: Vector
+    R_0: ca.SX
+    p_0: Vector
+
+
+@dataclass(frozen=True)
+class Twist:
+    """Angular and linear velocity, or acceleration."""
+
+    angular: Vector
+    linear: Vector
+
+
+def constant(matrix: np.ndarray) -> ca.SX:
+    """A constant matrix in which what is zero up to rounding becomes a structural zero."""
+    return ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
+
+
+def _turn(axis: np.ndarray, angle: ca.SX) -> ca.SX:
+    """Rotation by ``angle`` about the unit vector ``axis`` (Rodrigues)."""
+    outer = constant(np.outer(axis, axis))
+    return outer + ca.cos(angle) * (constant(np.eye(3)) - outer) + ca.sin(angle) * ca.skew(constant(axis))
+
+
+def _rotation_of(quaternion: ca.SX) -> ca.SX:
+    w, x, y, z = ca.vertsplit(quaternion)
+    return ca.vertcat(
+        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def _placed(joint: Joint, q: ca.SX) -> tuple[ca.SX, Vector]:
+    rotation, position = constant(joint.placement.rotation), constant(joint.placement.position)
+    axis = np.array(joint.axis)
+    if joint.kind == "prismatic":
+        return rotation, position + rotation @ constant(axis) * q
+    return rotation @ _turn(axis, q), position
+
+
+def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
+    """Pose of every body at configuration ``c`` (n_c,)."""
+    origin, axes = constant(np.zeros(3)), constant(np.eye(3))
+    found = {GROUND: Frame(axes, origin, axes, origin)}
+    for k, joint in enumerate(layout.robot.joints):
+        before = found[joint.antecedent]
+        R, p = _placed(joint, c[k])
+        found[joint.name] = Frame(R, p, before.R_0 @ R, before.p_0 + before.R_0 @ p)
+    for slots in layout.platforms:
+        p = c[slots.position]
+        R = constant(slots.platform.home.rotation) if slots.quaternion is None else _rotation_of(c[slots.quaternion])
+        found[slots.platform.name] = Frame(R, p, R, p)
+    return found
+
+
+def configuration_rates(layout: Coordinates, c: ca.SX, yd: ca.SX) -> ca.SX:
+    """Time derivative of the configuration c (n_c,) for velocities ``yd`` (n_y,), eq. 9."""
+    n_t = len(layout.robot.joints)
+    rates = [yd[:n_t]]
+    for slots in layout.platforms:
+        v = dict(zip(slots.platform.dof, ca.vertsplit(yd[slots.rates]), strict=True))
+        rates.append(ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in TRANSLATIONS)))
+        if slots.quaternion is not None:
+            omega = ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in ROTATIONS))
+            w, vector = c[slots.quaternion][0], c[slots.quaternion][1:]
+            rates.append(ca.vertcat(-ca.dot(omega, vector), w * omega + ca.cross(omega, vector)) / 2)
+    return ca.vertcat(*rates)
+
+
+def platform_twist(layout: Coordinates, rates: ca.SX, frame: dict[str, Frame]) -> dict[str, Twist]:
+    """Twists ``t = D v`` of the platforms (eq. 10), turned into their own axes."""
+    twists = {}
+    for slots in layout.platforms:
+        v = dict(zip(slots.platform.dof, ca.vertsplit(rates[slots.rates]), strict=True))
+        R_t = frame[slots.platform.name].R_0.T
+        linear = ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in TRANSLATIONS))
+        angular = ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in ROTATIONS))
+        twists[slots.platform.name] = Twist(R_t @ angular, R_t @ linear)
+    return twists
+
+
+def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[str, Twist]:
+    """Twist of every body for the velocities ``rates`` (n_y,).
+
+    With a column of ``J`` for ``rates`` these are the partial twists of Jourdain's principle.
+    """
+    zero = ca.SX(3, 1)
+    found = {GROUND: Twist(zero, zero)}
+    for k, joint in enumerate(layout.robot.joints):
+        before, at, axis = found[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
+        angular = at.R.T @ before.angular
+        linear = at.R.T @ (before.linear + ca.cross(before.angular, at.p))
+        if joint.kind == "revolute":
+            angular = angular + axis * rates[k]
+        else:
+            linear = linear + axis * rates[k]
+        found[joint.name] = Twist(angular, linear)
+    return found | platform_twist(layout, rates, frame)
+
+
+def accelerations(
+    layout: Coordinates,
+    frame: dict[str, Frame],
+    twist: dict[str, Twist],
+    yd: ca.SX,
+    ydd: ca.SX,
+    gravity: np.ndarray,
+) -> dict[str, Twist]:
+    """Acceleration of every body less gravity, which acts as an acceleration of the base."""
+    lift = constant(-np.asarray(gravity, dtype=float))
+    found = {GROUND: Twist(ca.SX(3, 1), lift)}
+    for k, joint in enumerate(layout.robot.joints):
+        before, at, axis = found[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
+        omega = twist[joint.antecedent].angular
+        angular = at.R.T @ before.angular
+        linear = at.R.T @ (
+            before.linear + ca.cross(before.angular, at.p) + ca.cross(omega, ca.cross(omega, at.p))
+        )  # fmt: skip
+        turning = ca.cross(twist[joint.name].angular, axis) * yd[k]
+        if joint.kind == "revolute":
+            angular = angular + axis * ydd[k] + turning
+        else:
+            linear = linear + axis * ydd[k] + 2 * turning
+        found[joint.name] = Twist(angular, linear)
+    for name, motion in platform_twist(layout, ydd, frame).items():
+        found[name] = Twist(motion.angular, motion.linear + frame[name].R_0.T @ lift)
+    return found

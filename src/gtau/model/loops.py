@@ -1,0 +1,342 @@
+"""Closing the loops numerically, for all samples, in one assembly mode (paper, eqs. 3 to 8).
+
+Every sample is reached along a path from the home configuration: steps are halved until Newton's
+corrections shrink fast, so a solution never jumps to another assembly mode unseen. Many paths are
+followed at once, each in a lane of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.model._continuation import Follower, march, travel
+from gtau.model._interpreter import MACHINE
+from gtau.model._lanes import LANES
+from gtau.model._threads import share
+from gtau.model.closures import ClosureEquations, closure_equations, gaps
+from gtau.model.coordinates import Coordinates
+from gtau.model.program import Bound, addresses, aligned
+
+RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
+CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
+REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
+SHORTEST = 2.0**-14  # of the way between two samples: shorter steps mean that there is no way
+CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
+FAR = 1.0  # rad, or characteristic lengths: what the home of a robot's file may be wrong by
+SEGMENTS = 128  # of a path, followed at once, each of at least SEGMENT samples
+SEGMENT = 16
+CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
+
+
+class Labels(Protocol):
+    """What messages call the samples."""
+
+    def __getitem__(self, sample: int) -> str: ...
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Samples called by their numbers, counted from ``first``."""
+
+    first: int = 0
+
+    def __getitem__(self, sample: int) -> str:
+        return f"sample {self.first + sample}"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the closures give for samples along the last axis.
+
+    ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N), ``condition`` (N,) of the
+    passive columns, lengths scaled by the characteristic length.
+    """
+
+    c: np.ndarray
+    yd: np.ndarray
+    ydd: np.ndarray
+    J: np.ndarray
+    condition: np.ndarray
+
+    def __getitem__(self, samples: slice) -> Motion:
+        """The motion at some of the samples."""
+        return Motion(*(each[..., samples] for each in (self.c, self.yd, self.ydd, self.J, self.condition)))
+
+
+def joined(parts: Sequence[Motion]) -> Motion:
+    """The motions of all ``parts``, one after the other."""
+    names = ("c", "yd", "ydd", "J", "condition")
+    return Motion(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names))
+
+
+@dataclass(frozen=True)
+class Loops:
+    """The closures of a robot and its solved home configuration ``home`` (n_c,)."""
+
+    layout: Coordinates
+    equations: ClosureEquations
+    home: np.ndarray
+    rank: int
+
+    @property
+    def unit(self) -> np.ndarray:
+        """What one unit of a scaled passive coordinate is, in rad or m, (n_passive,)."""
+        return np.where(self.layout.angular[self.layout.passive], 1.0, self.equations.length)
+
+    def condition(self, c: np.ndarray) -> np.ndarray:
+        """Condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
+        return self.equations.step(c)[-1]
+
+    def newton(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual (rows, N) and scaled passive columns of ``G`` (rows, n_passive, N) at ``c`` (n_c, N)."""
+        residual, G_p, _ = self.columns(c)
+        return residual, G_p
+
+    def columns(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residual (rows, N) and scaled ``G`` of the passive and the actuated coordinates (rows, ., N)."""
+        rows, passive, actuated = self.equations.rows, len(self.layout.passive), len(self.layout.actuated)
+        residual, G_p, G_a = np.split(self.equations.columns(c), np.cumsum([rows, rows * passive]))
+        return residual, G_p.reshape(rows, passive, c.shape[1]), G_a.reshape(rows, actuated, c.shape[1])
+
+
+def close_loops(layout: Coordinates) -> Loops:
+    """Close the loops of a robot at home and check that its actuated joints move all of it.
+
+    Raises
+    ------
+    GtauError
+        Where the loops do not close near the home of the robot's file, where actuation is redundant,
+        or where passive coordinates stay free.
+    """
+    robot, equations = layout.robot, closure_equations(layout)
+    loops = Loops(layout, equations, layout.home, rank=0)
+    c = _assemble(loops)
+    gap = gaps(layout, c[:, 0])
+    if (gap / (equations.length, 1.0)).max(initial=0.0) > RESIDUAL:
+        worst = int(gap.max(axis=1).argmax())
+        closure, (distance, angle) = robot.closures[worst], gap[worst]
+        raise GtauError(
+            f"robot '{robot.name}': the loops do not close near the home configuration, closure {worst + 1} "
+            f"('{closure.a.body}' to '{closure.b.body}') stays open by {_gap(distance, angle, equations.length)}; "
+            f"{CLOSER}."
+        )
+    joints = slice(len(robot.joints))
+    moved = (c[joints, 0] - layout.home[joints]) / np.where(layout.angular[joints], 1.0, equations.length)
+    if np.abs(moved).max() > FAR:
+        k = int(np.abs(moved).argmax())
+        raise GtauError(
+            f"robot '{robot.name}': the loops close only far from the home configuration, with joint "
+            f"'{layout.names[k]}' at {c[k, 0]:.4g} instead of {layout.home[k]:.4g}; {CLOSER}."
+        )
+    _, G_p, G_a = loops.columns(c)
+    rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
+    total = int(np.linalg.matrix_rank(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), tol=1e-7))
+    n, n_passive = len(layout.actuated), len(layout.passive)
+    if rank < n_passive:
+        free = np.abs(np.linalg.svd(G_p[:, :, 0])[2][rank:]).max(axis=0) > 1e-6
+        names = ", ".join(layout.names[k] for k in layout.passive[free])
+        raise GtauError(
+            f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home "
+            f"configuration {names} can still move ({n_passive - rank} dof); actuate more joints, or move home away "
+            "from a singular pose."
+        )
+    if total > rank:
+        free = np.linalg.svd(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]))[2][total:, n_passive:]
+        stuck = [
+            name for name, motion in zip(robot.actuated, free.T, strict=True) if np.abs(motion).max(initial=0.0) < 1e-9
+        ]
+        held = f", where the closures hold {', '.join(stuck)} fixed" if stuck else ""
+        raise GtauError(
+            f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints "
+            f"({', '.join(robot.actuated)}) for {layout.n_y - total} dof{held}; mark {total - rank} of them passive, "
+            "or check the closures and the dof of platforms."
+        )
+    return Loops(layout, equations, c[:, 0], rank)
+
+
+def _gap(distance: float, angle: float, length: float) -> str:
+    """A gap in mm and degrees, without the one of them that is nothing beside the other."""
+    parts = (distance / length, f"{1e3 * distance:.3g} mm"), (angle, f"{np.degrees(angle):.3g} degrees")
+    return " and ".join(text for size, text in parts if size > 1e-3 * max(distance / length, angle))
+
+
+def _assemble(loops: Loops) -> np.ndarray:
+    """The configuration (n_c, 1) near home in which the loops close, or as good as that; home may be singular."""
+    layout, c = loops.layout, loops.home[:, None]
+    for _ in range(50):
+        residual, G_p = loops.newton(c)
+        correction = -np.linalg.pinv(G_p[:, :, 0], rcond=1e-9) @ residual[:, 0]
+        size = np.abs(correction).max(initial=0.0)
+        step = np.zeros((layout.n_y, 1))
+        step[layout.passive, 0] = correction / max(size, 1.0) * loops.unit
+        c = layout.retract(c, step)
+        if size < 1e-12:
+            break
+    return c
+
+
+def _follower(loops: Loops, shortest: float) -> Follower:
+    """What the compiled loops work with; memory of its own for each thread."""
+    equations, n_c = loops.equations, loops.layout.n_c
+    trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
+    trial[:], made[:] = 0.0, 0.0
+    at, to = addresses(trial), addresses(made)
+    bound = (
+        Bound(equations.step, at, to[: n_c + 2]),
+        Bound(equations.fast_step, at, to[: n_c + 1]),
+        Bound(equations.gap, at, to[n_c + 2 :]),
+    )
+    programs = [part for each in bound for part in (each.code, each.rows, each.memory)]
+    parameters = (loops.layout.actuated, equations.scale, shortest, RESIDUAL, CONTRACTION, REACH)
+    return Follower._make([MACHINE, *programs, trial, made, *parameters])
+
+
+def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
+    """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as it gets.
+
+    A step below the share ``shortest`` of the way is not tried.
+
+    Returns the closed configurations arrived at (n_c, N), and which are those asked for (N,).
+    """
+    c, q = np.array(c, dtype=float, order="C"), np.ascontiguousarray(q, dtype=float)
+    reached = np.zeros(c.shape[1], dtype=bool)
+
+    def run(start: int, stop: int) -> None:
+        travel(_follower(loops, shortest), c, q, start, stop, reached)
+
+    share(run, c.shape[1], LANES)
+    return c, reached
+
+
+def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
+    """Configurations (n_c, N) along the path ``q`` (n, N), all in the assembly mode of home.
+
+    Parameters
+    ----------
+    loops : Loops
+        From :func:`close_loops`.
+    q : ndarray
+        Actuated positions (n, N), rad or m.
+    labels : Labels, optional
+        What a message calls the samples; ``"sample 17"`` if left out.
+    start : ndarray, optional
+        Closed configuration (n_c,) that the path begins from; home if left out.
+
+    Raises
+    ------
+    GtauError
+        Where a sample cannot be reached, or not without leaving the assembly mode.
+    """
+    q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
+    labels = labels or Numbers()
+    begin = loops.home if start is None else start
+    c = np.repeat(begin[:, None], samples, axis=1)
+    if not samples:
+        return c
+    length = max(-(-samples // SEGMENTS), min(SEGMENT, samples))
+    starts = np.arange(0, samples, length)
+    c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
+    if not first_reached[0]:
+        raise _unreachable(loops, q[:, 0], labels[0])
+    reached = np.ones(starts.size, dtype=bool)
+    half = 1 << (starts.size - 1).bit_length()
+    while half := half // 2:  # the head in the middle of the way, those of its halves, and so on
+        heads = np.arange(half, starts.size, 2 * half)
+        c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
+    segments = np.flatnonzero(reached)
+    lost = _march(loops, q, c, starts[segments], length)
+    # a segment must begin where the one before it leads
+    led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
+    redone = False
+    for k in range(1, starts.size):
+        if starts[k] - 1 in lost:
+            break
+        if redone:
+            led[:, [k - 1]], joined[[k - 1]] = advance(loops, c[:, [starts[k] - 1]], q[:, [starts[k]]])
+        if not joined[k - 1]:
+            lost.add(starts[k])
+            break
+        redone = not reached[k] or np.abs(led[:, k - 1] - c[:, starts[k]]).max() > 1e-6
+        if redone:
+            c[:, starts[k]] = led[:, k - 1]
+            lost -= set(range(starts[k], min(starts[k] + length, samples)))
+            lost |= _march(loops, q, c, starts[[k]], length)
+    if lost:
+        first = min(lost)
+        raise _unreachable(loops, q[:, first], labels[first])
+    return c
+
+
+def _march(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
+    """Fill ``c`` from each of ``starts`` for ``length`` samples; returns those that were not reached."""
+    ends = np.minimum(starts + length, q.shape[1])
+    filled = np.zeros(starts.size, dtype=np.int64)
+
+    def run(first: int, last: int) -> None:
+        march(_follower(loops, SHORTEST), c, q, starts[first:last], length, filled[first:last])
+
+    share(run, starts.size, LANES)
+    lost: set[int] = set()
+    for first_lost, end in zip(starts + filled, ends, strict=True):
+        lost |= set(range(first_lost, end))
+    return lost
+
+
+def _unreachable(loops: Loops, q: np.ndarray, label: str) -> GtauError:
+    return GtauError(
+        f"robot '{loops.layout.robot.name}': at {label} ({_pose(loops, q)}) the loops cannot be closed, or only beyond "
+        "a singular pose (type 2), outside the assembly mode of home; check the units, signs and zeros of the "
+        "positions and the robot's geometry, or leave these samples out."
+    )
+
+
+def _pose(loops: Loops, q: np.ndarray) -> str:
+    return ", ".join(f"q_{name} = {value:.4g}" for name, value in zip(loops.layout.robot.actuated, q, strict=True))
+
+
+def differentiate(
+    loops: Loops,
+    c: np.ndarray,
+    qd: np.ndarray,
+    qdd: np.ndarray,
+    labels: Labels | None = None,
+) -> Motion:
+    """Velocities and accelerations of the whole tree from those of the actuated joints (eqs. 5 to 8).
+
+    Parameters
+    ----------
+    loops : Loops
+        From :func:`close_loops`.
+    c : ndarray
+        Closed configurations (n_c, N).
+    qd, qdd : ndarray
+        Actuated velocities and accelerations (n, N).
+    labels : Labels, optional
+        What a message calls the samples.
+
+    Raises
+    ------
+    GtauError
+        At a pose too close to a singularity, where the passive coordinates cannot be told from the
+        actuated ones.
+    """
+    layout, samples = loops.layout, c.shape[1]
+    found = loops.equations.motion(c, qd, qdd)
+    condition, yd, ydd, J = np.split(found, np.cumsum([1, layout.n_y, layout.n_y]))
+    condition = np.nan_to_num(condition[0], nan=np.inf)
+    singular = condition >= CONDITION
+    if singular.any():
+        worst = int(np.argmax(condition))
+        label = (labels or Numbers())[worst]
+        raise GtauError(
+            f"robot '{layout.robot.name}': at {label} ({_pose(loops, c[layout.actuated, worst])}) the pose is too "
+            "close to a singularity of type 2, where passive joints can move although the actuated ones stand still "
+            f"(condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the worst of "
+            f"{int(singular.sum())} such among {samples} samples; leave them out or keep the motion away from it."
+        )
+    return Motion(c, yd, ydd, J.reshape(layout.n_y, len(layout.actuated), samples), condition)

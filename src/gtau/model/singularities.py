@@ -1,0 +1,111 @@
+"""How far a pose is from singularities of both types (Gosselin and Angeles, 1990).
+
+At a singularity of **type 2** (parallel) the passive joints can move although the actuated ones stand still: the
+passive columns G_p of the closures lose rank, and nothing can be identified there. At one of **type 1** (serial) the
+actuated joints can move although the tool stands still: the tool's Jacobian J_t loses rank, as at the border of the
+workspace; the model holds there.
+
+Distances are reciprocal condition numbers, 1 at best and 0 at a singularity, that do not depend on the unit of length:
+``k / sqrt(sum(s^2) sum(1 / s^2))`` of k singular values s, lengths being counted in characteristic lengths. For type 2
+these are the singular values of G_p. For type 1 they are those of the tool's rows of an orthonormal basis of the
+motions (qd, twist of the tool): ``s / sqrt(1 + s^2)`` with s those of J_t, since J_t itself is ill-conditioned near
+singularities of type 2 too. Only as many of them count as J_t has at most poses: a tool may have fewer freedoms than
+motors. A single one is compared with the largest among random poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from gtau.model.coordinates import Coordinates
+from gtau.model.kinematics import constant, frames, twists
+from gtau.model.loops import Motion
+from gtau.model.program import Program, compile_program
+from gtau.robots.geometry import characteristic_length
+
+if TYPE_CHECKING:
+    from gtau.model.inverse_dynamics import InverseDynamics
+
+TYPES = (1, 2)
+POSES = 64  # random ones, that show the rank of J_t
+NO_MOTION = 1e-7  # share of the largest singular value of J_t: rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Singularities:
+    """The singularities of a robot.
+
+    ``J_t`` maps c and the passive rows of J to the tool's Jacobian, lengths in characteristic lengths; ``rank`` is the
+    one that it has at most poses, ``largest`` its largest singular value there.
+    """
+
+    layout: Coordinates
+    J_t: Program
+    rank: int
+    largest: float
+
+    def jacobian(self, motion: Motion) -> np.ndarray:
+        """The tool's scaled Jacobian J_t (N, rows, n) along ``motion``."""
+        n, samples = len(self.layout.actuated), motion.c.shape[1]
+        passive = motion.J[self.layout.passive].reshape(-1, samples)
+        return self.J_t(motion.c, passive).reshape(-1, n, samples).transpose(2, 0, 1)
+
+    def distances(self, motion: Motion) -> np.ndarray:
+        """Distances (2, N) to singularities of type 1 and 2 along ``motion``; NaN for type 2 without closures."""
+        s = np.linalg.svd(self.jacobian(motion), compute_uv=False)[:, : self.rank]
+        if self.rank == 1:  # nothing to compare with in the pose itself
+            type_1 = np.minimum(s[:, 0] / self.largest, 1.0)
+        else:
+            share = s / np.hypot(1.0, s)
+            with np.errstate(divide="ignore"):
+                type_1 = self.rank / np.sqrt((share**2).sum(axis=1) * (share**-2).sum(axis=1))
+        if not self.layout.robot.closures:
+            return np.stack([type_1, np.full_like(type_1, np.nan)])
+        # ``condition`` is sqrt(sum(s^2) sum(1 / s^2)) of the passive columns
+        return np.stack([type_1, len(self.layout.passive) / motion.condition])
+
+
+def singularities(idm: InverseDynamics) -> Singularities:
+    """The singularities of a robot, ready to be evaluated along motions.
+
+    The tool is the body that carries payloads, or where a loop is closed by a ``connect`` at that link, as in a
+    five-bar, the point where it is closed.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed, or hardly any pose is regular.
+    """
+    from gtau.model.states import random_motion
+
+    program = compile_program(*_tool_jacobian(idm.layout))
+    found = Singularities(idm.layout, program, 0, 0.0)
+    motion = random_motion(idm, POSES, np.random.default_rng(0))
+    s = np.linalg.svd(found.jacobian(motion), compute_uv=False)
+    rank = int((s > NO_MOTION * s.max()).sum(axis=1).max())
+    return Singularities(idm.layout, program, rank, float(s.max()))
+
+
+def _tool_jacobian(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
+    """C and the passive rows of J, and the tool's scaled Jacobian, row by row."""
+    robot, n, length = layout.robot, len(layout.actuated), characteristic_length(layout.robot)
+    c, passive = ca.SX.sym("c", layout.n_c), ca.SX.sym("J", len(layout.passive), n)
+    J = ca.SX(layout.n_y, n)
+    J[layout.actuated.tolist(), :] = ca.SX.eye(n)
+    J[layout.passive.tolist(), :] = passive
+    frame = frames(layout, c)
+    ends = [end for closure in robot.closures if closure.kind == "connect" for end in (closure.a, closure.b)]
+    points = [] if robot.platforms else [end.placement.position for end in ends if end.body == robot.tool]
+    columns = []
+    for k, angular in enumerate(layout.angular[layout.actuated]):
+        twist = twists(layout, frame, J[:, k])[robot.tool]
+        if points:
+            rows = (twist.linear + ca.cross(twist.angular, constant(points[0]))) / length
+        else:
+            rows = ca.vertcat(twist.linear / length, twist.angular)
+        columns.append(rows * (1.0 if angular else length))
+    return [c, passive.T], [ca.horzcat(*columns).T]

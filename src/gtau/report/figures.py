@@ -1,0 +1,165 @@
+"""The figures: data in, :class:`matplotlib.figure.Figure` out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gtau.estimation.estimates import Estimate, Prediction
+from gtau.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    IDENTIFIED,
+    LINES,
+    PRIOR,
+    VERMILION,
+    joint_label,
+    light_grid,
+    new_figure,
+    styled,
+    value_label,
+    with_interval,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INTERVAL = 1.96  # standard deviations to either side, 95 %
+
+
+def gains_figure(gains: Mapping[str, Estimate], truth: Mapping[str, float], prior: Mapping[str, float]) -> Figure:
+    """Identified drive gains with their 95 % intervals, and the manufacturer's, in per cent off the true gains.
+
+    On the left both on one scale, on the right the identified ones alone on their own.
+    """
+    joints = list(gains)
+    rows = np.arange(len(joints))
+    true, given = (np.array([values[joint] for joint in joints]) for values in (truth, prior))
+    found = np.array([gains[joint].value for joint in joints], dtype=float)
+    half = INTERVAL * np.array([gains[joint].std or 0.0 for joint in joints])
+    error, bar, off = (100 * each / true for each in (found - true, half, given - true))
+    with styled():
+        figure = new_figure(7.2, 1.2 + 0.62 * len(joints))
+        wide, close = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1))
+        for axes in (wide, close):
+            axes.axvline(0.0, color=BLACK, linewidth=0.9)
+            axes.errorbar(error, rows, xerr=bar, linestyle="none", **IDENTIFIED)
+            light_grid(axes, "x")
+            axes.spines["left"].set_visible(False)
+        wide.plot(off, rows, linestyle="none", **PRIOR)
+        for row, joint in enumerate(joints):
+            value_label(wide, f"{given[row]:.5g}", off[row], row, PRIOR["color"])
+            value_label(close, with_interval(found[row], half[row]), error[row], row, IDENTIFIED["color"])
+            wide.annotate(f"{true[row]:.5g} {gains[joint].unit}", (0, row), xytext=(0, 9), textcoords="offset points",
+                          ha="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0})  # fmt: skip
+        span = 1.3 * np.max(np.abs(error) + bar)
+        close.set_xlim(-span, span)
+        wide.set_xlim(min(1.25 * off.min(), -1.0), max(1.25 * off.max(), 1.3))
+        wide.set_yticks(rows, [joint_label(joint) for joint in joints])
+        wide.set_ylim(len(joints) - 0.6, -0.75)
+        wide.set_title("Manufacturer's gains (diamonds)")
+        close.set_title("Identified gains, 95 % intervals")
+        figure.supxlabel("error of the drive gain, % of the true one", fontsize=9)
+    return figure
+
+
+def torques_figure(
+    prediction: Prediction, units: Sequence[str], start: float, stop: float, title: str, kind: str = "current"
+) -> Figure:
+    """Measured and predicted torques of each joint between two instants, s, and what they differ by.
+
+    Where ``kind`` is current, what is measured is ``v g_tau``. Where the model's friction does not hold, near
+    reversals, the difference is left out.
+    """
+    window = (prediction.time >= start) & (prediction.time <= stop)
+    time = prediction.time[window]
+    measured, predicted, keep = (each[window] for each in (prediction.measured, prediction.predicted, prediction.keep))
+    difference = np.where(keep, measured - predicted, np.nan)
+    largest = 1.15 * np.where(keep, np.abs(measured - predicted), 0.0).max(axis=0, initial=0.0)
+    n = len(prediction.joints)
+    label = "measured (current reference × gain)" if kind == "current" else "measured"
+    with styled():
+        figure = new_figure(7.2, 0.5 + 2.2 * n)
+        grid = figure.add_gridspec(3 * n - 1, 1, height_ratios=([2.4, 1, 0.12] * n)[:-1])  # third rows: space
+        for j, joint in enumerate(prediction.joints):
+            above, below = (figure.add_subplot(grid[3 * j + k]) for k in (0, 1))
+            above.plot(time, measured[:, j], color="#B8B8B8", linewidth=3.4, label=label)
+            above.plot(time, predicted[:, j], color=BLUE, linewidth=1.1, label="predicted")
+            above.set_ylabel(units[j])
+            above.set_title(f"{title}: {joint_label(joint)}" if j == 0 else joint_label(joint))
+            below.axhline(0.0, color=GREY, linewidth=0.8)
+            below.plot(time, difference[:, j], color=VERMILION, linewidth=1.0, label="difference (reversals left out)")
+            limit = largest[j] or 1.0
+            below.set_ylim(-limit, limit)
+            below.set_ylabel(units[j])
+            for axes in (above, below):
+                light_grid(axes)
+                axes.set_xlim(start, stop)
+                axes.tick_params(labelbottom=j == n - 1 and axes is below)
+                axes.spines["bottom"].set_visible(j == n - 1 and axes is below)
+        below.set_xlabel("time, s")
+        figure.align_ylabels()
+        handles = above.get_legend_handles_labels()[0] + below.get_legend_handles_labels()[0]
+        figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    return figure
+
+
+def trajectory_figure(
+    time: np.ndarray,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    joints: Sequence[str],
+    unit: str,
+    detail: float = 5.0,
+) -> Figure:
+    """Positions of the actuated joints over a whole run; velocities and accelerations during its first seconds.
+
+    ``time`` (N,) in s, ``motion`` positions, velocities and accelerations, each (N, n), in ``unit`` and s.
+    """
+    early = time <= time[0] + detail
+    with styled():
+        figure = new_figure(7.2, 5.4)
+        whole, speed, push = figure.subplots(3, 1, height_ratios=(1.15, 1, 1))
+        _joint_lines(whole, time, motion[0], joints, f"position, {unit}")
+        _joint_lines(speed, time[early], motion[1][early], joints, f"velocity, {unit}/s")
+        _joint_lines(push, time[early], motion[2][early], joints, f"acceleration, {unit}/s²")
+        whole.axvspan(time[0], time[0] + detail, color="#EFEFEF", zorder=0)
+        whole.set_title("The whole run")
+        speed.set_title(f"Its first {detail:g} s, grey above")
+        speed.tick_params(labelbottom=False)
+        push.set_xlabel("time, s")
+        figure.align_ylabels()
+        figure.legend(handles=whole.get_lines(), loc="outside upper center", ncols=len(joints))
+    return figure
+
+
+def _joint_lines(axes: Axes, time: np.ndarray, values: np.ndarray, joints: Sequence[str], label: str) -> None:
+    for j, joint in enumerate(joints):
+        axes.plot(time, values[:, j], label=joint_label(joint), **LINES[j % len(LINES)])
+    axes.set_ylabel(label)
+    axes.set_xlim(time[0], time[-1])
+    light_grid(axes)
+
+
+def payload_figure(prior: Estimate, identified: Estimate, truth: float) -> Figure:
+    """Mass of a payload weighed with the manufacturer's and with the identified gains, and the true one, kg."""
+    with styled():
+        figure = new_figure(7.2, 2.0)
+        axes = figure.subplots()
+        axes.axvline(truth, color=BLACK, linewidth=0.9)
+        for row, (mass, look) in enumerate(((prior, PRIOR), (identified, IDENTIFIED))):
+            value, half = mass.value or 0.0, INTERVAL * (mass.std or 0.0)
+            axes.errorbar([value], [row], xerr=[half], **look)
+            value_label(axes, f"{with_interval(value, half)} kg", value, row, look["color"])
+        axes.annotate(f"true {truth:g} kg", (truth, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3),
+                      textcoords="offset points", ha="center", va="bottom")  # fmt: skip
+        axes.set_yticks([0, 1], ["with the manufacturer's gains", "with the identified gains"])
+        axes.set_ylim(1.5, -0.9)
+        axes.margins(x=0.25)
+        axes.spines["left"].set_visible(False)
+        axes.set_xlabel("mass of the payload, kg (95 % intervals)")
+        light_grid(axes, "x")
+    return figure

@@ -1,0 +1,190 @@
+"""The logs of an experiment before an identification: as data, as text and as figures."""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gtau.estimation.estimates import torque_unit
+from gtau.estimation.log_check import ExperimentCheck, LogCheck
+from gtau.estimation.singular_poses import write_distances
+from gtau.report.style import BLACK, LINES, joint_label, light_grid, new_figure, require_matplotlib, save_figure, styled
+from gtau.robots.robot import Robot
+from gtau.signals.storage import block, spans
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDTH = 100
+NEAR = 0.05  # distance to a singularity that the page warns of
+TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
+
+
+def describe_logs(checked: ExperimentCheck) -> dict[str, Any]:
+    """The check as a JSON document, SI units."""
+    preparation = checked.preparation
+    return {
+        "robot": checked.robot.name,
+        "preparation": {
+            "bandwidth": preparation.bandwidth,
+            "cutoff": preparation.cutoff,
+            "decimation": preparation.decimator.factor,
+            "decimator": preparation.decimator.kind,
+        },
+        "logs": [_describe(log, checked.robot) for log in checked.logs],
+        "notes": list(checked.notes),
+    }
+
+
+def _describe(log: LogCheck, robot: Robot) -> dict[str, Any]:
+    run = log.run
+    return {
+        "log": run.name,
+        "validation": log.validation,
+        "payload": None if run.payload is None else {"name": run.payload.name, "mass": run.payload.mass},
+        "samples": len(run.time),
+        "rate": run.rate,
+        "duration": float(run.time[-1] - run.time[0]),
+        "rows": log.rows,
+        "joints": [
+            {
+                "joint": each.joint,
+                "moves": bool(np.isfinite(each.bandwidth)),
+                "unit": _unit(robot, each.joint),
+                "position": list(each.position),
+                "speed": {"rms": each.speed_rms, "max": each.speed_max},
+                "bandwidth": each.bandwidth if np.isfinite(each.bandwidth) else None,
+                "command_unit": "A" if run.kind == "current" else torque_unit(robot, each.joint),
+                "command": {"rms": each.command_rms, "max": each.command_max},
+                "usable": each.usable,
+            }
+            for each in log.joints
+        ],
+        "singularities": [
+            {"type": each.type, "distance": each.distance, "time": each.time, "pose": dict(each.pose)}
+            for each in log.nearest
+        ],
+        "notes": list(log.notes),
+    }
+
+
+def _unit(robot: Robot, joint: str) -> str:
+    return "rad" if robot.joint(joint).kind == "revolute" else "m"
+
+
+def log_page(document: dict[str, Any]) -> str:
+    """The document as text."""
+    preparation = document["preparation"]
+    low_pass = "none" if preparation["cutoff"] is None else f"{preparation['cutoff']:.3g} Hz"
+    lines = [
+        f"{document['robot']}: bandwidth {preparation['bandwidth']:.3g} Hz, position filter {low_pass}, decimation "
+        f"{preparation['decimation']} ({preparation['decimator']})"
+    ]
+    for log in document["logs"]:
+        lines += ["", *_log_lines(log)]
+    for note in document["notes"]:
+        lines += ["", *textwrap.wrap(note, WIDTH)]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _log_lines(log: dict[str, Any]) -> list[str]:
+    payload = log["payload"]
+    load = "no payload" if payload is None else f"payload '{payload['name']}'"
+    if payload is not None:
+        load += " of unknown mass" if payload["mass"] is None else f" of {payload['mass']:g} kg"
+    lines = [
+        f"{log['log']} ({'validation' if log['validation'] else 'identification'}, {load}): {log['samples']} samples "
+        f"at {log['rate']:.5g} Hz, {log['duration']:.4g} s; {log['rows']} rows a joint",
+        f"  {'joint':<22}{'position':>20}{'speed rms':>11}{'max':>9}{'Hz':>7}{'command rms':>13}{'max':>9}{'used':>7}",
+    ]
+    for each in log["joints"]:
+        low, high = each["position"]
+        bandwidth = "rest" if each["bandwidth"] is None else f"{each['bandwidth']:.3g}"
+        lines.append(
+            f"  {each['joint']:<22}{f'{low:.3g} to {high:.3g}':>16} {each['unit']:<3}{each['speed']['rms']:>11.3g}"
+            f"{each['speed']['max']:>9.3g}{bandwidth:>7}{each['command']['rms']:>13.3g}{each['command']['max']:>9.3g}"
+            f" {each['command_unit']:<3}{100 * each['usable']:>3.0f} %"
+        )
+    for each in log["singularities"]:
+        pose = ", ".join(f"q_{joint} = {value:.4g}" for joint, value in each["pose"].items())
+        line = (
+            f"nearest to a singularity of {TYPES[each['type']]}: {each['distance']:.3g} at {each['time']:.4g} s, {pose}"
+        )
+        lines += textwrap.wrap(line, WIDTH, initial_indent="  ", subsequent_indent="    ")
+        if each["type"] == 2 and each["distance"] < NEAR:
+            lines.append("    near enough that the model's errors are magnified; keep the motion away from it")
+    for note in log["notes"]:
+        lines += textwrap.wrap(f"- {note}", WIDTH, initial_indent="  ", subsequent_indent="    ")
+    return lines
+
+
+def log_figure(log: LogCheck, robot: Robot) -> Figure:
+    """The motion of the joints in a log, and its distances to singularities of both types."""
+    units = {
+        unit: [j for j, each in enumerate(log.joints) if _unit(robot, each.joint) == unit] for unit in ("rad", "m")
+    }
+    units = {unit: joints for unit, joints in units.items() if joints}
+    with styled():
+        figure = new_figure(7.2, 2.5 + 2.0 * len(units))
+        *positions, below = figure.subplots(len(units) + 1, 1, sharex=True)
+        for axes, (unit, joints) in zip(positions, units.items(), strict=True):
+            for j in joints:
+                style = LINES[j % len(LINES)]
+                axes.plot(
+                    *outline(log.distances.time, log.position[:, j]), label=joint_label(log.joints[j].joint), **style
+                )
+            axes.set_ylabel(f"position, {unit}")
+            light_grid(axes)
+        positions[0].set_title(log.run.name)
+        for values, name, style in zip(log.distances.values.T, TYPES.values(), LINES[:2], strict=True):
+            times, drawn = outline(log.distances.time, values)
+            if not np.isnan(drawn).all():
+                below.plot(times, drawn, label=name, **style)
+        if robot.closures:  # other robots have no singularities of type 2, at which alone it matters
+            below.axhline(NEAR, color=BLACK, linewidth=0.8, linestyle=":", label=f"{NEAR:g}, near")
+        below.set_ylim(0.0, 1.05)
+        below.set_ylabel("distance to singularity")
+        below.set_xlabel("time, s")
+        below.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=3)
+        light_grid(below)
+        handles = [line for axes in positions for line in axes.get_lines()]
+        figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    return figure
+
+
+def outline(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a line (K,) looks like in a figure: of a long one the extremes of each of 2000 stretches."""
+    size = -(-len(values) // 2000)
+    if size <= 2:
+        return time, values
+    times, drawn = [], []
+    for span in spans(len(values), size):
+        part = block(values, *span)
+        both = np.sort([part.argmin(), part.argmax()])
+        times.append(block(time, *span)[both])
+        drawn.append(part[both])
+    return np.concatenate(times), np.concatenate(drawn)
+
+
+def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
+    """Write a figure for each log, and the distances of all to singularities as ``singularities.parquet``.
+
+    Raises
+    ------
+    GtauError
+        Where a file cannot be written, or matplotlib is not installed.
+    """
+    require_matplotlib()
+    written, used = [], Counter[str]()
+    for log in checked.logs:
+        name = log.run.name
+        used[name] += 1
+        written.append(folder / (f"{name}.png" if used[name] == 1 else f"{name}-{used[name]}.png"))
+        save_figure(log_figure(log, checked.robot), written[-1])
+    written.append(folder / "singularities.parquet")
+    write_distances([log.distances for log in checked.logs], written[-1])
+    return written

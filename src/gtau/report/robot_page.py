@@ -1,0 +1,145 @@
+"""What a robot is to gtau: its joints, loops and base parameters, as data and as text."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from gtau.estimation.base_parameters import base_parameters
+from gtau.estimation.estimates import unit_of
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.singularities import TYPES
+from gtau.robots.oddities import oddities, tool_note
+from gtau.robots.robot import Robot
+
+
+def describe(robot: Robot) -> dict[str, Any]:
+    """Joints with their limits, loops, gravity, payload's body and base parameters of ``robot`` as a JSON document.
+
+    Lengths in m, angles in rad, gravity in m/s2 in base axes; a limit that is not known is null.
+
+    Raises
+    ------
+    GtauError
+        Where its loops do not close or its actuation is not what gtau treats.
+    """
+    model = InverseDynamics(robot)
+    loops = model.loops
+    base, inertial = base_parameters(model), base_parameters(InverseDynamics(robot, "inertial"))
+    home = model.layout.home if loops is None else loops.home
+    still = np.zeros((len(model.actuated), 1))
+    near = model.singularities.distances(model.rates(home[:, None], still, still))[:, 0]
+    return {
+        "robot": robot.name,
+        "source": robot.source,
+        "notes": [*robot.notes, *oddities(robot), *tool_note(robot)],
+        "degrees_of_freedom": len(model.actuated),
+        "joints": [
+            {
+                "name": joint.name,
+                "antecedent": joint.antecedent,
+                "kind": joint.kind,
+                "actuated": joint.actuated,
+                "parameters": joint.parameters,
+                "home": float(home[k]),
+                "unit": "rad" if joint.kind == "revolute" else "m",
+                "limits": asdict(joint.limits),
+            }
+            for k, joint in enumerate(robot.joints)
+        ],
+        "platforms": [{"name": platform.name, "dof": list(platform.dof)} for platform in robot.platforms],
+        "loops": {
+            "closures": [
+                {"kind": closure.kind, "between": [closure.a.body, closure.b.body]} for closure in robot.closures
+            ],
+            "couplings": [
+                {"joint": coupling.joint, "ratios": dict(coupling.ratios), "offset": coupling.offset}
+                for coupling in robot.couplings
+            ],
+            "rows": 0 if loops is None else loops.equations.rows,
+            "rank": 0 if loops is None else loops.rank,
+        },
+        "distances_at_home": {
+            f"type_{kind}": None if np.isnan(d) else float(d) for kind, d in zip(TYPES, near, strict=True)
+        },
+        "gravity": np.array(robot.gravity).tolist(),
+        "payload_on": robot.tool,
+        "base_parameters": {
+            "count": base.count,
+            "count_inertial_only": inertial.count,
+            "standard": len(model.parameter_names),
+            "without_effect": len(base.without_effect),
+            "regroupings": base.regroupings,
+            "units": {name: _unit(own, robot) for name, own in zip(base.names, base.standard, strict=True)},
+        },
+    }
+
+
+def robot_page(description: dict[str, Any]) -> str:
+    """The description as text."""
+    loops, base = description["loops"], description["base_parameters"]
+    lines = [
+        f"{description['robot']}: {description['degrees_of_freedom']} degrees of freedom, "
+        f"{len(description['joints'])} joints" + (f" ({description['source']})" if description["source"] else ""),
+        "",
+    ]
+    bodies = [*description["joints"], *description["platforms"]]
+    wide = 2 + max(len("antecedent"), *(len(body["name"]) for body in bodies))
+    lines.append(f"  {'joint':<{wide}}{'antecedent':<{wide}}{'kind':<11}{'':<10}{'home':>9}      limits")
+    for joint in description["joints"]:
+        role = "actuated" if joint["actuated"] else "passive"
+        lines.append(
+            "  "
+            f"{joint['name']:<{wide}}{joint['antecedent']:<{wide}}{joint['kind']:<11}{role:<10}"
+            f"{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']:<5}{_limits(joint)}".rstrip()
+        )
+    for platform in description["platforms"]:
+        lines.append(f"  {platform['name']:<{wide}}platform, free in {' '.join(platform['dof'])}")
+    gravity = ", ".join(f"{round(component, 10) + 0.0:.6g}" for component in description["gravity"])
+    lines += ["", f"  gravity: [{gravity}] m/s2 in base axes", f"  payload on: {description['payload_on']}"]
+    if loops["rows"]:
+        counts = [
+            f"{count} {kind}{'s' if count > 1 else ''}"
+            for kind in ("closure", "coupling")
+            if (count := len(loops[f"{kind}s"]))
+        ]
+        lines += ["", f"  {' and '.join(counts)}, {loops['rows']} equations of rank {loops['rank']}:"]
+        lines += [f"    {closure['kind']} {' - '.join(closure['between'])}" for closure in loops["closures"]]
+        lines += [f"    {_equation(coupling)}" for coupling in loops["couplings"]]
+    near = description["distances_at_home"]
+    lines += ["", f"  distance to singularities at home (1 at best, 0 at one): type 1 (serial) {near['type_1']:.2g}"]
+    lines[-1] += "" if near["type_2"] is None else f", type 2 (parallel) {near['type_2']:.2g}"
+    for note in description["notes"]:
+        lines += ["", *textwrap.wrap(f"note: {note}", 100, initial_indent="  ", subsequent_indent="        ")]
+    lines += [
+        "",
+        f"  {base['count']} base parameters of {base['standard']} standard ones ({base['without_effect']} have no "
+        "effect); "
+        f"{base['count_inertial_only']} without rotor inertia, friction and offset:",
+    ]
+    for name, formula in base["regroupings"].items():
+        written = f"{name} [{base['units'][name]}]" + (f" = {formula}" if formula != name else "")
+        lines += textwrap.wrap(written, 96, initial_indent="    ", subsequent_indent="        ")
+    return "\n".join(lines)
+
+
+def _unit(parameter: str, robot: Robot) -> str:
+    kind, body = parameter.split("_", 1)
+    return unit_of(kind, robot, body)
+
+
+def _limits(joint: dict[str, Any]) -> str:
+    limits, unit = joint["limits"], joint["unit"]
+    low, high = limits["position"] or (None, None)
+    parts = [] if low is None else [f"{low:.4g} to {high:.4g} {unit}"]
+    units = {"velocity": f"{unit}/s", "acceleration": f"{unit}/s2", "effort": "N m" if unit == "rad" else "N"}
+    return ", ".join(parts + [f"{limits[key]:.4g} {what}" for key, what in units.items() if limits[key] is not None])
+
+
+def _equation(coupling: dict[str, Any]) -> str:
+    terms = [f"{ratio:+g} {name}" for name, ratio in coupling["ratios"].items()]
+    terms += [f"{coupling['offset']:+.6g}"] if coupling["offset"] else []
+    return f"{coupling['joint']} = {' '.join(terms).removeprefix('+')}"

@@ -1,0 +1,93 @@
+"""How well a model predicts runs: torque errors as a table and as JSON, and figures of the torques."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gtau.estimation.estimates import Prediction, TorqueError
+from gtau.estimation.prediction import torque_errors
+from gtau.estimation.result import Result
+from gtau.report.figures import torques_figure
+from gtau.report.style import save_figure
+from gtau.signals.run import Run
+
+CAUTION = (
+    "A small error does not prove the gains: both sides carry them. Weigh a known payload ('gtau payload') for that."
+)
+SHOWN = 10.0  # s of a run in its figure
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """A run, the torques predicted along it, and how far they are from those measured."""
+
+    run: Run
+    prediction: Prediction
+    errors: tuple[TorqueError, ...]
+
+
+def validate_run(result: Result, run: Run) -> Validation:
+    """Predict a run; raises GtauError where it does not suit the robot, or the model refuses a sample."""
+    prediction = result.predict(run)
+    return Validation(run, prediction, torque_errors(result, prediction))
+
+
+def describe_validations(validations: Sequence[Validation]) -> dict[str, Any]:
+    """Torque errors as a JSON document: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent."""
+    return {
+        "runs": [
+            {"log": each.run.name, "joints": [asdict(error) | {"relative": error.relative} for error in each.errors]}
+            for each in validations
+        ]
+    }
+
+
+def validation_page(document: dict[str, Any]) -> str:
+    """The description as text."""
+    lines = []
+    for run in document["runs"]:
+        lines += [run["log"], f"  {'joint':<22}{'error rms':>12}{'signal rms':>12}{'error %':>9}   unit"]
+        lines += [
+            f"  {each['joint']:<22}{each['rms']:>12.4g}{each['signal']:>12.4g}{each['relative']:>9.2f}   {each['unit']}"
+            for each in run["joints"]
+        ]
+    return "\n".join([*lines, CAUTION])
+
+
+def write_torques(validations: Sequence[Validation], folder: Path) -> list[Path]:
+    """Write a figure of measured and predicted torques for each run, where they differ most.
+
+    Raises
+    ------
+    GtauError
+        Where a file cannot be written, or matplotlib is not installed.
+    """
+    written, used = [], Counter[str]()
+    for each in validations:
+        used[each.run.name] += 1
+        number = "" if used[each.run.name] == 1 else f"-{used[each.run.name]}"
+        written.append(folder / f"torques_{each.run.name}{number}.png")
+        start, stop = worst_stretch(each.prediction, SHOWN)
+        units = [error.unit for error in each.errors]
+        figure = torques_figure(each.prediction, units, start, stop, each.run.name, each.run.kind)
+        save_figure(figure, written[-1])
+    return written
+
+
+def worst_stretch(prediction: Prediction, duration: float) -> tuple[float, float]:
+    """Where a run of ``duration`` s around the largest difference begins and ends, s; of a shorter one all of it.
+
+    Differences are compared in units of each joint's own rms.
+    """
+    time = prediction.time
+    difference = np.where(prediction.keep, prediction.measured - prediction.predicted, 0.0)
+    relative = np.abs(difference) / np.maximum(np.sqrt(np.mean(difference**2, axis=0)), np.finfo(float).tiny)
+    worst = float(time[relative.max(axis=1).argmax()])
+    start = max(float(time[0]), min(worst - duration / 2, float(time[-1]) - duration))
+    return start, min(start + duration, float(time[-1]))

@@ -1,0 +1,100 @@
+"""One door to every robot: catalog names and all kinds of robot files."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from pathlib import Path
+
+from gtau.errors import GtauError
+from gtau.robots.robot import Robot
+
+CATALOG = Path(__file__).with_name("catalog")
+ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
+
+
+def catalog_names() -> tuple[str, ...]:
+    """Names of the robots that come with the package."""
+    return tuple(sorted(file.stem for file in CATALOG.glob("*.yaml")))
+
+
+def load_robot(source: str | Path | Robot) -> Robot:
+    """Load a robot.
+
+    Parameters
+    ----------
+    source : str, Path or Robot
+        A name of the catalog, a robot, which is returned as it is, or the path of a file, told by its ending: a robot
+        file (``.yaml``, ``.yml``), a URDF (``.urdf``) with its loops in a YAML file of the same name beside it, or
+        that YAML file, or the folder of both where they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a
+        parameter file of OpenSYMORO (``.par``), or a table of MDH parameters (``.csv``).
+
+    Returns
+    -------
+    Robot
+        Its ``notes`` say what a reader found odd or decided.
+
+    Raises
+    ------
+    GtauError
+        There is no such robot, or its file is not accepted.
+    """
+    if isinstance(source, Robot):
+        return source
+    if source in catalog_names():
+        source = CATALOG / f"{source}.yaml"
+    path = Path(source)
+    if path.is_dir():
+        path = path / "robot.urdf"
+    match path.suffix.lower():
+        case ".yaml" | ".yml":
+            return _from_yaml(path)
+        case ".urdf":
+            return _from_urdf(path)
+        case ".xml" | ".mjcf":
+            from gtau.robots.mjcf import read_mjcf
+
+            return read_mjcf(path)
+        case ".sdf":
+            raise GtauError(
+                f"{path} is an SDF file, which is not read, since it does not say which joints have motors; give a "
+                "URDF or, where the robot has loops, MJCF or a robot file."
+            )
+        case ".par":
+            from gtau.robots.par import read_par
+
+            return read_par(path)
+        case ".csv":
+            from gtau.robots.mdh_csv import read_mdh_csv
+
+            return read_mdh_csv(path)
+        case ".xacro":
+            raise GtauError(f"{path} is a xacro file; expand it with 'xacro {path.name} > {path.stem}.urdf' first.")
+        case _ if path.is_file():
+            raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of what it holds.")
+    close = get_close_matches(str(source), catalog_names(), n=1)
+    hint = f" (did you mean '{close[0]}'?)" if close else ""
+    raise GtauError(
+        f"no robot is called '{source}'{hint}; choose from the catalog ({', '.join(catalog_names())}) "
+        f"or give the path of a file that ends in {ENDINGS}."
+    )
+
+
+def _from_yaml(path: Path) -> Robot:
+    from gtau.robots.loops_yaml import is_loops_file, read_urdf_with_loops
+
+    if is_loops_file(path):
+        return read_urdf_with_loops(path.with_suffix(".urdf"), path)
+    from gtau.robots.native import read_native
+
+    return read_native(path)
+
+
+def _from_urdf(path: Path) -> Robot:
+    from gtau.robots.loops_yaml import is_loops_file, read_urdf_with_loops
+
+    for loops in (path.with_suffix(".yaml"), path.with_suffix(".yml")):
+        if is_loops_file(loops):
+            return read_urdf_with_loops(path, loops)
+    from gtau.robots.urdf import read_urdf
+
+    return read_urdf(path)

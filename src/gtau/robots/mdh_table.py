@@ -1,0 +1,83 @@
+"""Tables of modified Denavit-Hartenberg parameters, in the columns of the paper's Tables 1 and 2."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import Literal
+
+from gtau.errors import GtauError
+from gtau.robots.geometry import compose, rounded
+from gtau.robots.robot import GROUND, Attachment, Joint, Mdh
+
+
+@dataclass(frozen=True)
+class MdhRow:
+    """A frame of a table, placed in the frame of its antecedent.
+
+    ``sigma`` is 0 for a revolute joint, 1 for a prismatic one and 2 for a fixed frame; ``mu`` is 1 where a motor acts.
+    ``placement`` has the constant that the joint coordinate is added to in ``theta`` or ``r``.
+    """
+
+    name: str
+    antecedent: str
+    mu: int
+    sigma: int
+    placement: Mdh
+
+
+def moving_parameter(name: str, sigma: float) -> str | None:
+    """The parameter that a joint's coordinate is added to: theta, r, or None for a fixed frame.
+
+    Raises
+    ------
+    GtauError
+        sigma is none of 0, 1 and 2.
+    """
+    if sigma not in (0, 1, 2):
+        raise GtauError(f"sigma of joint '{name}' is {sigma:g}; write 0 (revolute), 1 (prismatic) or 2 (fixed frame).")
+    return ("theta", "r", None)[int(sigma)]
+
+
+def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: Sequence[float]) -> MdhRow:
+    """A row from numbers: mu, sigma, and (gamma, b, alpha, d, theta, r), angles in rad, lengths in m.
+
+    Raises
+    ------
+    GtauError
+        mu is neither 0 nor 1.
+    """
+    if mu not in (0, 1):
+        raise GtauError(f"mu of joint '{name}' is {mu:g}; write 1 (driven by a motor) or 0 (passive).")
+    gamma, b, alpha, d, theta, r = parameters
+    # tables give pi/2 with more or fewer digits
+    placement = Mdh(rounded(gamma, pi / 2), b, rounded(alpha, pi / 2), d, rounded(theta, pi / 2), r)
+    return MdhRow(name, antecedent, int(mu), int(sigma), placement)
+
+
+def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
+    """The joints of a table and where each of its frames is fixed; a fixed frame belongs to the link that carries it.
+
+    Raises
+    ------
+    GtauError
+        A row's antecedent stands in none of the rows before it.
+    """
+    frames = {GROUND: Attachment(GROUND)}
+    joints = []
+    for row in rows:
+        if row.antecedent not in frames:
+            raise GtauError(
+                f"joint '{row.name}' has the antecedent '{row.antecedent}', which is no joint of a row before it; "
+                "write 0 for the base, or move the antecedent's row up."
+            )
+        before = frames[row.antecedent]
+        placement = row.placement if before == Attachment(before.body) else compose(before.placement, row.placement)
+        if row.sigma == 2:
+            frames[row.name] = Attachment(before.body, placement)
+            continue
+        kind: Literal["revolute", "prismatic"] = "prismatic" if row.sigma else "revolute"
+        joints.append(Joint(row.name, before.body, kind, placement, actuated=row.mu == 1))
+        frames[row.name] = Attachment(row.name)
+    return tuple(joints), frames

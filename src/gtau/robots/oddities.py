@@ -1,0 +1,99 @@
+"""What is possible but rarely meant in a robot: wrong units, a home out of reach, a payload on a body nobody named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import pi
+
+import numpy as np
+
+from gtau.robots.robot import Joint, Placement, Robot
+
+TURNS = 2  # a link that turns further either way has its limits in degrees, perhaps
+FAR = 20.0  # m; a longer link is written in mm, perhaps
+REACHED = 1e-9  # rad or m; a home on a limit is within it
+
+
+def oddities(robot: Robot) -> tuple[str, ...]:
+    """Notes on what is hardly meant: links of 350 m, limits of 130 rad, a home outside the limits.
+
+    Parameters
+    ----------
+    robot : Robot
+
+    Returns
+    -------
+    tuple of str
+        A sentence each, without a full stop; empty for most robots.
+    """
+    return (*_lengths(robot), *_angles(robot), *_homes(robot))
+
+
+def tool_note(robot: Robot) -> tuple[str, ...]:
+    """A note where the body that carries a payload is only assumed: no one named it, and several could be meant."""
+    antecedents = {joint.antecedent for joint in robot.joints}
+    ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
+    if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):
+        return ()
+    return (
+        f"a payload is assumed to sit on '{robot.tool}', the last link of the robot's file; if it sits on another, "
+        "write 'tool: BODY' in the robot file (gtau robot --save makes one of any robot)",
+    )
+
+
+def _lengths(robot: Robot) -> Iterator[str]:
+    placed: list[tuple[str, Placement]] = [(f"joint '{joint.name}'", joint.placement) for joint in robot.joints]
+    placed += [(f"home of platform '{platform.name}'", platform.home) for platform in robot.platforms]
+    for number, closure in enumerate(robot.closures, start=1):
+        placed += [(f"closure {number} on '{end.body}'", end.placement) for end in (closure.a, closure.b)]
+    long = [
+        f"{what} is placed {size:.4g} m away"
+        for what, place in placed
+        if (size := np.linalg.norm(place.position)) > FAR
+    ]
+    long += [
+        f"the position limits of joint '{joint.name}' are {_limits(joint)}"
+        for joint in robot.joints
+        if joint.kind == "prismatic" and _reach(joint) > FAR
+    ]
+    if long:
+        yield f"{'; '.join(long)}: lengths are in m, so check whether these are mm"
+
+
+def _angles(robot: Robot) -> Iterator[str]:
+    far = [
+        f"joint '{joint.name}' ({_limits(joint)})"
+        for joint in robot.joints
+        # a motor's shaft, before its gear, does turn that often
+        if joint.kind == "revolute" and joint.parameters != "drive" and _reach(joint) > TURNS * 2 * pi
+    ]
+    if far:
+        yield (
+            f"position limits of many turns: {', '.join(far)}; angles are in rad, so where these are degrees write "
+            "deg(...)"
+        )
+
+
+def _homes(robot: Robot) -> Iterator[str]:
+    outside = []
+    for joint in robot.joints:
+        low, high = joint.limits.position or (-np.inf, np.inf)
+        if not low - REACHED <= joint.home <= high + REACHED:
+            outside.append(f"joint '{joint.name}' ({joint.home:.4g} {_unit(joint)}, limits {_limits(joint)})")
+    if outside:
+        names = ", ".join(outside)
+        yield f"home lies outside the position limits of {names}; write a 'home' within them in the robot file"
+
+
+def _reach(joint: Joint) -> float:
+    return max(map(abs, joint.limits.position or (0.0,)))
+
+
+def _limits(joint: Joint) -> str:
+    assert joint.limits.position is not None
+    low, high = joint.limits.position
+    return f"{low:.4g} to {high:.4g} {_unit(joint)}"
+
+
+def _unit(joint: Joint) -> str:
+    return "rad" if joint.kind == "revolute" else "m"

@@ -1,0 +1,310 @@
+"""What a robot is: a spanning tree of one-dof joints, perhaps free platforms, and closures.
+
+A serial arm is the case without closures; nothing else in the package distinguishes the two.
+Everything here is frozen data. The mathematics lives in :mod:`gtau.model`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import cos, sin
+from typing import Literal
+
+import numpy as np
+
+from gtau.errors import GtauError
+
+GROUND = "ground"
+STANDARD_GRAVITY = 9.80665  # m/s2
+INERTIAL = ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
+"""Inertial parameters of a body in its own frame, at the frame's origin; ``xy = -int x y dm``."""
+DRIVE = ("ia", "fv", "fs", "off")
+"""Rotor inertia, viscous and Coulomb friction, and offset of a joint."""
+
+
+def _rotation_x(angle: float) -> np.ndarray:
+    c, s = cos(angle), sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _rotation_y(angle: float) -> np.ndarray:
+    c, s = cos(angle), sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _rotation_z(angle: float) -> np.ndarray:
+    c, s = cos(angle), sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class Mdh:
+    """Khalil-Kleinfinger placement ``Rot(z,gamma) Trans(z,b) Rot(x,alpha) Trans(x,d) Rot(z,theta) Trans(z,r)``.
+
+    Angles in rad, lengths in m. In a joint, ``theta`` (revolute) or ``r`` (prismatic) is the
+    constant that the joint coordinate is added to.
+    """
+
+    gamma: float = 0.0
+    b: float = 0.0
+    alpha: float = 0.0
+    d: float = 0.0
+    theta: float = 0.0
+    r: float = 0.0
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Orientation of the placed frame, (3, 3)."""
+        return _rotation_z(self.gamma) @ _rotation_x(self.alpha) @ _rotation_z(self.theta)
+
+    @property
+    def position(self) -> np.ndarray:
+        """Origin of the placed frame, (3,) in m."""
+        before = _rotation_z(self.gamma) @ _rotation_x(self.alpha)
+        return np.array([0.0, 0.0, self.b]) + before @ np.array([self.d, 0.0, self.r])
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Placement by a translation (m), then fixed-axis roll, pitch and yaw (rad), as in URDF."""
+
+    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Orientation of the placed frame, (3, 3)."""
+        roll, pitch, yaw = self.rpy
+        return _rotation_z(yaw) @ _rotation_y(pitch) @ _rotation_x(roll)
+
+    @property
+    def position(self) -> np.ndarray:
+        """Origin of the placed frame, (3,) in m."""
+        return np.array(self.xyz)
+
+
+Placement = Mdh | Pose
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an actuated joint may do; SI units, ``None`` where nothing is known."""
+
+    position: tuple[float, float] | None = None
+    velocity: float | None = None
+    acceleration: float | None = None
+    effort: float | None = None
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A one-dof joint and the link it moves; both bear the joint's name.
+
+    The link's frame sits at ``placement`` in the antecedent's frame when the coordinate is zero,
+    and turns about (or slides along) ``axis``, a unit vector of its own frame. ``parameters`` says which
+    standard parameters it has: all 14, those of the link (``inertial``) or of the drive (``drive``, for a
+    motor's shaft) alone, or ``none`` (a massless link of a spherical joint).
+    """
+
+    name: str
+    antecedent: str
+    kind: Literal["revolute", "prismatic"]
+    placement: Placement = Mdh()
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    actuated: bool = True
+    home: float = 0.0
+    limits: Limits = Limits()
+    parameters: Literal["all", "inertial", "drive", "none"] = "all"
+
+    @property
+    def has_mass(self) -> bool:
+        """Whether its link has inertial parameters."""
+        return self.parameters in ("all", "inertial")
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint that moves with others, ``q = sum of ratio * q_other + offset``.
+
+    Gears, mimic joints, and motors that move several joints: the motor is a joint of its own, actuated,
+    and the joints that it moves are passive.
+    """
+
+    joint: str
+    ratios: tuple[tuple[str, float], ...]
+    offset: float = 0.0
+
+
+TRANSLATIONS = ("x", "y", "z")
+ROTATIONS = ("rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Platform:
+    """A free rigid body, a link of no joint, held by closures.
+
+    ``dof`` names its independent twist components in base axes (paper, eq. 10): any of
+    ``x y z rx ry rz``. Rotations are none, one, or all three. ``home`` is its pose in the base.
+    """
+
+    name: str
+    dof: tuple[str, ...]
+    home: Pose = Pose()
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A frame fixed to a link, a platform or the ground."""
+
+    body: str
+    placement: Placement = Pose()
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A loop closed between two frames: ``connect`` joins their origins, ``weld`` the whole frames."""
+
+    kind: Literal["connect", "weld"]
+    a: Attachment
+    b: Attachment
+
+
+@dataclass(frozen=True, repr=False)
+class Robot:
+    """A spanning tree of joints, platforms and closures.
+
+    Joints stand in an order in which every antecedent precedes its followers. ``gravity`` is the
+    acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
+    file names it, see :attr:`tool`. ``notes`` say what a reader found odd in the robot's file or decided for the user,
+    a sentence each.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    platforms: tuple[Platform, ...] = ()
+    closures: tuple[Closure, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
+    source: str = ""
+    notes: tuple[str, ...] = field(default=(), compare=False)
+    named_tool: str = ""
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"Robot({self.name!r}, {len(self.joints)} joints, actuated: "
+            f"{', '.join(self.actuated)}, platforms: {len(self.platforms)}, closures: {len(self.closures)})"
+        )
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Names of the actuated joints, in order."""
+        return tuple(joint.name for joint in self.joints if joint.actuated)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of all links and platforms, in order."""
+        return tuple(joint.name for joint in self.joints) + tuple(platform.name for platform in self.platforms)
+
+    @property
+    def tool(self) -> str:
+        """The body that carries a payload: the one named, else the last platform, else the last link with a mass."""
+        if self.named_tool:
+            return self.named_tool
+        links = [joint for joint in self.joints if joint.has_mass]
+        return (self.platforms or links or self.joints)[-1].name
+
+    @property
+    def driven(self) -> frozenset[str]:
+        """Names of the joints that a motor moves itself, or that are coupled to one."""
+        coupled = {name for coupling in self.couplings for name in (coupling.joint, *dict(coupling.ratios))}
+        return frozenset(coupled.union(self.actuated))
+
+    def joint(self, name: str) -> Joint:
+        """The joint of that name; raises GtauError where there is none."""
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        names = ", ".join(joint.name for joint in self.joints)
+        raise GtauError(f"robot '{self.name}' has no joint '{name}'; choose from {names}.")
+
+
+def _problems(robot: Robot) -> Iterator[str]:
+    if not robot.joints:
+        yield "it has no joints; list at least one under 'joints'"
+    known = {GROUND}
+    for joint in robot.joints:
+        if joint.name in known:
+            yield f"the name '{joint.name}' is used twice; give every joint and platform its own"
+        if joint.antecedent not in known:
+            yield (
+                f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is no joint listed "
+                f"before it; write '{GROUND}' or move the antecedent up"
+            )
+        if abs(np.linalg.norm(joint.axis) - 1.0) > 1e-9:
+            yield f"the axis of joint '{joint.name}' is not a unit vector; divide it by its length"
+        yield from _limit_problems(joint)
+        known.add(joint.name)
+    for platform in robot.platforms:
+        if platform.name in known:
+            yield f"the name '{platform.name}' is used twice; give every joint and platform its own"
+        known.add(platform.name)
+        unknown = [dof for dof in platform.dof if dof not in TRANSLATIONS + ROTATIONS]
+        if unknown:
+            yield f"platform '{platform.name}' has the degree of freedom '{unknown[0]}'; choose from x y z rx ry rz"
+        if len(set(platform.dof)) < len(platform.dof) or not platform.dof:
+            yield (
+                f"the degrees of freedom of platform '{platform.name}' must be one or more different ones "
+                "of x y z rx ry rz"
+            )
+        if len([dof for dof in platform.dof if dof in ROTATIONS]) == 2:
+            yield (
+                f"platform '{platform.name}' has two rotations; give it none, one or all three "
+                "(the closures take away the rest)"
+            )
+        if not any(platform.name in (closure.a.body, closure.b.body) for closure in robot.closures):
+            yield f"no closure holds platform '{platform.name}'; add one or remove the platform"
+    for number, closure in enumerate(robot.closures, start=1):
+        for end in (closure.a, closure.b):
+            if end.body not in known:
+                yield f"closure {number} is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
+        if closure.a.body == closure.b.body:
+            yield f"closure {number} ties '{closure.a.body}' to itself; attach its ends to two bodies"
+    joints = {joint.name for joint in robot.joints}
+    for number, coupling in enumerate(robot.couplings, start=1):
+        others = [name for name, _ in coupling.ratios]
+        for name in (coupling.joint, *others):
+            if name not in joints:
+                yield f"coupling {number} names '{name}', which is no joint"
+        if not others or coupling.joint in others or len(set(others)) < len(others):
+            yield f"coupling {number} must give '{coupling.joint}' from one or more other joints, each named once"
+        if not all(ratio for _, ratio in coupling.ratios):
+            yield f"coupling {number} of '{coupling.joint}' has a ratio of zero; leave that joint out"
+    carriers = [joint.name for joint in robot.joints if joint.has_mass]
+    carriers += [platform.name for platform in robot.platforms]
+    if robot.named_tool and robot.named_tool not in carriers:
+        yield f"the tool '{robot.named_tool}' is no body that has a mass; choose from {', '.join(carriers)}"
+    if not robot.actuated:
+        yield "no joint is actuated; mark the motors' joints with 'actuated: true'"
+
+
+def _limit_problems(joint: Joint) -> Iterator[str]:
+    limits = joint.limits
+    if limits.position is not None and not limits.position[0] < limits.position[1]:
+        low, high = limits.position
+        yield (
+            f"the position limits of joint '{joint.name}' are {low:g} to {high:g}; "
+            "write the lower one first, or leave them out"
+        )
+    for quantity in ("velocity", "acceleration", "effort"):
+        value = getattr(limits, quantity)
+        if value is not None and not value > 0.0:
+            yield f"the {quantity} limit of joint '{joint.name}' is {value:g}; write a positive number, or leave it out"
+
+
+def _check(robot: Robot) -> None:
+    for problem in _problems(robot):
+        raise GtauError(f"robot '{robot.name}': {problem}.")

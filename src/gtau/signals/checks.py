@@ -1,0 +1,213 @@
+"""Checks of a log: what is safe is repaired and said, the rest is refused.
+
+A sample that is missing, for whatever reason, is interpolated, so that filters have a uniform grid to
+work on, and marked as not valid, so that no row of an identification rests on it. The log goes by in blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.signals.clipping import clipped
+from gtau.signals.clock import Clock, clock_of
+from gtau.signals.quantiles import Quantiles
+from gtau.signals.resampling import MISSING_STEP, UniformSamples, uniform
+from gtau.signals.samples import Samples, Source, ahead, complete, counted, extremes, refuse_short
+from gtau.signals.storage import block, spans, store
+
+LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
+LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
+LARGEST_VALUE = 1e9  # of anything logged; even counts of encoders and converters are smaller
+SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
+SLIP_SPEED = 0.5  # and in shares of the joint's speed
+
+
+def check(source: Source, blocks: Iterable[np.ndarray]) -> UniformSamples:
+    """Check a log, repair what is safe, and put it on a uniform grid.
+
+    Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples of a joint
+    whose command is clipped at a limit are masked. Irregular sampling is resampled at the mean rate: cubic
+    splines for positions, lines for commands. Steps of more than 1.5 mean steps are gaps.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    blocks : iterable of ndarray
+        Its samples (M, 2n + 1) in order: positions, commands and time in SI units.
+
+    Returns
+    -------
+    UniformSamples
+        With a note on every repair.
+
+    Raises
+    ------
+    GtauError
+        The log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
+        0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a
+        tenth of the samples, a position that jumps, no moving joint, or values that cannot be right.
+    """
+    notes: list[str] = []
+    samples = complete(source, blocks, notes)
+    _refuse_stuck(samples, notes)
+    samples = drop_repeated(samples, notes)
+    clock = clock_of(samples.time)
+    _refuse_rates(samples, clock)
+    wraps = _wraps(samples, notes)
+    samples = unwrapped(samples, wraps)
+    _refuse_slips(samples)
+    masked = clipped(samples, notes)
+    return uniform(samples, wraps, masked, clock, notes)
+
+
+def _refuse_stuck(samples: Samples, notes: list[str]) -> None:
+    source, n = samples.source, len(samples.source.joints)
+    low, high = (np.concatenate(pair) for pair in zip(*map(extremes, (samples.position, samples.command)), strict=True))
+    for column, least, most in zip(source.columns, low, high, strict=False):
+        if max(-least, most) > LARGEST_VALUE:
+            value = most if most > -least else least
+            raise GtauError(
+                f"{source.name}, column '{column}' reaches {value:.3g}, which no joint or drive does; correct the "
+                "column, or give its unit."
+            )
+    still = (low == high)[:n]
+    if still.all():
+        raise GtauError(f"{source.name}: no position ever changes; give a log of a moving robot.")
+    for joint, column, least, most in zip(source.joints, source.columns[n:], low[n:], high[n:], strict=False):
+        if least == most:
+            raise GtauError(
+                f"{source.name}, column '{column}' (joint '{joint}') is stuck at {least + 0.0:g}; "
+                "give the column with the measured values, or record the log again."
+            )
+    if still.any():
+        names = _quoted([joint for joint, s in zip(source.joints, still, strict=True) if s])
+        notes.append(f"the position of joint {names} never changes: it yields no rows")
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)
+
+
+def drop_repeated(samples: Samples, notes: list[str]) -> Samples:
+    """Of samples with the same time and values only the first; raises GtauError where time goes back."""
+    source, time = samples.source, samples.time
+    repeated: list[int] = []
+    for start, stop in ahead(len(time)):
+        part = block(time, start, stop)
+        step = np.diff(part)
+        if (step < 0).any():
+            i = int(np.argmax(step < 0))
+            raise GtauError(
+                f"{source.name}, {samples.place(start + i + 1)}: time goes back from {part[i]:.9g} s to "
+                f"{part[i + 1]:.9g} s; cut the log there into two runs, or correct the time column."
+            )
+        again = np.flatnonzero(step == 0)
+        if again.size:
+            values = np.column_stack([block(each, start, stop) for each in (samples.position, samples.command)])
+            different = again[(values[again] != values[again + 1]).any(axis=1)]
+            if different.size:
+                i = int(different[0])
+                raise GtauError(
+                    f"{source.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s stands in two rows with "
+                    "different values; log the time with more digits, or give the rate instead (time: {rate: HZ})."
+                )
+            repeated += (start + again + 1).tolist()
+    if not repeated:
+        return samples
+    places = source.places([samples.rows[i] for i in repeated[:5]], len(repeated))
+    notes.append(f"dropped {counted(len(repeated), 'repeated row')} ({places})")
+
+    def without(array: np.ndarray) -> np.ndarray:
+        parts = (
+            block(array, start, stop)[~np.isin(np.arange(start, stop), repeated)] for start, stop in spans(len(array))
+        )
+        return store(parts, array.shape[1:], array.dtype.type)
+
+    rest = (without(each) for each in (samples.rows, samples.time, samples.position, samples.command))
+    samples = Samples(source, *rest)
+    refuse_short(source, len(samples.time))
+    return samples
+
+
+def _wraps(samples: Samples, notes: list[str]) -> np.ndarray:
+    """Whether each joint's angle jumps by a turn, (n,)."""
+    position, source = samples.position, samples.source
+    wraps = np.zeros(len(source.joints), dtype=bool)
+    for span in ahead(len(position)):
+        jump = np.abs(np.diff(block(position, *span), axis=0))
+        wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
+    if wraps.any():
+        names = _quoted([joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap])
+        notes.append(f"unwrapped the angle of joint {names}, which jumped by a turn")
+    return wraps
+
+
+def unwrapped(samples: Samples, wraps: np.ndarray, first: np.ndarray | None = None) -> Samples:
+    """The samples without jumps of the joints that have ``wraps``, from a ``first`` position (n,) on if it is known."""
+    if not wraps.any():
+        return samples
+    position = samples.position
+
+    def parts() -> Iterator[np.ndarray]:
+        turns = np.zeros(len(wraps))  # as far as the sample before
+        if first is not None:
+            turns += np.where(wraps, 2 * np.pi * np.round((first - position[0]) / (2 * np.pi)), 0.0)
+        for start, stop in ahead(len(position)):
+            part = block(position, start, stop)
+            more = np.where(wraps, np.unwrap(part, axis=0), part) + turns
+            turns = more[-1] - part[-1]
+            yield more[min(start, 1) :]
+
+    return replace(samples, position=store(parts(), wraps.shape))
+
+
+def _refuse_slips(samples: Samples) -> None:
+    """Refuse a position that jumps between two samples, as after a slipped coupling or lost counts."""
+    source, n = samples.source, len(samples.source.joints)
+    usual, fast = Quantiles(n), Quantiles(n)
+    largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
+    median = None
+    for start, stop in spans(len(samples.time)):
+        begin = max(0, start - 3)
+        step = np.diff(block(samples.time, begin, stop))
+        speed = np.diff(block(samples.position, begin, stop), axis=0) / step[:, None]
+        fast.add(np.abs(speed[max(start - 1, 0) - begin :]))
+        if len(step) < 3:
+            continue
+        change = speed[1:-1] - (speed[:-2] + speed[2:]) / 2
+        median = np.median(step) if median is None else median
+        whole = step <= MISSING_STEP * median
+        change[~(whole[:-2] & whole[1:-1] & whole[2:])] = 0.0
+        usual.add(np.abs(change))
+        at = np.argmax(np.abs(change), axis=0)
+        for j, k in enumerate(at):
+            if abs(change[k, j]) > largest[j]:
+                largest[j], places[j], jumps[j] = abs(change[k, j]), begin + k + 2, change[k, j] * step[k + 1]
+    speeds = fast.quantile(0.999)
+    for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
+        raise GtauError(
+            f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, which no joint does; "
+            "give the units of its position and of the time (units: {position: ..., time: ...})."
+        )
+    for j in np.flatnonzero((largest > SLIP * usual.quantile(0.999)) & (largest > SLIP_SPEED * speeds)).tolist():
+        k = int(places[j])
+        raise GtauError(
+            f"{source.name}, {samples.place(k)}: the position of joint '{source.joints[j]}' jumps by "
+            f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is no motion; check "
+            "the coupling and the counter of its encoder, or cut the log there into two runs."
+        )
+
+
+def _refuse_rates(samples: Samples, clock: Clock) -> None:
+    if not LEAST_RATE <= clock.rate <= LARGEST_RATE:
+        column, unit = samples.source.columns[-1], "ms" if clock.rate < LEAST_RATE else "s"
+        raise GtauError(
+            f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
+            f"{clock.period:.3g} s), which no drive's log is; give the unit of that column (units: "
+            f"{{time: {unit}}}, for all logs; convert one that differs from the others), or the right rate."
+        )

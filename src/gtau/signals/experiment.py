@@ -1,0 +1,308 @@
+"""The experiment file: which robot, which columns of which logs, and which payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from glob import escape, has_magic
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    FiniteFloat,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from gtau.errors import GtauError
+from gtau.files import matching
+from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.yaml_document import read_yaml, validate
+from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
+
+
+class Payload(Keys):
+    """A load on the robot's tool; without ``mass`` it is unknown and to be weighed.
+
+    ``mass`` and its standard deviation in kg; ``parameters`` are further known inertial parameters
+    (``xx xy xz yy yz zz`` in kg m2, ``mx my mz`` in kg m) in the frame of the body that carries it.
+    """
+
+    name: str
+    mass: Positive | None = None
+    mass_std: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+
+    @field_validator("parameters")
+    @classmethod
+    def _inertial(cls, parameters: dict[str, float]) -> dict[str, float]:
+        for name in parameters:
+            if name == "m":
+                raise ValueError("write the mass as 'mass', not among the parameters")
+            if name not in INERTIAL:
+                raise ValueError(f"a payload has no parameter '{name}'; choose from {' '.join(INERTIAL[:-1])}")
+        return parameters
+
+    @model_validator(mode="after")
+    def _deviation_of_a_mass(self) -> Payload:
+        if self.mass is None and "mass_std" in self.model_fields_set:
+            raise ValueError("'mass_std' stands without 'mass'; add the mass or remove it")
+        return self
+
+
+class Prior(Keys):
+    """What is known of a standard parameter beforehand, SI units: a value with its standard deviation, or bounds."""
+
+    value: FiniteFloat | None = None
+    std: Positive | None = None
+    min: FiniteFloat | None = None
+    max: FiniteFloat | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Prior:
+        if (self.value is None) != (self.std is None):
+            raise ValueError("give 'value' and 'std' (its standard deviation) together")
+        if self.min is not None and self.max is not None and self.min >= self.max:
+            raise ValueError(f"'min' is {self.min:g} and 'max' {self.max:g}; write the smaller one as 'min'")
+        return self
+
+
+class Folders(NamedTuple):
+    """What the paths in an experiment file are relative to."""
+
+    robot: Path
+    logs: Path
+
+
+def file_or_name(robot: str, folder: Path) -> str:
+    """The path of a robot file beside an experiment file in ``folder``, or a name of the catalog.
+
+    Raises
+    ------
+    ValueError
+        What is written is the path of a file that is not there.
+    """
+    file = folder / robot
+    if file.is_file() or (file / "robot.urdf").is_file():
+        return str(file)
+    if file.suffix or "/" in robot:
+        raise ValueError(f"there is no file '{file}'{_close_file(file)}")
+    return robot
+
+
+class LoggedRun(Keys):
+    """One run: its log, or two logs with positions and commands, and the payload carried, if any.
+
+    In a file the logs may be patterns (``free_*.csv``): so many runs, of two patterns the first match of one with
+    the first of the other. A folder of ``.parquet`` files is one log.
+    """
+
+    log: Annotated[
+        tuple[Path, ...],
+        BeforeValidator(lambda value: (value,) if isinstance(value, (str, Path)) else value),
+        Field(min_length=1, max_length=2),
+    ]
+    payload: Payload | None = None
+
+    @field_validator("log")
+    @classmethod
+    def _existing(cls, log: tuple[Path, ...], info: ValidationInfo) -> tuple[Path, ...]:
+        if info.context is None:
+            return log
+        placed = tuple(_placed(info.context.logs, path) for path in log)
+        matches = [_logs_at(path) for path in placed]
+        for written, found in zip(log, matches, strict=True):
+            path = info.context.logs / written
+            if not found and has_magic(str(written)):
+                raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
+            for each in found or [path]:
+                if not each.is_file() and not any(each.glob("*.parquet")):
+                    if each.is_dir():
+                        raise ValueError(
+                            f"the folder '{each}' holds no .parquet files; give a file, or a folder of these"
+                        )
+                    raise ValueError(f"there is no file '{each}'{_close_file(each)}")
+        if len({len(found) for found in matches}) > 1:
+            raise ValueError(
+                f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are taken in "
+                "pairs, so let both match as many"
+            )
+        return placed
+
+    def each(self) -> list[LoggedRun]:
+        """The runs, one for each match of the patterns."""
+        pairs = zip(*(_logs_at(path) for path in self.log), strict=True)
+        return [self.model_copy(update={"log": logs}) for logs in pairs]
+
+
+def _placed(folder: Path, path: Path) -> Path:
+    """A path in a folder, whose own name is no pattern."""
+    return folder / path if (folder / path).exists() else Path(escape(str(folder))) / path
+
+
+def _logs_at(path: Path) -> list[Path]:
+    """What a path or a pattern stands for; a pattern matches no YAML files, as the one it stands in is no log."""
+    return [each for each in matching(path) if each == path or each.suffix not in (".yaml", ".yml")]
+
+
+def _close_file(path: Path) -> str:
+    names = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+    close = get_close_matches(path.name, names, n=1)
+    if close:
+        return f"; did you mean '{close[0]}'?"
+    return "; paths are relative to the file that names them"
+
+
+class Experiment(Keys):
+    """An experiment file; its paths are relative to the working directory or absolute once read.
+
+    ``priors`` say what is known of standard parameters, by name.
+    """
+
+    robot: str
+    signals: Signals
+    units: Units = Units()
+    prior_gains: dict[str, FiniteFloat] = Field(default_factory=dict)
+    priors: dict[str, Prior] = Field(default_factory=dict)
+    runs: tuple[LoggedRun, ...] = Field(min_length=1)
+    validation: tuple[LoggedRun, ...] = ()
+
+    @field_validator("robot")
+    @classmethod
+    def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
+        return robot if info.context is None else file_or_name(robot, info.context.robot)
+
+    @field_validator("units")
+    @classmethod
+    def _units_of_signals(cls, units: Units, info: ValidationInfo) -> Units:
+        signals: Signals | None = info.data.get("signals")
+        if signals is None:
+            return units
+        other = "torque" if signals.kind == "current" else "current"
+        if getattr(units, other) is not None:
+            raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
+        if units.time is not None and isinstance(signals.time, SampleRate):
+            raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
+        if isinstance(units.position, dict):
+            _known_joints(units.position, signals)
+        return units
+
+    @field_validator("prior_gains")
+    @classmethod
+    def _gains_of_signals(cls, gains: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+        signals: Signals | None = info.data.get("signals")
+        if signals is None or not gains:
+            return gains
+        if signals.kind == "torque":
+            raise ValueError("the signals hold torques, which need no gains; remove 'prior_gains'")
+        _known_joints(gains, signals)
+        missing = [joint for joint in signals.joints if joint not in gains]
+        if missing:
+            raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
+        zero = [joint for joint, gain in gains.items() if gain == 0]
+        if zero:
+            raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N/A) of its drive")
+        return gains
+
+    @field_validator("runs", "validation")
+    @classmethod
+    def _each_log_once(cls, runs: tuple[LoggedRun, ...], info: ValidationInfo) -> tuple[LoggedRun, ...]:
+        if info.context is not None:
+            runs = tuple(each for run in runs for each in run.each())
+        seen: set[tuple[Path, ...]] = set()
+        for run in runs:
+            if run.log in seen:
+                raise ValueError(f"the log '{run.log[0]}' is listed twice; remove one of them")
+            seen.add(run.log)
+        return runs
+
+    @model_validator(mode="after")
+    def _validation_of_other_logs(self) -> Experiment:
+        used = {run.log for run in self.runs}
+        for run in self.validation:
+            if run.log in used:
+                raise ValueError(
+                    f"the log '{run.log[0]}' is listed under 'runs' and under 'validation'; remove one of them, as "
+                    "a run that was used proves nothing"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _one_payload_per_name(self) -> Experiment:
+        payloads: dict[str, Payload] = {}
+        for run in (*self.runs, *self.validation):
+            if run.payload is not None and payloads.setdefault(run.payload.name, run.payload) != run.payload:
+                raise ValueError(
+                    f"the payload '{run.payload.name}' is described differently in two runs; "
+                    "write the same known values in both, or give the second payload another name"
+                )
+        return self
+
+
+def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
+    for joint in values:
+        if joint not in signals.position:
+            raise ValueError(f"the signals have no joint '{joint}'; choose from {', '.join(signals.joints)}")
+
+
+def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
+    """Read an experiment file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file; the paths in it are relative to its folder. ``robot`` stays a text: the path of
+        a robot file where there is such a file, otherwise a name of the catalog.
+    logs : Path, optional
+        The folder to which the paths of the logs are relative, where it is another one.
+
+    Returns
+    -------
+    Experiment
+        All log files exist; nothing of them has been read.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read, or something in it is missing, misspelt or contradictory.
+    """
+    folder = Path(path).parent
+    return validate(Experiment, read_yaml(path), context=Folders(folder, folder if logs is None else logs))
+
+
+def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
+    """Payload from a mapping as in the experiment file; raises GtauError."""
+    if payload is None or isinstance(payload, Payload):
+        return payload
+    return validate(Payload, document_of("payload", payload))
+
+
+def check_robot(experiment: Experiment, robot: Robot) -> None:
+    """Check that an experiment's signals and units suit its robot.
+
+    Raises
+    ------
+    GtauError
+        The signals' joints are not the actuated ones, or a position unit does not suit its joint.
+    """
+    signals = experiment.signals
+    for joint in signals.joints:
+        if joint not in robot.actuated:
+            raise GtauError(
+                f"signals.position names the joint '{joint}', but the actuated joints of robot '{robot.name}' are "
+                f"{', '.join(robot.actuated)}; correct the name."
+            )
+    for joint in robot.actuated:
+        if joint not in signals.position:
+            raise GtauError(
+                f"signals.position lacks the actuated joint '{joint}' of robot '{robot.name}'; add its column."
+            )
+        kind, unit = robot.joint(joint).kind, experiment.units.of_position(joint)
+        if unit is not None and (unit in ("rad", "deg")) != (kind == "revolute"):
+            raise GtauError(
+                f"units.position is '{unit}' for joint '{joint}', which is {kind}; write "
+                f"{'rad or deg' if kind == 'revolute' else 'm or mm'} (units may differ by joint: {{{joint}: ...}})."
+            )

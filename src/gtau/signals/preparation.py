@@ -1,0 +1,257 @@
+"""From a run to what the model and the estimators take: q, qd, qdd, the command, and a mask."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.signals.decimation import Decimator, decimation_factor
+from gtau.signals.filters import (
+    STENCIL,
+    bandwidth,
+    cutoff_frequency,
+    differentiate,
+    filter_edge,
+    filter_margin,
+    joint_bandwidths,
+    position_filter,
+)
+from gtau.signals.run import Run
+from gtau.signals.storage import block, spans, stored
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """How the runs of an experiment are prepared, the same for all.
+
+    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) in Hz. A joint's
+    row is left out where its speed is below ``speed_fraction`` of the joint's rms speed.
+    """
+
+    bandwidth: float
+    cutoff: float | None
+    decimator: Decimator
+    speed_fraction: float = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """Consecutive samples of a run, ready for the model; arrays share the sample axis M and the joints' axis n.
+
+    ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, n) and its time derivatives
+    ``command_d``, ``command_dd``, the columns of a delay. ``usable`` (M, n) is False where a joint's row
+    must not be used: around the joint's reversals and rests, at gaps, at the ends of the filter, and
+    always for a joint that does not move. ``time`` (M,) in s.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    command: np.ndarray
+    command_d: np.ndarray
+    command_dd: np.ndarray
+    usable: np.ndarray
+
+    def __getitem__(self, samples: slice) -> Sampled:
+        return Sampled(*(getattr(self, field.name)[samples] for field in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A run of which any stretch can be had ready for the model, by :meth:`samples`.
+
+    Attributes
+    ----------
+    run, preparation : Run, Preparation
+        The run, and how it is prepared.
+    kept : range
+        Samples of the run that are used: those from the first motion to the last.
+    moves : ndarray
+        (n,) Whether a joint moves at all.
+    speeds : ndarray
+        (n, n) Mean of ``qd qd^T`` over these samples: what the joints' thresholds of speed refer to.
+    rubbing : ndarray
+        (n_y, n) Speeds of joints whose friction acts in the rows of the motors for which the entry is not zero, from
+        the motors' speeds; of each motor's own joint, and of others in coupled chains.
+    notes : tuple of str
+        What was left out.
+    """
+
+    run: Run
+    preparation: Preparation
+    kept: range
+    moves: np.ndarray
+    speeds: np.ndarray
+    rubbing: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.kept)
+
+    @property
+    def time(self) -> np.ndarray:
+        """Instants of the samples that are used, (N,) in s."""
+        return self.run.time[self.kept.start : self.kept.stop]
+
+    def needed(self, start: int, stop: int) -> range:
+        """Samples of the run that those from ``start`` to before ``stop`` are made from."""
+        at, margin = self.kept[start:stop], filter_margin(self.run.rate, self.preparation.cutoff)
+        return range(max(0, at.start - margin), min(len(self.run.time), at.stop + margin))
+
+    def samples(self, start: int = 0, stop: int | None = None) -> Sampled:
+        """Samples from ``start`` to before ``stop`` of those that are used; what stands around them is seen to."""
+        at = self.kept[start:stop]
+        run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
+        q, qd, qdd = position_filter(run.position, run.rate, preparation.cutoff, at.start, at.stop)
+        command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
+        mine = slice(at.start - begin, at.stop - begin)
+        command_d, command_dd = (each[mine] for each in differentiate(command, run.rate))
+        limit = preparation.speed_fraction * np.sqrt(np.einsum("yi,ij,yj->y", self.rubbing, self.speeds, self.rubbing))
+        slow = np.abs(qd @ self.rubbing.T) < limit
+        usable = ~(slow @ (np.abs(self.rubbing) > 1e-9)) & self.moves & _valid(run, preparation, at.start, at.stop)
+        return Sampled(
+            block(run.time, at.start, at.stop), q, qd, qdd, command[mine], command_d, command_dd, usable
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A run ready for the model along a motion that was made, all of it there; to be used as :class:`Prepared`."""
+
+    run: Run
+    all: Sampled
+
+    def __len__(self) -> int:
+        return len(self.all.time)
+
+    def samples(self, start: int = 0, stop: int | None = None) -> Sampled:
+        """Samples from ``start`` to before ``stop``."""
+        stop = len(self) if stop is None else stop
+        if stored(self.all.q) is None:
+            return self.all[start:stop]
+        return Sampled(*(block(getattr(self.all, field.name), start, stop) for field in fields(Sampled)))
+
+
+def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:
+    """Choose the preparation of an experiment from its runs.
+
+    The bandwidth is the largest of the runs'; filter and decimation follow from it and from the lowest
+    sampling rate.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        All runs of the experiment.
+    decimator : {"fir", "chebyshev"}
+        The compact FIR, or the paper's filter.
+
+    Returns
+    -------
+    Preparation
+
+    Raises
+    ------
+    GtauError
+        In a run nothing moves, or the runs' sampling rates differ by more than a tenth.
+    """
+    slowest, fastest = min(runs, key=lambda run: run.rate), max(runs, key=lambda run: run.rate)
+    if fastest.rate > 1.1 * slowest.rate:
+        raise GtauError(
+            f"run '{slowest.name}' is sampled at {slowest.rate:.4g} Hz and run '{fastest.name}' at "
+            f"{fastest.rate:.4g} Hz; give runs of one rate."
+        )
+    highest = max(bandwidth(run) for run in runs)
+    return Preparation(
+        bandwidth=highest,
+        cutoff=cutoff_frequency(highest, slowest.rate),
+        decimator=Decimator(decimation_factor(slowest.rate, highest), decimator),
+    )
+
+
+def prepare(run: Run, preparation: Preparation, rubbing: np.ndarray | None = None) -> Prepared:
+    """Find where in a run its joints move.
+
+    The rest at the beginning and the end, where no joint exceeds its speed threshold, is cut off.
+
+    Parameters
+    ----------
+    run : Run
+        One run.
+    preparation : Preparation
+        Of its experiment.
+    rubbing : ndarray, optional
+        See :class:`Prepared`; a joint of its own for each motor if left out.
+
+    Returns
+    -------
+    Prepared
+        Not decimated: the decimator takes the columns of the model.
+
+    Raises
+    ------
+    GtauError
+        No joint moves, or the log is shorter than its filters.
+    """
+    samples, n = len(run.time), len(run.joints)
+    moves = np.isfinite(joint_bandwidths(run.position, run.rate))
+
+    def speed(start: int, stop: int) -> np.ndarray:
+        return position_filter(run.position, run.rate, preparation.cutoff, start, stop)[1]
+
+    def gram(start: int, stop: int) -> np.ndarray:
+        qd = speed(start, stop)
+        return qd.T @ qd
+
+    pieces = list(spans(samples))
+    squares = [gram(*piece) for piece in pieces]
+    limit = preparation.speed_fraction * np.sqrt(np.diag(np.sum(squares, axis=0)) / samples)
+
+    def awake(start: int, stop: int) -> np.ndarray:
+        moving = (np.abs(speed(start, stop)) >= limit) & moves & _valid(run, preparation, start, stop)
+        return start + np.flatnonzero(moving.any(axis=1))
+
+    first = next((int(found[0]) for found in (awake(*piece) for piece in pieces) if found.size), None)
+    last = next((int(found[-1]) for found in (awake(*piece) for piece in reversed(pieces)) if found.size), None)
+    if first is None or last is None:
+        edge = filter_edge(run.rate, preparation.cutoff)
+        raise GtauError(
+            f"run '{run.name}': no joint moves between its filters' ends ({edge} of {samples} samples at either "
+            "side); give a longer log of a moving robot."
+        )
+    kept = range(first, last + 1)
+    # Of the moving part alone, as rest lowers the rms speed that the threshold refers to.
+    within = [(max(start, kept.start), min(stop, kept.stop)) for start, stop in pieces]
+    moved = [
+        known if part == piece else gram(*part)
+        for piece, part, known in zip(pieces, within, squares, strict=True)
+        if part[0] < part[1]
+    ]
+    return Prepared(
+        run=run,
+        preparation=preparation,
+        kept=kept,
+        moves=moves,
+        speeds=np.sum(moved, axis=0) / len(kept),
+        rubbing=np.eye(n) if rubbing is None else rubbing,
+        notes=tuple(
+            f"joint '{joint}' hardly moves: its rows are left out"
+            for joint, moving in zip(run.joints, moves, strict=True)
+            if not moving
+        ),
+    )
+
+
+def _valid(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
+    """Where speeds and accelerations rest on good samples only (stop - start, n)."""
+    samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
+    begin, end = max(0, start - STENCIL), min(samples, stop + STENCIL)
+    bad = ~block(run.valid, begin, end)
+    bad = np.pad(bad, ((STENCIL - start + begin, STENCIL - end + stop), (0, 0)))
+    near = np.any([bad[k : k + stop - start] for k in range(2 * STENCIL + 1)], axis=0)
+    number = np.arange(start, stop)
+    return ~near & ((number >= edge) & (number < samples - edge))[:, None]

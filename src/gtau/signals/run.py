@@ -1,0 +1,185 @@
+"""A run: what one log says, checked, in SI units and on a uniform grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.signals.checks import check
+from gtau.signals.columns import Signals, Units, as_signals, as_units
+from gtau.signals.excerpt import Excerpt, Log, read_excerpt, stamps_of
+from gtau.signals.experiment import Payload, as_payload
+from gtau.signals.logged import find_logs
+from gtau.signals.storage import Placed, block, spans, store
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Sampled positions and commands of the actuated joints.
+
+    ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, n), the current
+    references in A or, where ``kind`` says so, torques in N m (forces in N). Where ``valid`` (N, n) is
+    false the joint's sample was interpolated or clipped. ``notes`` say what was repaired.
+
+    The arrays of a long log lie in a file, of which NumPy reads what is looked at. A run that was read from a ``log``
+    is pickled as that, and read again where it arrives.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    time: np.ndarray = field(repr=False)
+    position: np.ndarray = field(repr=False)
+    command: np.ndarray = field(repr=False)
+    kind: Literal["current", "torque"] = "current"
+    payload: Payload | None = None
+    notes: tuple[str, ...] = ()
+    valid: np.ndarray = field(default_factory=lambda: np.ones((0, 0), dtype=bool), repr=False)
+    # What is made by dataclasses.replace has neither:
+    log: Log | None = field(default=None, init=False, repr=False)
+    pickled: range | None = field(default=None, init=False, repr=False)  # samples that other processes get
+
+    def __post_init__(self) -> None:
+        shape = (len(self.time), len(self.joints))
+        if self.valid.size == 0:
+            object.__setattr__(self, "valid", np.broadcast_to(True, shape))
+        if self.position.shape != shape or self.command.shape != shape or self.valid.shape != shape:
+            raise GtauError(
+                f"run '{self.name}': positions {self.position.shape}, commands {self.command.shape} and what is valid "
+                f"{self.valid.shape} must all have the shape {shape}, samples by joints."
+            )
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate, Hz."""
+        return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
+
+    def only(self, samples: range) -> Run:
+        """The same run, of which another process gets no more than some samples; the others are zero there."""
+        run = _from(self.log, replace(self))
+        object.__setattr__(run, "pickled", samples)
+        return run
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        samples = range(len(self.time)) if self.pickled is None else self.pickled
+        known = (self.name, self.joints, self.kind, self.payload, self.notes)
+        if self.log is not None:
+            return _again, (known, self.log.excerpt(self.joints, samples))
+        if self.pickled is None:
+            return super().__reduce_ex__(protocol)
+        at = slice(samples.start, samples.stop)
+        parts = {name: getattr(self, name)[at] for name in ("position", "command", "valid")}
+        ends = (0, self.time[:1]), (samples.start, self.time[at]), (len(self.time) - 1, self.time[-1:])
+        return _put_back, (known, len(self.time), samples.start, ends, parts)
+
+
+def read_run(
+    log: str | Path | Sequence[str | Path],
+    signals: Signals | Mapping[str, Any],
+    payload: Payload | Mapping[str, Any] | None = None,
+    units: Units | Mapping[str, Any] | None = None,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Run:
+    """Read the log of one run.
+
+    Parameters
+    ----------
+    log : path or two paths
+        A CSV or Parquet file (or a folder of the latter), or one with the positions (and the time) and one with the
+        commands.
+    signals, payload, units : mapping
+        As under these keys of an experiment file.
+    progress : callable, optional
+        Called with the part of the log that has been read.
+
+    Returns
+    -------
+    Run
+        Its ``notes`` say what was repaired. The joints stand in the order of `signals`.
+
+    Raises
+    ------
+    GtauError
+        A file cannot be read, lacks a column, or fails the checks of :func:`gtau.signals.checks.check`.
+    """
+    signals, units = as_signals(signals), as_units(units)
+    paths = tuple([Path(log)] if isinstance(log, (str, Path)) else [Path(each) for each in log])
+    logged = find_logs(paths, signals, units)
+    stamps = stamps_of(paths)
+    uniform = check(logged.source, logged.blocks(progress=progress))
+    run = Run(
+        name=paths[0].stem,
+        joints=signals.joints,
+        time=uniform.time,
+        position=uniform.position,
+        command=uniform.command,
+        kind=signals.kind,
+        payload=as_payload(payload),
+        notes=uniform.notes,
+        valid=uniform.valid,
+    )
+    return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
+
+
+def _from(log: Log | None, run: Run) -> Run:
+    object.__setattr__(run, "log", log)
+    return run
+
+
+Known = tuple[str, tuple[str, ...], Literal["current", "torque"], Payload | None, tuple[str, ...]]
+
+
+def _again(known: Known, excerpt: Excerpt) -> Run:
+    """A run read in this process; raises GtauError where its logs have changed since."""
+    name, joints, kind, payload, notes = known
+    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, **read_excerpt(excerpt))
+
+
+def _put_back(
+    known: Known, samples: int, first: int, times: Sequence[tuple[int, np.ndarray]], parts: Mapping[str, np.ndarray]
+) -> Run:
+    """A run of which some samples were sent."""
+    name, joints, kind, payload, notes = known
+    places = {"time": Placed(samples)}
+    for start, time in times:
+        places["time"].put(start, time)
+    for column, rows in parts.items():
+        places[column] = Placed(samples, rows.shape[1:], rows.dtype.type)
+        places[column].put(first, rows)
+    arrays = {column: place.array() for column, place in places.items()}
+    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, **arrays)
+
+
+def arrange(run: Run, joints: Sequence[str]) -> Run:
+    """Order a run's columns as `joints`, a robot's actuated ones.
+
+    Raises
+    ------
+    GtauError
+        The run lacks one of them or has others.
+    """
+    if set(run.joints) != set(joints) or len(run.joints) != len(joints):
+        raise GtauError(
+            f"run '{run.name}' has the joints {', '.join(run.joints)}, but the robot's actuated joints are "
+            f"{', '.join(joints)}; give signals for exactly these."
+        )
+    order = [run.joints.index(joint) for joint in joints]
+    if order == list(range(len(order))):
+        return run
+    ordered = replace(
+        run,
+        joints=tuple(joints),
+        position=_columns(run.position, order),
+        command=_columns(run.command, order),
+        valid=_columns(run.valid, order),
+    )
+    return _from(run.log, ordered)
+
+
+def _columns(array: np.ndarray, order: list[int]) -> np.ndarray:
+    parts = (block(array, *span)[:, order] for span in spans(len(array)))
+    return store(parts, array.shape[1:], array.dtype.type)

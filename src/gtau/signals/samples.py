@@ -1,0 +1,142 @@
+"""The samples of a log as they stand in it, those that are complete."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.signals.storage import Store, block, spans
+
+MIN_SAMPLES = 100
+MAX_MISSING = 0.05  # part of a log that may be bad or missing
+
+
+@dataclass(frozen=True)
+class Source:
+    """What messages about a log say of it.
+
+    ``columns`` are the names of the position columns, the command columns and the time column; ``texts`` their
+    first entries that are no numbers, as far as they have been read. Row 0 stands in ``first_line``.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    columns: tuple[str, ...]
+    texts: Mapping[str, str]
+    first_line: int = 1
+    line_word: str = "line"
+
+    def places(self, rows: Sequence[int], count: int) -> str:
+        """Where ``count`` rows stand in the file, of which ``rows`` are the first."""
+        listed = ", ".join(str(int(row) + self.first_line) for row in rows[:5])
+        return f"{self.line_word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Complete samples of a log, SI units: ``time`` and ``rows`` (N,), ``position`` and ``command`` (N, n)."""
+
+    source: Source
+    rows: np.ndarray
+    time: np.ndarray
+    position: np.ndarray
+    command: np.ndarray
+
+    def place(self, sample: int) -> str:
+        """Where a sample stands in the file."""
+        return self.source.places([self.rows[sample]], 1)
+
+
+def refuse_short(source: Source, count: int) -> None:
+    """Refuse a log of so few samples."""
+    if count < MIN_SAMPLES:
+        raise GtauError(
+            f"{source.name} has {count} samples; an identification needs a log of some seconds "
+            f"(at least {MIN_SAMPLES} samples)."
+        )
+
+
+@dataclass(frozen=True)
+class Incomplete:
+    """Of ``count`` rows, the number ``of_rows`` that lack a value, the ``first`` of them, and the column that it lacks.
+
+    ``numbers`` are those in each column.
+    """
+
+    count: int
+    of_rows: int
+    first: Sequence[int]
+    column: int
+    numbers: Sequence[int]
+
+
+def gathered(source: Source, blocks: Iterable[np.ndarray]) -> tuple[Samples, Incomplete]:
+    """The samples of a log, or of a part of it, none of whose values is missing."""
+    n, count = len(source.joints), 0
+    stores = Store(dtype=int), Store(), Store((n,)), Store((n,))
+    numbers = np.zeros(2 * n + 1, dtype=int)  # in each column
+    bad: list[int] = []
+    bad_count, bad_column = 0, 0
+    for values in blocks:
+        finite = np.isfinite(values)
+        whole = bool(finite.all())
+        kept = np.ones(len(values), dtype=bool) if whole else finite.all(axis=1)
+        numbers += len(values) if whole else finite.sum(axis=0)
+        found = np.flatnonzero(~kept)
+        if found.size and not bad_count:
+            bad_column = int(np.argmin(finite[found[0]]))
+        bad += (count + found[: 5 - len(bad)]).tolist()
+        bad_count += found.size
+        parts = count + np.flatnonzero(kept), values[kept, 2 * n], values[kept, :n], values[kept, n : 2 * n]
+        for each, part in zip(stores, parts, strict=True):
+            each.append(part)
+        count += len(values)
+    samples = Samples(source, *(each.array() for each in stores))
+    return samples, Incomplete(count, bad_count, bad, bad_column, numbers.tolist())
+
+
+def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str]) -> Samples:
+    """The samples none of whose values is missing; raises GtauError where there are too few."""
+    samples, lacking = gathered(source, blocks)
+    refuse_short(source, lacking.count)
+    for column, number in zip(source.columns, lacking.numbers, strict=True):
+        if not number:
+            entry = source.texts.get(column, "")
+            raise GtauError(
+                f"{source.name}, column '{column}' holds no number"
+                + (f" (it begins with '{entry}')" if entry else "")
+                + "; give the column that holds them."
+            )
+    if lacking.of_rows > MAX_MISSING * lacking.count:
+        column = source.columns[lacking.column]
+        entry = source.texts.get(column, "")
+        raise GtauError(
+            f"{source.name} has {lacking.of_rows} of {lacking.count} rows with missing or non-numeric values (first in "
+            f"{source.places(lacking.first[:1], 1)}, column '{column}'"
+            + (f": '{entry}'" if entry else "")
+            + "); record it again."
+        )
+    if lacking.of_rows:
+        places = source.places(lacking.first, lacking.of_rows)
+        notes.append(f"dropped {counted(lacking.of_rows, 'row')} with missing or non-numeric values ({places})")
+    return samples
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 row``, ``2 rows``."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest value of every column."""
+    columns = (np.ascontiguousarray(block(array, *span).T) for span in spans(len(array)))
+    found = [(each.min(axis=1), each.max(axis=1)) for each in columns]
+    return np.min([low for low, _ in found], axis=0), np.max([high for _, high in found], axis=0)
+
+
+def ahead(samples: int) -> Iterator[tuple[int, int]]:
+    """Spans for what needs the sample before too: each begins with the last one of the span before."""
+    return ((max(start - 1, 0), stop) for start, stop in spans(samples))

@@ -1,0 +1,161 @@
+"""Arrays longer than memory: written block by block, and read so."""
+
+from __future__ import annotations
+
+import math
+import mmap
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import BinaryIO, cast
+
+import numpy as np
+
+from gtau.errors import GtauError
+
+BLOCK = 1 << 16  # samples that are worked on at once
+IN_MEMORY = 1 << 22  # bytes of an array that are not worth a file
+
+
+def spans(samples: int, size: int = 0) -> Iterator[tuple[int, int]]:
+    """First sample, and the one after the last, of blocks of ``size`` (or BLOCK) that together are ``samples``."""
+    size = size or BLOCK
+    return ((start, min(start + size, samples)) for start in range(0, samples, size))
+
+
+class Store:
+    """An array that grows by blocks; a long one lies in a file that is gone with it.
+
+    The file has no name: it stands in the folder for temporary files (``TMPDIR``), and even a killed program leaves
+    nothing there.
+
+    Parameters
+    ----------
+    width : tuple of int
+        Shape of a row.
+    dtype : type
+        Of the entries.
+    """
+
+    def __init__(self, width: tuple[int, ...] = (), dtype: type = float):
+        self._width, self._dtype = width, dtype
+        self._held: list[np.ndarray] = []
+        self._rows = self._size = 0
+        self._file: BinaryIO | None = None
+
+    def append(self, rows: np.ndarray) -> None:
+        """Add rows at the end; raises GtauError where the folder for temporary files is full."""
+        self._held.append(np.array(rows, dtype=self._dtype))
+        self._rows += len(rows)
+        self._size += self._held[-1].nbytes
+        if self._size > IN_MEMORY:
+            self._write()
+
+    def array(self) -> np.ndarray:
+        """All rows; raises GtauError where the folder for temporary files is full."""
+        if self._file is None:
+            return np.concatenate([np.zeros((0, *self._width), self._dtype), *self._held])
+        self._write()
+        return _mapped(self._file, (self._rows, *self._width), self._dtype)
+
+    def _write(self) -> None:
+        with _room():
+            if self._file is None:
+                self._file = cast(BinaryIO, tempfile.TemporaryFile())  # noqa: SIM115 (it lives as long as what is mapped)
+            for rows in self._held:
+                self._file.write(rows.tobytes())
+            self._file.flush()
+        self._held.clear()
+
+
+@contextmanager
+def _room() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise GtauError(
+            f"a long log needs some GB in the folder for temporary files, {tempfile.gettempdir()}, where nothing "
+            f"more can be written ({(error.strerror or str(error)).lower()}); make room there, or set TMPDIR to "
+            "another folder."
+        ) from None
+
+
+def _mapped(file: BinaryIO, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+    with file:
+        return np.ndarray(shape, dtype, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+
+
+def store(blocks: Iterable[np.ndarray], width: tuple[int, ...] = (), dtype: type = float) -> np.ndarray:
+    """The blocks one after the other as one array; see :class:`Store`."""
+    rows = Store(width, dtype)
+    for each in blocks:
+        rows.append(each)
+    return rows.array()
+
+
+class Placed:
+    """An array of ``samples`` rows of which only some are put in; the others are zero, and take no room.
+
+    Parameters
+    ----------
+    samples : int
+        Rows.
+    width : tuple of int
+        Shape of a row.
+    dtype : type
+        Of the entries.
+    """
+
+    def __init__(self, samples: int, width: tuple[int, ...] = (), dtype: type = float):
+        self._shape, self._dtype = (samples, *width), dtype
+        self._row = np.dtype(dtype).itemsize * math.prod(width)
+        self._file: BinaryIO | None = None
+        if samples * self._row <= IN_MEMORY:
+            self._held: np.ndarray = np.zeros(self._shape, dtype)
+            return
+        with _room():
+            self._file = cast(BinaryIO, tempfile.TemporaryFile())  # noqa: SIM115 (it lives as long as what is mapped)
+            self._file.truncate(samples * self._row)
+
+    def put(self, first: int, rows: np.ndarray) -> None:
+        """Put rows in, the first as row ``first``; raises GtauError where the folder for temporary files is full."""
+        if self._file is None:
+            self._held[first : first + len(rows)] = rows
+            return
+        with _room():
+            self._file.seek(first * self._row)
+            self._file.write(np.ascontiguousarray(rows, self._dtype).tobytes())
+
+    def array(self) -> np.ndarray:
+        """All rows; raises GtauError where the folder for temporary files is full."""
+        if self._file is None:
+            return self._held
+        with _room():
+            self._file.flush()
+        return _mapped(self._file, self._shape, self._dtype)
+
+
+def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Copies of the rows of an array at increasing ``places``, however long it is."""
+    rows = Store(array.shape[1:], array.dtype.type)
+    for start, stop in spans(len(array)):
+        first, last = np.searchsorted(places, [start, stop])
+        rows.append(block(array, start, stop)[places[first:last] - start])
+    return rows.array()
+
+
+def block(array: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """A copy of some rows of an array; those of a stored one need no memory afterwards."""
+    copy = array[start:stop].copy()
+    file = stored(array)
+    if file is not None and hasattr(mmap, "MADV_DONTNEED"):
+        file.madvise(mmap.MADV_DONTNEED)
+    return copy
+
+
+def stored(array: np.ndarray) -> mmap.mmap | None:
+    """The file that an array lies in, if it does not lie in memory."""
+    owner: object = array
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    return owner if isinstance(owner, mmap.mmap) else None

@@ -1,0 +1,153 @@
+"""Logs of a simulated robot, and the experiment file that ``gtau identify`` takes as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from os.path import relpath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gtau.estimation.data import Progress, silent
+from gtau.files import folder_of, write_atomically
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Robot
+from gtau.robots.yaml_text import yaml_text
+from gtau.signals.experiment import Payload
+from gtau.simulation.closed_loop import Engine, Simulated, simulate, write_log
+from gtau.simulation.controllers import pid_with_velocity, sample
+from gtau.simulation.description import SimulatedRun, Simulation, check_joints, read_simulation
+from gtau.simulation.drive import Hardware, hardware
+from gtau.simulation.motions import check_positions, make_trajectory
+from gtau.simulation.mujoco_plant import MujocoPlant
+from gtau.simulation.plant import Plant
+
+HELD = 10  # samples over which the controller keeps an inertia matrix
+
+
+def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> dict[str, float]:
+    """Standard parameters of a robot whose tool carries a payload; what the payload does not state is zero."""
+    chi = dict(chi)
+    if payload is not None:
+        for kind, value in {"m": payload.mass or 0.0, **payload.parameters}.items():
+            name = f"{kind}_{robot.tool}"
+            chi[name] = chi.get(name, 0.0) + value
+    return chi
+
+
+def apparatus(
+    simulation: Simulation, model: InverseDynamics, payload: Payload | None
+) -> tuple[Engine, Plant, Hardware]:
+    """The robot with its payload: the engine that moves it, our own plant, and its drives and sensors."""
+    chi, width = loaded(simulation.parameters, model.robot, payload), simulation.friction_width.model_dump()
+    plant = Plant(model, chi, width)
+    drives = {joint: each.drive for joint, each in simulation.drives.items()}
+    sensors = {joint: each.sensors for joint, each in simulation.drives.items()}
+    engine = plant if simulation.engine == "gtau" else MujocoPlant(model, chi, width)
+    return engine, plant, hardware(model.actuated, drives, sensors)
+
+
+def make_run(
+    simulation: Simulation,
+    model: InverseDynamics,
+    described: SimulatedRun,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Simulated:
+    """Make one run of a simulation file under PID with velocity feedforward and the robot's own inertia matrix.
+
+    Raises
+    ------
+    GtauError
+        Where its trajectory does not suit the robot, passive joints included, or the robot gets out of control.
+    """
+    motion, duration = make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
+    reference = sample(motion, duration, simulation.rate)
+    engine, plant, parts = apparatus(simulation, model, described.payload)
+    labels = [f"{time:.3f} s of run '{described.name}'" for time in reference.time]
+    c = model.motion(reference.q.T, reference.qd.T, reference.qdd.T, labels).c
+    for row, joint in enumerate(model.robot.joints):  # passive ones too
+        check_positions(c[row], joint, f"run '{described.name}'")
+    inertia = np.stack([plant.mass_matrix(each) for each in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
+    controller = pid_with_velocity(reference, inertia, parts.gain, simulation.bandwidth)
+    rng = np.random.default_rng([simulation.seed, *described.name.encode()])
+    return simulate(
+        described.name, engine, controller, parts, rng, described.payload, model.actuated, progress
+    )  # fmt: skip
+
+
+def simulate_experiment(path: str | Path, out: str | Path, progress: Progress = silent) -> tuple[Path, ...]:
+    """Make the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.
+
+    Parameters
+    ----------
+    path : path
+        The simulation file.
+    out : path
+        A folder; it is made where there is none.
+    progress : callable, optional
+        Called as the work goes on.
+
+    Returns
+    -------
+    tuple of Path
+        The files written, the experiment file last.
+
+    Raises
+    ------
+    GtauError
+        Where the file is wrong, a run cannot be made, or a file cannot be written.
+    KeyboardInterrupt
+        Where it is interrupted; the text says which logs are finished.
+    """
+    simulation, out = read_simulation(path), folder_of(out)
+    robot = load_robot(simulation.robot)
+    check_joints(simulation, robot, path)
+    model = InverseDynamics(robot)
+    described = (*simulation.runs, *simulation.validation)
+    for each in described:  # what is wrong is said before the first run is made
+        make_trajectory(each.trajectory, robot, f"run '{each.name}'")
+    written: list[Path] = []
+    experiment = out / "experiment.yaml"
+    experiment.unlink(missing_ok=True)  # it would name logs of which some are new and some old
+    try:
+        for each in described:
+            made = make_run(simulation, model, each, lambda done, total, name=each.name: progress(name, done, total))  # type: ignore[misc]
+            write_log(made.run, out / f"{each.name}.csv")
+            written.append(out / f"{each.name}.csv")
+    except KeyboardInterrupt:
+        finished = ", ".join(log.name for log in written) or "none"
+        raise KeyboardInterrupt(
+            f"logs finished in {out}: {finished}, of {len(described)}; experiment.yaml has not been written"
+        ) from None
+    write_atomically(experiment, experiment_text(simulation, robot, out))
+    return (*written, experiment)
+
+
+def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
+    """The experiment file of a simulation: what its logs hold, and what is to be known of them."""
+    file = Path(simulation.robot)
+    document: dict[str, Any] = {
+        "robot": relpath(file, out) if file.is_file() else simulation.robot,
+        "signals": {
+            "time": "t",
+            "position": {joint: f"q{joint}" for joint in robot.actuated},
+            "current": {joint: f"v{joint}" for joint in robot.actuated},
+        },
+    }
+    if simulation.prior_gains:
+        document["prior_gains"] = {joint: simulation.prior_gains[joint] for joint in robot.actuated}
+    document["runs"] = [_listed(run) for run in simulation.runs]
+    if simulation.validation:
+        document["validation"] = [_listed(run) for run in simulation.validation]
+    return f"# Written by 'gtau simulate'. Paths are relative to this file.\n{yaml_text(document)}"
+
+
+def _listed(run: SimulatedRun) -> dict[str, Any]:
+    listed: dict[str, Any] = {"log": f"{run.name}.csv"}
+    if run.weigh and run.payload is not None:
+        listed["payload"] = {"name": run.payload.name}
+    elif run.payload is not None:
+        listed["payload"] = run.payload.model_dump(exclude_defaults=True)
+    return listed

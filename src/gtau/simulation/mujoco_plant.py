@@ -1,0 +1,189 @@
+"""The same plant by MuJoCo, which shares no equations with the estimator: closures are its equality constraints.
+
+Viscous friction and rotor inertia are MuJoCo's damping and armature; Coulomb friction is applied as in
+:mod:`gtau.simulation.plant`, anew in every step. MuJoCo's constraints give way a little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gtau.errors import GtauError, missing_extra
+from gtau.model.coordinates import PlatformSlots
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import follow
+from gtau.robots.robot import GROUND, INERTIAL, ROTATIONS, TRANSLATIONS, Placement, Robot
+from gtau.simulation.plant import WIDTH, State
+
+STEP = 1e-4  # s
+LIGHTEST = 1e-6  # kg, kg m2: MuJoCo moves no body without mass and inertia
+
+
+class MujocoPlant:
+    """A robot in MuJoCo; parameters as of :class:`gtau.simulation.plant.Plant`.
+
+    A body lighter than 1e-6 kg or kg m2 is given as much.
+
+    Raises
+    ------
+    GtauError
+        Where MuJoCo is not installed, a body's inertia could not be built, or the robot has couplings, which this
+        engine does not know.
+    """
+
+    def __init__(self, model: InverseDynamics, chi: Mapping[str, float], width: Mapping[str, float] = WIDTH):
+        try:
+            import mujoco  # type: ignore[import-untyped, unused-ignore]
+        except ImportError:
+            raise missing_extra(
+                "the engine 'mujoco' (the engine 'gtau' needs nothing more)", "mujoco", "mujoco"
+            ) from None
+        robot, layout = model.robot, model.layout
+        if robot.couplings:
+            raise GtauError(
+                f"robot '{robot.name}' has couplings, which the engine 'mujoco' does not know; use the engine 'gtau'."
+            )
+        chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
+        try:
+            self._model = _spec(mujoco, robot, chi).compile()
+        except ValueError as error:
+            raise GtauError(
+                f"robot '{robot.name}': MuJoCo does not accept its parameters ({str(error).splitlines()[0]}); give "
+                "every body a mass and inertia that it could be built with, or use the engine 'gtau'."
+            ) from None
+        self._mujoco, self.model = mujoco, model
+        self._data = mujoco.MjData(self._model)
+        joints = [self._model.joint(joint.name) for joint in robot.joints]
+        self._position = np.array([joint.qposadr[0] for joint in joints])
+        self._rate = np.array([joint.dofadr[0] for joint in joints])
+        self._actuated = layout.actuated
+        self._coulomb = np.array([chi.get(f"fs_{joint.name}", 0.0) for joint in robot.joints])
+        self._offset = np.array([chi.get(f"off_{joint.name}", 0.0) for joint in robot.joints])
+        self._width = np.array([width[joint.kind] for joint in robot.joints])
+
+    def start(self, q: np.ndarray) -> State:
+        """The state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
+        loops, layout = self.model.loops, self.model.layout
+        c = follow(loops, q[:, None])[:, 0] if loops else np.array(q, dtype=float)
+        qpos = self._model.qpos0.copy()
+        qpos[self._position] = c[: len(self._position)]
+        for slots in layout.platforms:
+            for name, values in _platform_coordinates(slots, c).items():
+                first = self._model.joint(name).qposadr[0]
+                qpos[first : first + len(values)] = values
+        return State(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv))
+
+    def advance(self, state: State, force: np.ndarray, duration: float) -> State:
+        """The state after ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
+
+        Raises
+        ------
+        GtauError
+            Where the motion has no bounds.
+        """
+        data, applied = self._data, np.zeros(self._model.nv)
+        steps = max(1, round(duration / STEP))
+        self._model.opt.timestep = duration / steps
+        data.qpos, data.qvel = state.c, state.v
+        for _ in range(steps):
+            applied[self._rate] = -self._offset - self._coulomb * np.tanh(data.qvel[self._rate] / self._width)
+            applied[self._rate[self._actuated]] += force
+            data.qfrc_applied = applied
+            self._mujoco.mj_step(self._model, data)
+        if not np.isfinite(data.qpos).all() or data.warning[self._mujoco.mjtWarning.mjWARN_BADQACC].number:
+            raise GtauError(
+                f"robot '{self.model.robot.name}': MuJoCo's motion has no bounds; check the masses and frictions and "
+                "the controller."
+            )
+        q, qd = data.qpos[self._position[self._actuated]], data.qvel[self._rate[self._actuated]]
+        return State(q, qd, data.qpos.copy(), data.qvel.copy())
+
+
+def _platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:
+    """Coordinates of a platform's joints in MuJoCo, which count from its home pose."""
+    platform, found = slots.platform, {}
+    shift = c[slots.position] - platform.home.position
+    for axis, dof in enumerate(TRANSLATIONS):
+        if dof in platform.dof:
+            found[f"{dof}_{platform.name}"] = shift[axis : axis + 1]
+    if slots.quaternion is not None:
+        turn = Rotation.from_matrix(platform.home.rotation).inv() * Rotation.from_quat(
+            c[slots.quaternion], scalar_first=True
+        )
+        turns = [dof for dof in ROTATIONS if dof in platform.dof]
+        if len(turns) == 3:
+            found[f"turn_{platform.name}"] = turn.as_quat(scalar_first=True)
+        else:
+            axis = platform.home.rotation[ROTATIONS.index(turns[0])]
+            found[f"turn_{platform.name}"] = np.array([turn.as_rotvec() @ axis])
+    return found
+
+
+def _spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:
+    spec = mujoco.MjSpec()
+    spec.option.gravity = robot.gravity
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.tolerance = 1e-12
+    spec.compiler.boundmass = spec.compiler.boundinertia = LIGHTEST
+    hinge, slide, ball = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL
+    body = {GROUND: spec.worldbody}
+    for joint in robot.joints:
+        body[joint.name] = _add_body(mujoco, body[joint.antecedent], joint.placement, joint.name, chi)
+        body[joint.name].add_joint(
+            name=joint.name,
+            type=hinge if joint.kind == "revolute" else slide,
+            axis=joint.axis,
+            armature=chi.get(f"ia_{joint.name}", 0.0),
+            damping=chi.get(f"fv_{joint.name}", 0.0),
+        )
+    for platform in robot.platforms:
+        place = body[platform.name] = _add_body(mujoco, spec.worldbody, platform.home, platform.name, chi)
+        home = platform.home.rotation  # its rows are the base axes in the platform's own
+        for axis, dof in enumerate(TRANSLATIONS):
+            if dof in platform.dof:
+                place.add_joint(name=f"{dof}_{platform.name}", type=slide, axis=home[axis])
+        turns = [dof for dof in ROTATIONS if dof in platform.dof]
+        if len(turns) == 3:
+            place.add_joint(name=f"turn_{platform.name}", type=ball)
+        elif turns:
+            place.add_joint(name=f"turn_{platform.name}", type=hinge, axis=home[ROTATIONS.index(turns[0])])
+    for number, closure in enumerate(robot.closures):
+        for label, end in (("a", closure.a), ("b", closure.b)):
+            quaternion = Rotation.from_matrix(end.placement.rotation).as_quat(scalar_first=True)
+            body[end.body].add_site(name=f"{label} {number}", pos=end.placement.position, quat=quaternion)
+        weld = closure.kind == "weld"
+        tie = spec.add_equality(
+            name1=f"a {number}",
+            name2=f"b {number}",
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            type=mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT,
+            solref=[2 * STEP, 1.0],
+            solimp=[0.9999, 0.9999, 1e-3, 0.5, 2.0],
+        )
+        if weld:
+            tie.data[10] = 1.0  # torques count as much as forces
+    return spec
+
+
+def _add_body(mujoco: ModuleType, parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
+    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(f"{kind}_{name}", 0.0) for kind in INERTIAL)
+    center = np.array([mx, my, mz]) / m if m else np.zeros(3)
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    about_center = about_origin - m * (center @ center * np.eye(3) - np.outer(center, center))
+    moments, axes = np.linalg.eigh(about_center)
+    axes[:, 0] *= np.linalg.det(axes)
+    return parent.add_body(
+        name=name,
+        pos=placement.position,
+        quat=Rotation.from_matrix(placement.rotation).as_quat(scalar_first=True),
+        explicitinertial=True,
+        mass=m,
+        ipos=center,
+        iquat=Rotation.from_matrix(axes).as_quat(scalar_first=True),
+        inertia=moments,
+    )
