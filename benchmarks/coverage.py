@@ -24,18 +24,18 @@ from multiprocessing import Pool
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gtau.estimation.assembly import Assembly
-from gtau.estimation.current_domain import ml
-from gtau.estimation.data import Data, reduce_runs
-from gtau.estimation.delays import delay_verdicts
-from gtau.estimation.factors import CURRENTS, EXTRA, STRETCHES, Factors
-from gtau.estimation.freedom import freedom
-from gtau.estimation.friction import Friction
-from gtau.estimation.position_locked import Locked, position_locked
-from gtau.estimation.rows import stream_rows
-from gtau.estimation.solution import Solution
-from gtau.estimation.triangle import triangle
-from gtau.estimation.verdicts import GOOD, Outcome, gain_verdicts
+from gtau.estimation.diagnostics.delays import delay_verdicts
+from gtau.estimation.diagnostics.position_ripple import Locked, position_locked
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, gain_verdicts
+from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.estimators.degrees_of_freedom import freedom
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.dataset import Data, reduce_runs
+from gtau.estimation.regression.factors import CURRENTS, EXTRA, STRETCHES, Factors
+from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.load import load_robot
@@ -274,7 +274,7 @@ def judge(case: Case, assembly: Assembly, solution: Solution, locked: Locked | N
 def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetition]) -> dict[str, object]:
     from scipy.special import stdtrit
 
-    from gtau.estimation.base_parameters import base_parameters
+    from gtau.estimation.regression.base_parameters import base_parameters
 
     base = base_parameters(case.model)
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])

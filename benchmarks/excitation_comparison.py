@@ -19,14 +19,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.experiment.design import check, design
-from gtau.experiment.design_file import read_design
-from gtau.experiment.forecast import forecast
-from gtau.experiment.nlp import Programme
-from gtau.experiment.starts import random_start
-from gtau.experiment.task import Task
+from gtau.excitation.design import check, design
+from gtau.excitation.design_file import read_design
+from gtau.excitation.forecast import forecast
+from gtau.excitation.initial_guesses import random_start
+from gtau.excitation.nlp import Programme
+from gtau.excitation.task import Task
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from repetitions import repeated_gains
 
 RANDOM, REPETITIONS = 200, 100

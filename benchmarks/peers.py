@@ -14,11 +14,11 @@ import numpy as np
 import pinocchio as pin
 import polars as pl
 
-from gtau.experiment.evaluation import Grid
-from gtau.experiment.task import Task
+from gtau.excitation.evaluation import Grid
+from gtau.excitation.task import Task
 from gtau.robots.robot import Robot
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from engines import Pinocchio, random_parameters
 
 __all__ = ["PinocchioLoop", "figaroh_regressor", "random_parameters"]

@@ -23,8 +23,8 @@ from peers import ExcitationByHand, figaroh_wls, gains_by_hand, random_parameter
 from table import Row, check, medians, motion
 
 import gtau
-from gtau.experiment.design_file import read_design
-from gtau.experiment.nlp import Programme
+from gtau.excitation.design_file import read_design
+from gtau.excitation.nlp import Programme
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gtau.errors import GtauError
-    from gtau.estimation.base_parameters import BaseParameters, base_parameters
-    from gtau.estimation.comparison import compare
-    from gtau.estimation.estimates import Estimate
+    from gtau.estimation.compare import compare
     from gtau.estimation.identify import identify
-    from gtau.estimation.payload import weigh
-    from gtau.estimation.result import Result
-    from gtau.experiment.design import design as excite
-    from gtau.experiment.design_file import read_design
+    from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
+    from gtau.estimation.results.estimate import Estimate
+    from gtau.estimation.results.result import Result
+    from gtau.estimation.weigh import weigh
+    from gtau.excitation.design import design as excite
+    from gtau.excitation.design_file import read_design
     from gtau.model.inverse_dynamics import InverseDynamics
     from gtau.robots.load import load_robot
     from gtau.robots.robot import Robot
@@ -42,22 +42,22 @@ __all__ = [
 ]
 
 _HOMES = {
-    "BaseParameters": "estimation.base_parameters",
-    "Estimate": "estimation.estimates",
+    "BaseParameters": "estimation.regression.base_parameters",
+    "Estimate": "estimation.results.estimate",
     "GtauError": "errors",
     "InverseDynamics": "model.inverse_dynamics",
-    "Result": "estimation.result",
+    "Result": "estimation.results.result",
     "Robot": "robots.robot",
     "Run": "signals.run",
-    "base_parameters": "estimation.base_parameters",
-    "compare": "estimation.comparison",
-    "excite": "experiment.design",
+    "base_parameters": "estimation.regression.base_parameters",
+    "compare": "estimation.compare",
+    "excite": "excitation.design",
     "identify": "estimation.identify",
     "load_robot": "robots.load",
-    "read_design": "experiment.design_file",
+    "read_design": "excitation.design_file",
     "read_run": "signals.run",
     "simulate": "simulation.experiment_files",
-    "weigh": "estimation.payload",
+    "weigh": "estimation.weigh",
 }
 _NAMES_AT_HOME = {"excite": "design", "simulate": "simulate_experiment"}  # the others are called the same there
 

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from gtau.cli.console import Json, interruption_flag, print_json, progress_bar, refusals
+from gtau.documents.files import folder_of
 from gtau.errors import GtauError
-from gtau.files import folder_of
 
 
 def excite(
@@ -35,9 +35,9 @@ def excite(
     The best motion so far is kept in DIR; an interruption (Ctrl-C) ends the search and takes it.
     """
     with refusals(json_):
-        from gtau.experiment.design import Design
-        from gtau.experiment.design import design as run
-        from gtau.experiment.design_file import read_design
+        from gtau.excitation.design import Design
+        from gtau.excitation.design import design as run
+        from gtau.excitation.design_file import read_design
         from gtau.report.excite_page import describe_design, design_page, write_design, write_trajectories
 
         more_masses = _masses(context.args, after=payload_mass)

@@ -12,8 +12,8 @@ import typer
 
 from gtau.cli.console import Dask, Json, print_json, progress_bar, refusals
 from gtau.cli.identification import Method
+from gtau.documents.files import folder_of
 from gtau.errors import GtauError
-from gtau.files import folder_of
 
 
 def fleet(
@@ -38,11 +38,11 @@ def fleet(
     Finished robots stay in DIR/models: the same command again does what is left, or what has changed.
     """
     with refusals(json_):
+        from gtau.fleet.fleet import identify_fleet, read_fleet
+        from gtau.fleet.gains import fleet_table
+        from gtau.parallel.dask_executor import connected, on_workers
+        from gtau.parallel.process_executor import in_processes
         from gtau.report.fleet_page import fleet_document, fleet_page, write_fleet
-        from gtau.scale.fleet import identify_fleet, read_fleet
-        from gtau.scale.fleet_gains import fleet_table
-        from gtau.scale.processes import in_processes
-        from gtau.scale.workers import connected, on_workers
 
         if method in (Method.wls, Method.ols):
             raise GtauError(f"--method {method} takes the drive gains as given; choose one that finds them.")

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, print_json, progress_bar, refusals
+from gtau.documents.files import folder_of
 from gtau.errors import GtauError
-from gtau.files import folder_of
 
 
 class Method(StrEnum):
@@ -77,10 +77,10 @@ def identify(
     """
     with refusals(json_):
         from gtau.estimation.identify import identify as run
-        from gtau.estimation.model_file import to_document
-        from gtau.scale.cache import cache_folder, remembering
-        from gtau.scale.spread import in_turn
-        from gtau.scale.workers import where_to_work
+        from gtau.estimation.results.model_file import to_document
+        from gtau.parallel.cache import cache_folder, remembering
+        from gtau.parallel.dask_executor import where_to_work
+        from gtau.parallel.executor import in_turn
 
         with progress_bar() as progress, where_to_work(dask) as spread:
             result = run(
@@ -93,7 +93,7 @@ def identify(
                 mapper=in_turn(spread if no_cache else remembering(spread, cache_folder())),
             )
         if out is not None:
-            from gtau.estimation.singular_poses import write_distances
+            from gtau.estimation.results.singularity_distances import write_distances
 
             result.save(folder_of(out) / "model.json")
             write_distances(result.distances, out / "singularities.parquet")
@@ -111,8 +111,8 @@ def identify(
 def compare(experiment: ExperimentFile, json_: Json = False) -> None:
     """Identify with every estimator, and compare gains, deviations, residuals and verdicts."""
     with refusals(json_):
-        from gtau.estimation.comparison import compare as run
-        from gtau.estimation.comparison import table, to_document
+        from gtau.estimation.compare import compare as run
+        from gtau.estimation.compare import table, to_document
 
         with progress_bar() as progress:
             found = run(experiment, progress)
@@ -130,8 +130,8 @@ def validate(
 ) -> None:
     """Torque errors of a model on the validation runs of an experiment; with DIR also figures."""
     with refusals(json_):
-        from gtau.estimation.data import experiment_of, read_runs
-        from gtau.estimation.result import Result
+        from gtau.estimation.regression.dataset import experiment_of, read_runs
+        from gtau.estimation.results.result import Result
         from gtau.report.validation_page import describe_validations, validate_run, validation_page, write_torques
 
         result = Result.load(model)
@@ -160,10 +160,10 @@ def payload(
 ) -> None:
     """Weigh the unknown payloads of an experiment's loaded runs, beside a run without payload."""
     with refusals(json_):
-        from gtau.estimation.model_file import payload_documents
-        from gtau.estimation.payload import weigh
-        from gtau.estimation.result import Result
-        from gtau.estimation.summary import payload_lines
+        from gtau.estimation.results.model_file import payload_documents
+        from gtau.estimation.results.result import Result
+        from gtau.estimation.results.summary import payload_lines
+        from gtau.estimation.weigh import weigh
 
         with progress_bar() as progress:
             found = weigh(Result.load(model), experiment, gains.value, progress)

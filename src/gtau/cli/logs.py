@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
-from gtau.files import folder_of
+from gtau.documents.files import folder_of
 
 
 def check(
@@ -21,7 +21,7 @@ def check(
 ) -> None:
     """Look at the logs before identifying: repairs, rates, motions, usable rows, distances to singularities."""
     with refusals(json_):
-        from gtau.estimation.log_check import check_logs
+        from gtau.estimation.check_logs import check_logs
         from gtau.report.log_page import describe_logs, log_page, write_check
 
         with progress_bar() as progress:

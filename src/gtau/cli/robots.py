@@ -35,8 +35,8 @@ def robot(
 
         found = load_robot(source)
         if save is not None:
-            from gtau.robots.loops_yaml import is_loops_file
-            from gtau.robots.native_text import write_native
+            from gtau.robots.readers.native_text import write_native
+            from gtau.robots.readers.urdf_loops import is_loops_file
 
             if save.exists() and (
                 (Path(source).exists() and save.samefile(source))

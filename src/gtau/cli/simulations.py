@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
-from gtau.files import folder_of
+from gtau.documents.files import folder_of
 
 
 def demo(
@@ -17,7 +17,7 @@ def demo(
 ) -> None:
     """Identify an Orthoglide from logs made on the spot, and weigh a second payload with the result."""
     with refusals(json_):
-        from gtau.report.demo import demo as run
+        from gtau.demo.run import demo as run
 
         with progress_bar(lines=True) as progress:
             document, text = run(folder_of(out), progress)
@@ -40,8 +40,8 @@ def simulate(
     """Make logs of a simulated robot under control, and the experiment file for 'gtau identify'."""
     with refusals(json_):
         from gtau.robots.load import load_robot
-        from gtau.simulation.description import massless, read_simulation
         from gtau.simulation.experiment_files import simulate_experiment
+        from gtau.simulation.simulation_file import massless, read_simulation
 
         with progress_bar(lines=True) as progress:
             written = simulate_experiment(simulation, out, progress)
@@ -65,8 +65,8 @@ def compare_control(
     The models of computed torque are identified from the logs of EXPERIMENT.yaml, those that 'gtau simulate' wrote.
     """
     with refusals(json_):
-        from gtau.simulation.comparison import compare_control as run
-        from gtau.simulation.comparison import table, table_document
+        from gtau.simulation.control_comparison import compare_control as run
+        from gtau.simulation.control_comparison import table, table_document
 
         with progress_bar(lines=True) as progress:
             comparison = run(simulation, experiment, progress)

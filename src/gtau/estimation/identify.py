@@ -10,25 +10,26 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.assembly import Assembly, require_scale
-from gtau.estimation.consistency import consistent as find_consistent
-from gtau.estimation.current_domain import ml, ols, wls
-from gtau.estimation.data import Data, Mapper, Progress, read_runs, reduce_runs, silent
-from gtau.estimation.didim import along_simulated_motion
-from gtau.estimation.freedom import freedom
-from gtau.estimation.friction import Friction, all_terms, needed_terms, told_terms
-from gtau.estimation.homogeneous import mixed, tls
-from gtau.estimation.instruments import instrumental, with_instruments
-from gtau.estimation.interpretation import make_result
-from gtau.estimation.known_payloads import mass_uncertainty, weigh_known
-from gtau.estimation.position_locked import position_locked
-from gtau.estimation.prior import ridge
-from gtau.estimation.problem import Problem
-from gtau.estimation.reduction import essential
-from gtau.estimation.result import Result
-from gtau.estimation.robust import reweighted
-from gtau.estimation.solution import Solution
-from gtau.estimation.two_stage import two_stage
+from gtau.estimation.diagnostics.payload_checks import mass_uncertainty, weigh_known
+from gtau.estimation.diagnostics.position_ripple import position_locked
+from gtau.estimation.estimators.current_domain import ml, ols, wls
+from gtau.estimation.estimators.degrees_of_freedom import freedom
+from gtau.estimation.estimators.didim import along_simulated_motion
+from gtau.estimation.estimators.essential_parameters import essential
+from gtau.estimation.estimators.huber import reweighted
+from gtau.estimation.estimators.instrumental_variables import instrumental, with_instruments
+from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
+from gtau.estimation.estimators.ridge import ridge
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.total_least_squares import mixed, tls
+from gtau.estimation.estimators.two_stage import two_stage
+from gtau.estimation.regression.dataset import Data, Mapper, read_runs, reduce_runs
+from gtau.estimation.regression.friction import Friction, all_terms, needed_terms, told_terms
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import Assembly, require_scale
+from gtau.estimation.results.build import make_result
+from gtau.estimation.results.result import Result
+from gtau.progress import Progress, silent
 from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Experiment, Prior, check_robot, read_experiment
@@ -88,13 +89,15 @@ def identify(
         deviations, and the essential parameters re-estimated together with the gains at ratio 10.
         (Samples near reversals are left out all the same: with them TLS fails.)
     consistent : bool
-        Also find standard parameters that rigid bodies can have (see :mod:`gtau.estimation.consistency`).
+        Also find standard parameters that rigid bodies can have (see
+        :mod:`gtau.estimation.estimators.physical_consistency`).
     priors : mapping, optional
         What is known of standard parameters, by name, for these and ``ridge``; the experiment file's if left out.
     progress : callable, optional
         Called as the work goes on.
     mapper : callable, optional
-        Where parts of the runs are reduced; see :data:`gtau.estimation.data.Mapper` and :mod:`gtau.scale`.
+        Where parts of the runs are reduced; see :data:`gtau.estimation.regression.dataset.Mapper` and
+        :mod:`gtau.parallel`.
 
     Returns
     -------

@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 
 from gtau.model.coordinates import Coordinates
+from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.kinematics import Frame, Twist, accelerations, configuration_rates, constant, frames, twists
 from gtau.model.least_squares import solve
-from gtau.model.program import Program, compile_program
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Attachment
 

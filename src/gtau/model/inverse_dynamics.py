@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model._threads import share
 from gtau.model.coordinates import Coordinates, coordinates
 from gtau.model.dynamics import parameter_names, torques
+from gtau.model.interpreter.program import Program, compile_program
+from gtau.model.interpreter.threads import share
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
-from gtau.model.program import Program, compile_program
 from gtau.model.singularities import Singularities, singularities
 from gtau.robots.robot import Robot
 

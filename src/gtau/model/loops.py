@@ -14,13 +14,13 @@ from typing import Protocol
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model._continuation import Follower, march, travel
-from gtau.model._interpreter import MACHINE
-from gtau.model._lanes import LANES
-from gtau.model._threads import share
 from gtau.model.closures import ClosureEquations, closure_equations, gaps
 from gtau.model.coordinates import Coordinates
-from gtau.model.program import Bound, addresses, aligned
+from gtau.model.interpreter.continuation import Follower, march, travel
+from gtau.model.interpreter.kernel import MACHINE
+from gtau.model.interpreter.lanes import LANES
+from gtau.model.interpreter.program import Bound, addresses, aligned
+from gtau.model.interpreter.threads import share
 
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
 CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller

@@ -22,9 +22,9 @@ import casadi as ca
 import numpy as np
 
 from gtau.model.coordinates import Coordinates
+from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.kinematics import constant, frames, twists
 from gtau.model.loops import Motion
-from gtau.model.program import Program, compile_program
 from gtau.robots.geometry import characteristic_length
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def singularities(idm: InverseDynamics) -> Singularities:
     GtauError
         Where the loops cannot be closed, or hardly any pose is regular.
     """
-    from gtau.model.states import random_motion
+    from gtau.model.random_states import random_motion
 
     program = compile_program(*_tool_jacobian(idm.layout))
     found = Singularities(idm.layout, program, 0, 0.0)

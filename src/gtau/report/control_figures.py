@@ -17,7 +17,7 @@ from gtau.report.style import (
     new_figure,
     styled,
 )
-from gtau.simulation.comparison import STRATEGIES, Comparison
+from gtau.simulation.control_comparison import STRATEGIES, Comparison
 from gtau.simulation.controllers import Reference
 
 if TYPE_CHECKING:

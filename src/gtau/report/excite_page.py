@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.estimation.estimates import torque_unit, unit_of
-from gtau.experiment.advice import Weak, weak_unknowns
-from gtau.experiment.design import Design, check
-from gtau.experiment.forecast import Expected, Forecast, forecast, sampled_motions
-from gtau.experiment.task import Task
-from gtau.files import write_atomically
+from gtau.documents.files import write_atomically
+from gtau.estimation.results.estimate import torque_unit, unit_of
+from gtau.excitation.design import Design, check
+from gtau.excitation.forecast import Expected, Forecast, forecast, sampled_motions
+from gtau.excitation.task import Task
+from gtau.excitation.weak_parameters import Weak, weak_unknowns
 from gtau.report.style import LINES, joint_label, light_grid, new_figure, save_figure, styled
 
 if TYPE_CHECKING:

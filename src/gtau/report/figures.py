@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.estimates import Estimate, Prediction
+from gtau.estimation.results.estimate import Estimate, Prediction
 from gtau.report.style import (
     BLACK,
     BLUE,

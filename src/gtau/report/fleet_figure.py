@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.fleet.gains import FleetTable
 from gtau.report.style import BLUE, GREY, VERMILION, joint_label, light_grid, new_figure, styled
-from gtau.scale.fleet_gains import FleetTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

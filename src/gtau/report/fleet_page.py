@@ -12,8 +12,8 @@ from typing import Any
 
 import polars as pl
 
-from gtau.files import write_atomically
-from gtau.scale.fleet_gains import FleetGain, FleetTable, table_rows
+from gtau.documents.files import write_atomically
+from gtau.fleet.gains import FleetGain, FleetTable, table_rows
 
 LISTED = 20  # outliers, or robots that were refused; the others stand in the table
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.base_parameters import base_parameters
-from gtau.estimation.estimates import unit_of
+from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.estimation.results.estimate import unit_of
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES
-from gtau.robots.oddities import oddities, tool_note
+from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 
 

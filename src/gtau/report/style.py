@@ -10,8 +10,8 @@ from math import floor, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from gtau.documents.files import write_atomically
 from gtau.errors import GtauError, missing_extra
-from gtau.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.estimates import Prediction, TorqueError
-from gtau.estimation.prediction import torque_errors
-from gtau.estimation.result import Result
+from gtau.estimation.results.estimate import Prediction, TorqueError
+from gtau.estimation.results.prediction import torque_errors
+from gtau.estimation.results.result import Result
 from gtau.report.figures import torques_figure
 from gtau.report.style import save_figure
 from gtau.signals.run import Run

@@ -51,7 +51,7 @@ def load_robot(source: str | Path | Robot) -> Robot:
         case ".urdf":
             return _from_urdf(path)
         case ".xml" | ".mjcf":
-            from gtau.robots.mjcf import read_mjcf
+            from gtau.robots.readers.mjcf import read_mjcf
 
             return read_mjcf(path)
         case ".sdf":
@@ -60,11 +60,11 @@ def load_robot(source: str | Path | Robot) -> Robot:
                 "URDF or, where the robot has loops, MJCF or a robot file."
             )
         case ".par":
-            from gtau.robots.par import read_par
+            from gtau.robots.readers.symoro import read_par
 
             return read_par(path)
         case ".csv":
-            from gtau.robots.mdh_csv import read_mdh_csv
+            from gtau.robots.readers.mdh_csv import read_mdh_csv
 
             return read_mdh_csv(path)
         case ".xacro":
@@ -80,21 +80,21 @@ def load_robot(source: str | Path | Robot) -> Robot:
 
 
 def _from_yaml(path: Path) -> Robot:
-    from gtau.robots.loops_yaml import is_loops_file, read_urdf_with_loops
+    from gtau.robots.readers.urdf_loops import is_loops_file, read_urdf_with_loops
 
     if is_loops_file(path):
         return read_urdf_with_loops(path.with_suffix(".urdf"), path)
-    from gtau.robots.native import read_native
+    from gtau.robots.readers.native import read_native
 
     return read_native(path)
 
 
 def _from_urdf(path: Path) -> Robot:
-    from gtau.robots.loops_yaml import is_loops_file, read_urdf_with_loops
+    from gtau.robots.readers.urdf_loops import is_loops_file, read_urdf_with_loops
 
     for loops in (path.with_suffix(".yaml"), path.with_suffix(".yml")):
         if is_loops_file(loops):
             return read_urdf_with_loops(path, loops)
-    from gtau.robots.urdf import read_urdf
+    from gtau.robots.readers.urdf import read_urdf
 
     return read_urdf(path)

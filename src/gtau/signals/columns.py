@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.robots.yaml_document import Document, validate
+from gtau.documents.yaml_document import Document, validate
 
 PositionUnit = Literal["rad", "deg", "m", "mm"]
 Positive = Annotated[FiniteFloat, Field(gt=0)]

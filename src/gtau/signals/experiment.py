@@ -17,10 +17,10 @@ from pydantic import (
     model_validator,
 )
 
+from gtau.documents.files import matching
+from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
-from gtau.files import matching
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.robots.yaml_document import read_yaml, validate
 from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
 
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.files import in_order
 from gtau.signals.storage import store
 
 if TYPE_CHECKING:

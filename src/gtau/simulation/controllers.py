@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.assembly import known_values
-from gtau.estimation.friction import TERMS, term_columns, transmitted
-from gtau.estimation.result import Result
+from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
+from gtau.estimation.regression.system import known_values
+from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.signals.experiment import Payload
 from gtau.simulation.trajectories import Trajectory

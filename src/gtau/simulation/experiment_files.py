@@ -9,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.data import Progress, silent
-from gtau.files import folder_of, write_atomically
+from gtau.documents.files import folder_of, write_atomically
+from gtau.documents.yaml_text import yaml_text
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import Progress, silent
 from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot
-from gtau.robots.yaml_text import yaml_text
 from gtau.signals.experiment import Payload
 from gtau.simulation.closed_loop import Engine, Simulated, simulate, write_log
 from gtau.simulation.controllers import pid_with_velocity, sample
-from gtau.simulation.description import SimulatedRun, Simulation, check_joints, read_simulation
 from gtau.simulation.drive import Hardware, hardware
 from gtau.simulation.motions import check_positions, make_trajectory
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
+from gtau.simulation.simulation_file import SimulatedRun, Simulation, check_joints, read_simulation
 
 HELD = 10  # samples over which the controller keeps an inertia matrix
 

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.log_file import read_log
-from gtau.simulation.description import Motion
+from gtau.simulation.simulation_file import Motion
 from gtau.simulation.trajectories import Envelope, PointToPoint, Sines, Trajectory, envelope, point_to_point, sines
 
 ROUNDED = 1.01  # times a limit: by so much may speeds and accelerations of rounded samples be off

@@ -1,0 +1,1 @@
+"""The demonstration and the case study of the paper."""

@@ -1,0 +1,1 @@
+"""How every file that people write is read, checked and refused."""

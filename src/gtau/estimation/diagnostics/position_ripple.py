@@ -1,0 +1,127 @@
+"""Errors that repeat at the same positions: ripple of the motors, cables, springs.
+
+They stand in every run alike, so leaving a stretch out tells nothing of what they do to the estimates. But they can
+be seen: each joint is offered a torque that is any function of its own position (piecewise linear, one for each run,
+as encoders may have been set to zero in between), found in the first half of each run and tried in the second, and the
+other way round. Where it takes errors away, the estimates move when the torque is offered in all runs; by so much they
+are uncertain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.estimation.diagnostics.gain_change import DOMINANT, worst_differences
+from gtau.estimation.diagnostics.linearisation import Linear, linearised, middles, solved, together
+from gtau.estimation.diagnostics.verdict import LACKING, lack_of_fit
+from gtau.estimation.estimators.newton import State, to_gains
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.rows import Rows
+from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.triangle import triangle
+from gtau.signals.preparation import Held
+
+KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
+FOUND = 0.3  # share of a joint's errors that is found again
+LARGEST = 10.0  # times the joint's error: how large such a torque may be, more or less
+
+
+@dataclass(frozen=True, eq=False)
+class Locked:
+    """What repeats at the same positions.
+
+    ``shares`` (n,) of the variance of each joint's errors that one half of the runs tells of the other, and by how
+    much (theta, gains, delays) move when it is taken into account, ``moves`` (n_theta + 2 n,), which are zero where
+    nothing repeats.
+    """
+
+    shares: np.ndarray
+    moves: np.ndarray
+
+    @property
+    def found(self) -> bool:
+        """Whether anything repeats."""
+        return bool(np.max(self.shares) >= FOUND)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """What it adds to the covariance of (theta, gains, delays), (k, k)."""
+        return np.outer(self.moves, self.moves)
+
+
+def position_locked(data: Data, assembly: Assembly, solution: Solution, free_gains: bool) -> Locked:
+    """What of the errors repeats at the same positions; looked for where there is a lack of fit.
+
+    Parameters
+    ----------
+    data, assembly, solution : Data, Assembly, Solution
+        What was identified.
+    free_gains : bool
+        Whether the gains are estimated, or given.
+    """
+    n = len(data.model.actuated)
+    nothing = Locked(np.zeros(n), np.zeros(len(solution.stacked)))
+    if lack_of_fit(assembly.problem, solution) < LACKING:
+        return nothing
+    differences = worst_differences(assembly.problem, solution, assembly.places) if free_gains else ()
+    if any(each.share > DOMINANT for each in differences):
+        return nothing  # currents out of scale in a run leave errors that look like functions of the position
+    pieces = middles(data, pieces=2)
+    low = np.min([piece.all.q.min(axis=0) for _, piece in pieces], axis=0)
+    high = np.max([piece.all.q.max(axis=0) for _, piece in pieces], axis=0)
+    knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
+    width = np.maximum(knots[1] - knots[0], 1e-300)
+
+    def offer(piece: Held, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
+        q = piece.samples().q.T
+        hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
+        hats = data.preparation.decimator.apply(hats)  # (n, KNOTS, outputs)
+        for part in rows:
+            yield part, hats[:, :, part.outputs].transpose(0, 2, 1)
+
+    found = linearised(data, assembly, solution, free_gains, offer, pieces)
+    first, second = found[0::2], found[1::2]
+    sigma = np.maximum(solution.sigma, assembly.problem.smallest_sigma)
+    heights = 1 / (LARGEST * np.abs(solution.gains) * sigma)
+    again = [
+        Linear(each.errors + np.einsum("jpk,jk->jp", each.offered, torque), each.jacobian, each.offered)
+        for half, other in ((first, second), (second, first))
+        for each, torque in zip(half, _fit([other], heights)[1], strict=True)
+    ]
+    (_, rest), (step, before) = _left(again), _left(found)
+    shares = 1 - rest / np.maximum(before, 1e-300)
+    if np.max(shares) < FOUND:
+        return Locked(shares, nothing.moves)
+    moved, _ = _fit([first, second], heights)
+    state = State(solution.theta, 1 / solution.gains, solution.delays)
+    return Locked(shares, to_gains(state, assembly.problem.n_theta, free_gains) @ (moved - step))
+
+
+def _fit(halves: Sequence[Sequence[Linear]], heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the estimates (k,), and each run's torques at the knots (runs, n, KNOTS), found together.
+
+    Each half has one piece a run. A torque acts in one joint of one run only, so it is eliminated there; it is drawn
+    to zero with the weight ``1 / heights`` (n,), as it can stand in for a parameter.
+    """
+    tops, rests = [], []
+    for of_run in zip(*halves, strict=True):
+        for j, height in enumerate(heights):
+            rows = [np.column_stack([each.offered[j], each.jacobian[j], each.errors[j]]) for each in of_run]
+            R = triangle(np.eye(KNOTS, rows[0].shape[1]) * height, *rows)
+            tops.append(R[:KNOTS])
+            rests.append(R[KNOTS:, KNOTS:])
+    rest = np.concatenate(rests)
+    step = solved(rest[:, :-1], rest[:, -1])
+    torques = [-np.linalg.solve(top[:, :KNOTS], top[:, KNOTS:-1] @ step + top[:, -1]) for top in tops]
+    return step, np.reshape(torques, (-1, len(heights), KNOTS))
+
+
+def _left(pieces: Sequence[Linear]) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the estimates without further torques (k,), and the squares of the errors that they leave, (n,)."""
+    e, J, _ = together(pieces)
+    step = solved(J, e)
+    return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))

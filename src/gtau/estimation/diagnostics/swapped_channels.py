@@ -1,0 +1,55 @@
+"""Whether the currents of two joints are swapped: each joint's motion then explains the other's current best."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from gtau.estimation.diagnostics.linearisation import middles, solved
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.rows import stream_rows
+
+BETTER = 0.5  # of the errors with a joint's own current are left with the other's: far more where columns are right
+
+
+def unexplained(data: Data) -> np.ndarray:
+    """Share of each joint's current (columns) that the regressor of each joint (rows) leaves unexplained, (n, n).
+
+    Each joint is fitted by itself, with other parameters for each payload.
+    """
+    n, regressor = len(data.model.actuated), data.model.columns(data.base.standard)
+    loads = [None if run.payload is None else run.payload.name for run in data.runs]
+    kinds = list(dict.fromkeys(loads))
+    rows: list[list[np.ndarray]] = [[] for _ in range(n)]
+    currents: list[list[np.ndarray]] = [[] for _ in range(n)]
+    for run, piece in middles(data):
+        mine = np.array([loads[run] == kind for kind in kinds], dtype=float)
+        for part in stream_rows(data.model, regressor, piece, data.preparation.decimator):
+            for j in range(n):
+                own = part.entries[regressor.rows == j][:, part.keep[j]].T
+                rows[j].append(np.kron(mine, own))
+                currents[j].append(part.currents[0][:, part.keep[j]].T)
+    left = np.zeros((n, n))
+    for j in range(n):
+        W, V = np.concatenate(rows[j]), np.concatenate(currents[j])
+        rest = V + W @ solved(W, V)
+        left[j] = np.linalg.norm(rest, axis=0) / np.maximum(np.linalg.norm(V, axis=0), 1e-300)
+    return left
+
+
+def against_swapped(verdicts: tuple[Verdict, ...], data: Data) -> tuple[Verdict, ...]:
+    """Verdicts on the gains where the currents of two joints look swapped."""
+    left, found, joints = unexplained(data), list(verdicts), data.model.actuated
+    columns = "torques" if data.runs[0].kind == "torque" else "currents"
+    for j, k in combinations(range(len(joints)), 2):
+        if left[j, k] < BETTER * left[j, j] and left[k, j] < BETTER * left[k, k]:
+            found[j] = found[k] = Verdict(
+                Outcome.CONTRADICTORY,
+                f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: "
+                f"{100 * max(left[j, k], left[k, j]):.2g} % of them would stay unexplained if they were exchanged, "
+                f"{100 * min(left[j, j], left[k, k]):.2g} % as they are",
+                f"check that position and {columns[:-1]} columns belong together, in all runs",
+            )
+    return tuple(found)

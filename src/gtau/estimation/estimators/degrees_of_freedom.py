@@ -1,0 +1,51 @@
+"""Degrees of freedom of the jackknife's deviations, by which intervals follow the t distribution.
+
+As many as there are units, less one, if all units say as much of a parameter. Often a few say nearly all: Coulomb
+friction of a passive joint shows where that joint turns round. Its deviation then rests on these few alone, and
+varies as much. How much each unit says follows from the motions (Satterthwaite's rule, as Bell and McCaffrey use it):
+
+    (sum s_u^2)^2 / sum s_u^4
+
+with s_u^2 the variance that leaving out unit u has, errors being independent.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.estimators.newton import State, jacobian, stacked, to_gains, whitening
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.problem import Problem
+
+
+def freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarray:
+    """Degrees of freedom of the deviations of (theta, gains, delays), (n_theta + 2 n,).
+
+    Parameters
+    ----------
+    problem, solution : Problem, Solution
+        What was solved.
+    free_gains : bool
+        Whether the gains are estimated, or given.
+    """
+    state, units = State(solution.theta, 1 / solution.gains, solution.delays), len(problem.units)
+    weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
+
+    def rows(blocks: np.ndarray) -> np.ndarray:
+        J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
+        return np.asarray(J.reshape(-1, J.shape[-1]))
+
+    back = whitening(rows(stacked(problem)), np.zeros(len(problem.joints)))
+    named = to_gains(state, problem.n_theta, free_gains) @ back
+    variances = []
+    for unit in problem.units:
+        J = rows(unit) @ back
+        left = np.eye(J.shape[1]) - J.T @ J
+        try:
+            of_rows = np.linalg.solve(left, J.T)
+        except np.linalg.LinAlgError:  # what only this unit tells
+            of_rows = np.linalg.pinv(left, rcond=1e-10, hermitian=True) @ J.T
+        variances.append(np.sum((named @ of_rows) ** 2, axis=1))
+    total, squares = np.sum(variances, axis=0), np.sum(np.square(variances), axis=0)
+    share = np.divide(total**2, squares, out=np.full(len(total), float(units)), where=squares > 0)
+    return np.asarray(np.clip(share - 1, 1.0, units - 1.0))

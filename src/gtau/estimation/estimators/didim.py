@@ -1,0 +1,61 @@
+"""DIDIM: parameters from the currents alone, the motion being simulated (Gautier, Janot and Vandanjon).
+
+The regressor is taken along the motion that the robot, simulated in closed loop with the current estimate, makes of its
+reference. No measured position enters it, so nothing is differentiated and no noise grows; what is estimated next is
+simulated again, until the gains stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.simulated_motion import resimulated_runs
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.factors import reduce_run
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import Assembly
+from gtau.progress import Progress
+
+PASSES = 10
+SETTLED = 1e-2  # standard deviations: a smaller change of every estimate ends the simulations
+
+
+def along_simulated_motion(
+    data: Data, assembly: Assembly, solve: Callable[[Problem], Solution], progress: Progress
+) -> tuple[Data, Assembly]:
+    """The data along simulated motion, and their problem, settled with the estimates of ``solve``.
+
+    Raises
+    ------
+    GtauError
+        Where the robot cannot be simulated with what was found, or simulation and estimate do not settle.
+    """
+    loaded = any(term.startswith("fl_") for term in assembly.friction.terms)
+    before, solution = None, solve(assembly.problem)
+    for k in range(PASSES):
+        progress("simulation", k, PASSES)
+        loads = [assembly.load(run, solution.theta) if loaded else None for run in range(len(data.runs))]
+        simulated = zip(resimulated_runs(data, assembly, solution), loads, data.factors, strict=True)
+        factors = tuple(
+            replace(
+                reduce_run(data.model, data.base.standard, run, data.preparation.decimator, load),
+                distances=logged.distances,  # to singularities: of what the robot did
+            )
+            for run, load, logged in simulated
+        )
+        along = replace(data, factors=factors)
+        assembly = along.assembly(assembly.friction, assembly.problem.slowest > 0)
+        before, solution = solution, solve(assembly.problem)
+        std = np.sqrt(np.diag(solution.covariance))
+        if len(before.stacked) == len(std) and np.all(np.abs(solution.stacked - before.stacked) <= SETTLED * std):
+            progress("simulation", PASSES, PASSES)
+            return along, assembly
+    raise GtauError(
+        "simulation and estimate do not settle, so the parameters found do not make the motion that was measured; "
+        "use --method ml, or add runs that tell the parameters better."
+    )

@@ -1,0 +1,63 @@
+"""Essential parameters: the base parameters that the data say something about (paper, section 5.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.problem import Problem
+
+
+def essential(
+    problem: Problem,
+    candidates: tuple[str, ...],
+    solve: Callable[[Problem], Solution],
+    ratio: float | None = None,
+    correlated: bool = True,
+) -> tuple[Problem, Solution, np.ndarray]:
+    """Cancel the parameter of largest relative deviation, again and again.
+
+    With a ``ratio`` until the paper's rule ``max(rel) / min(rel) < ratio`` holds over ``candidates``. As
+    kept parameters absorb what the cancelled ones did, that over-prunes where the best parameter is
+    very well known; so without one, until the Bayesian information criterion keeps every parameter: it
+    must be ``sqrt(log r)`` standard deviations (about 3) away from zero. (At two, groups of nearly
+    dependent parameters stay with absurd values that cancel each other.)
+
+    Parameters
+    ----------
+    problem : Problem
+        With all parameters.
+    candidates : tuple of str
+        Parameters that may be cancelled.
+    solve : callable
+        Estimator: with the gains fixed, or jointly with them as the paper does.
+    ratio : float, optional
+        The paper's r_sigma, 10 to 30.
+    correlated : bool
+        Allow for errors correlated in time, by how much the jackknife exceeds the formula at first.
+
+    Returns
+    -------
+    Problem, Solution
+        Of the parameters that are left.
+    std : ndarray
+        Their deviations (n_theta,) as the rule saw them, which take the cancelled ones for zero.
+    """
+    solution = solve(problem)
+    formula = np.maximum(np.diag(solution.covariance), 1e-300)
+    larger = np.sqrt(np.diag(solution.jackknife) / formula) if correlated else np.ones(len(formula))
+    inflation = dict(zip(problem.parameters, larger, strict=False))
+    significant = 1 / np.sqrt(np.log(problem.total_rows.sum()))
+    while True:
+        index = [k for k, name in enumerate(problem.parameters) if name in candidates]
+        std = np.sqrt(np.diag(solution.covariance)[: problem.n_theta])
+        std = std * [inflation[name] for name in problem.parameters]
+        relative = (std / np.maximum(np.abs(solution.theta), 1e-300))[index]
+        worst = int(np.argmax(relative))
+        allowed = significant if ratio is None else ratio * relative.min()
+        if relative[worst] <= allowed or len(index) == 1:
+            return problem, solution, std
+        problem = problem.without([problem.parameters[index[worst]]])
+        solution = solve(problem)

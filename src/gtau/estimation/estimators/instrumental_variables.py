@@ -1,0 +1,219 @@
+"""Instrumental variables (IDIM-IV): the equations as measured, weighed along a motion without noise.
+
+Encoders are noisy too, and their noise grows twice on the way to accelerations. It stands in the regressor, so least
+squares and maximum likelihood take every parameter for smaller than it is, the more the poorer the filter. The
+method of Janot et al. multiplies the equations not with the Jacobian J of the errors e, but with the same Jacobian
+along a motion simulated with the current estimate, whose errors have nothing to do with those of the equations:
+
+    J_s^T e = 0    instead of    J^T e = 0 ,
+
+solved by Newton's method, simulated again with what is found, and so on.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.newton import State, jacobian, moved, one_step, residuals, to_gains
+from gtau.estimation.estimators.simulated_motion import resimulated_runs
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.factors import CURRENTS, EXTRA, ROWS, STRETCHES, Factors
+from gtau.estimation.regression.friction import TERMS
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.triangle import triangle
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import Progress
+from gtau.signals.decimation import Decimator
+from gtau.signals.preparation import Held, Prepared
+
+PASSES = 6  # simulations
+SAME = 0.01  # standard deviations: a smaller change ends them
+STEPS = 50
+SETTLED = 1e-8  # of a standard deviation
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The same equations along the motion ``measured`` and along the one ``simulated``, row by row the same instants.
+
+    ``whole`` are both (n, p, n_theta + 4) with the units merged.
+    """
+
+    measured: Problem
+    simulated: Problem
+    whole: tuple[np.ndarray, np.ndarray]
+
+    def of(self, parameters: Sequence[str]) -> Pair:
+        """The same with some parameters only, the others taken for zero."""
+        gone = [name for name in self.measured.parameters if name not in set(parameters)]
+        kept = [k for k, name in enumerate(self.measured.parameters) if name in set(parameters)]
+        columns = [*kept, *range(self.measured.n_theta, self.measured.n_theta + 4)]
+        measured, simulated = (each[..., columns] for each in self.whole)
+        return Pair(self.measured.without(gone), self.simulated.without(gone), (measured, simulated))
+
+
+def instrumental(
+    data: Data, assembly: Assembly, solution: Solution, free_gains: bool, progress: Progress
+) -> tuple[Pair, Solution]:
+    """Estimates by instrumental variables, and the equations with their instruments.
+
+    Parameters
+    ----------
+    data, assembly, solution : Data, Assembly, Solution
+        What was identified without instruments, where the simulations begin.
+    free_gains : bool
+        Estimate the gains, or take those of ``solution``.
+
+    Raises
+    ------
+    GtauError
+        Where the robot cannot be simulated with what was found, or the iteration does not settle.
+    """
+    for k in range(PASSES):
+        progress("simulation", k, PASSES)
+        pair = paired(data, assembly, solution)
+        before, solution = solution, with_instruments(pair, solution, free_gains)
+        std = np.sqrt(np.diag(solution.covariance))
+        if np.all(np.abs(solution.stacked - before.stacked) <= SAME * std):
+            break
+    progress("simulation", PASSES, PASSES)
+    return pair, solution
+
+
+def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
+    """Solve the equations measured with the Jacobian of those simulated, from the gains and delays of ``start``.
+
+    Raises
+    ------
+    GtauError
+        Where the iteration does not settle.
+    """
+    problem, n_theta, n = pair.measured, pair.measured.n_theta, len(pair.measured.joints)
+    state = State(np.zeros(n_theta), 1 / start.gains, start.delays)
+
+    def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Errors (., n p), their Jacobian (., n p, k) and that of the instruments, weighted."""
+        e = residuals(blocks, state, n_theta) * weights[:, None]
+        J, Z = (jacobian(each, state, problem, free) * weights[:, None, None] for each in (blocks, instruments))
+        axes = (*e.shape[:-2], -1)
+        return e.reshape(axes), J.reshape(*axes, J.shape[-1]), Z.reshape(*axes, Z.shape[-1])
+
+    for k in range(STEPS):
+        free = free_gains and k > 0  # theta comes first: without it the model gives no currents for gains
+        errors = np.sum(residuals(pair.whole[0], state, n_theta) ** 2, axis=-1)
+        weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
+        e, J, Z = linear(*pair.whole)
+        norms = np.linalg.norm(Z, axis=0)
+        norms[norms == 0] = 1.0
+        Q, R = np.linalg.qr(Z / norms)
+        back = np.linalg.inv(R) / norms[:, None]
+        A = Q.T @ J @ back  # not Z^T J, in which half of the digits would be lost
+        step = -np.linalg.solve(A, Q.T @ e)
+        state = moved(state, back @ step, n_theta, free)
+        if k > 0 and np.linalg.norm(step) < SETTLED * np.sqrt(len(step)):
+            break
+    else:
+        raise GtauError(
+            "the iteration with instrumental variables did not settle, as the motion simulated has little to do with "
+            "the one measured; use --method ml, or add runs that tell the parameters better."
+        )
+    sigma = np.sqrt(errors / np.maximum(problem.total_rows - len(step) / n, 1))
+    T, inverse = to_gains(state, n_theta, free_gains) @ back, np.linalg.inv(A)
+    white = inverse @ (Q * np.repeat(sigma * weights, len(Q) // n)[:, None]).T
+
+    def replicates() -> np.ndarray:
+        units = []
+        for unit, other in zip(pair.measured.units, pair.simulated.units, strict=True):
+            e_u, J_u, Z_u = linear(unit, other)
+            left = inverse @ (Z_u @ back).T
+            units.append((left @ J_u @ back, left @ e_u))
+        return one_step(units) @ T.T
+
+    return Solution(state.theta, 1 / state.b, state.delays, sigma, T @ white @ white.T @ T.T, replicates)
+
+
+def paired(data: Data, assembly: Assembly, solution: Solution) -> Pair:
+    """The problem along the motion measured, and along the one simulated."""
+    simulated = resimulated_runs(data, assembly, solution)
+    loaded = any(term.startswith("fl_") for term in assembly.friction.terms)
+    loads = [assembly.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
+    decimator, columns = data.preparation.decimator, data.base.standard
+    pairs = [
+        _reduced(data.model, columns, measured, other, decimator, load)
+        for measured, other, load in zip(data.prepared, simulated, loads, strict=True)
+    ]
+    measured, instruments = (
+        replace(data, factors=factors).assembly(assembly.friction, assembly.problem.slowest > 0).whole
+        for factors in zip(*pairs, strict=True)
+    )
+    n_theta, whole, of_instruments = measured.n_theta, [], []
+    for j in range(len(measured.joints)):
+        together = np.concatenate([instruments.units[:, j, :, : n_theta + 1], measured.units[:, j]], axis=-1)
+        R = triangle(*together)
+        whole.append(R[:, n_theta + 1 :])
+        of_instruments.append(np.hstack([R[:, : n_theta + 1], R[:, 2 * n_theta + 2 :]]))
+    return Pair(measured, instruments, (np.stack(whole), np.stack(of_instruments))).of(assembly.problem.parameters)
+
+
+def _reduced(
+    idm: InverseDynamics,
+    columns: tuple[str, ...],
+    measured: Prepared,
+    simulated: Held,
+    decimator: Decimator,
+    load: np.ndarray | None,
+) -> tuple[Factors, Factors]:
+    """Factors of a run along the motion measured and along the one simulated, with the same rows behind each row.
+
+    The sign of a noisy speed is not that of the speed plus noise, so columns of Coulomb friction are those simulated.
+    The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by columns.
+    """
+    regressor = idm.columns(columns)
+    outputs = decimator.outputs(len(measured.time))
+    n, b = len(idm.actuated), len(columns) + EXTRA - CURRENTS
+    dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
+    T = [[np.zeros((0, 2 * b + CURRENTS))] * n for _ in range(STRETCHES)]
+    rows = np.zeros((STRETCHES, n), dtype=int)
+    waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a stretch and joint
+    held = 0
+
+    def merge() -> None:
+        for (s, j), more in waiting.items():
+            T[s][j] = triangle(T[s][j], *more)
+        waiting.clear()
+
+    streams = (stream_rows(idm, regressor, each, decimator, load) for each in (simulated, measured))
+    for part, other in zip(*streams, strict=True):
+        stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
+        A = np.zeros((n, len(part.time), 2 * b + CURRENTS))
+        for k, each in enumerate((part, other)):
+            A[regressor.rows, :, regressor.columns + k * b] = each.entries
+            A[:, :, k * b + len(columns) : (k + 1) * b] = each.terms.transpose(1, 2, 0)
+        A[:, :, b + dry] = A[:, :, dry]
+        A[:, :, 2 * b :] = other.currents.transpose(1, 2, 0)
+        keep = part.keep & other.keep
+        for s in np.unique(stretch).tolist():
+            for j in range(n):
+                chosen = A[j, (stretch == s) & keep[j]]
+                waiting[s, j].append(chosen)
+                rows[s, j] += len(chosen)
+        held += len(stretch)
+        if held >= ROWS:
+            merge()
+            held = 0
+    merge()
+    R = np.zeros((2, STRETCHES, n, 2 * b + CURRENTS, b + CURRENTS))
+    for s in range(STRETCHES):
+        for j in range(n):
+            of = T[s][j]
+            for k in range(2):
+                R[k, s, j, : len(of)] = np.hstack([of[:, (1 - k) * b : (2 - k) * b], of[:, 2 * b :]])
+    return Factors(R[0], rows), Factors(R[1], rows)

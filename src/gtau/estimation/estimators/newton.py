@@ -1,0 +1,242 @@
+"""Newton's method for currents that are bilinear in the parameters and 1/g, and the covariances of what it finds.
+
+The errors are ``e_j = v(t - d_j) - (W_theta theta + known) / g_j``, the unknowns theta, ``b = 1 / g`` and the delays d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.problem import Problem, delayed
+from gtau.estimation.regression.triangle import triangle
+
+STEPS = 200
+SETTLED = 1e-9  # of a standard deviation: a smaller step ends the iteration
+ROUNDING = 1e-14  # of the terms that make up the residuals: no step can be told from rounding below this
+RANK = 1e-13  # of the largest singular value: less is rounding
+FLATTEST = 0.05  # least curvature that is believed, as a share of that of Gauss and Newton
+LARGEST_STEP = 1e8  # of leaving a unit out, in standard deviations: more, and only that unit tells
+
+
+@dataclass(frozen=True)
+class State:
+    """Unknowns of the current-domain model."""
+
+    theta: np.ndarray
+    b: np.ndarray  # 1 / g
+    delays: np.ndarray
+
+
+def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Solution of ``min |A x - y|``, columns brought to one scale first."""
+    norms = np.linalg.norm(A, axis=0)
+    norms[norms == 0] = 1.0
+    return np.linalg.lstsq(A / norms, y, rcond=None)[0] / norms
+
+
+def residuals(blocks: np.ndarray, state: State, n_theta: int) -> np.ndarray:
+    """Residuals (..., n, p) of blocks (..., n, p, n_theta + 4)."""
+    shifts = np.stack([delayed(d) for d in state.delays])
+    currents = np.einsum("...jpk,jk->...jp", blocks[..., n_theta + 1 :], shifts)
+    return np.asarray(currents - state.b[:, None] * modelled(blocks, state.theta))
+
+
+def modelled(blocks: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Torques (..., n, p) that parameters (n_theta,) give blocks (..., n, p, n_theta + 4)."""
+    return np.asarray(np.einsum("...jpk,k->...jp", blocks[..., : len(theta)], theta) + blocks[..., len(theta)])
+
+
+def jacobian(blocks: np.ndarray, state: State, problem: Problem, free_gains: bool) -> np.ndarray:
+    """Derivatives of the residuals by (theta, b, d) or (theta, d), (..., n, p, parameters)."""
+    n_theta = problem.n_theta
+    W, currents = blocks[..., :n_theta], blocks[..., n_theta + 1 :]
+    n = len(state.b)
+    eye = np.eye(n)[:, None, :]
+    parts = [-state.b[:, None, None] * W]
+    if free_gains:
+        parts.append(-modelled(blocks, state.theta)[..., None] * eye)
+    shift = (state.delays[:, None] * currents[..., 2] - currents[..., 1]) * (problem.slowest > 0)
+    parts.append(shift[..., None] * eye)
+    return np.concatenate(parts, axis=-1)
+
+
+def moved(state: State, step: np.ndarray, n_theta: int, free_gains: bool) -> State:
+    """The state after a step in the unknowns of :func:`jacobian`."""
+    n = len(state.b)
+    b = state.b + step[n_theta : n_theta + n] if free_gains else state.b
+    return State(state.theta + step[:n_theta], b, state.delays + step[-n:])
+
+
+def stacked(problem: Problem) -> np.ndarray:
+    """The joints' triangles in one array, (n, p, n_theta + 4), filled up with zero rows."""
+    triangles = np.zeros((len(problem.joints), max(map(len, problem.triangles)), problem.n_theta + 4))
+    for j, R in enumerate(problem.triangles):
+        triangles[j, : len(R)] = R
+    return triangles
+
+
+def solve(
+    problem: Problem,
+    start: State,
+    weigh: Callable[[State, np.ndarray], np.ndarray],
+    free_gains: bool,
+    prior: np.ndarray | None = None,
+) -> Solution:
+    """Newton's method with re-estimated weights, then the covariances; the solution says whether it settled."""
+    n, n_theta = len(problem.joints), problem.n_theta
+    triangles = stacked(problem)
+    sizes = np.abs(triangles)
+    state = start
+
+    size = _size(n, n_theta, free_gains)
+    known = np.zeros((0, n_theta + 1)) if prior is None else prior
+    J_known = np.pad(known[:, :-1], ((0, 0), (0, size - n_theta)))
+
+    def errors(at: State) -> np.ndarray:
+        return np.sum(residuals(triangles, at, n_theta) ** 2, axis=-1)
+
+    def cost(at: State) -> float:
+        return float(weights**2 @ errors(at) + np.sum((known[:, :-1] @ at.theta - known[:, -1]) ** 2))
+
+    for _ in range(STEPS):
+        weights = weigh(state, errors(state))
+        J = (jacobian(triangles, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size)
+        J = np.concatenate([J, J_known])
+        e = (residuals(triangles, state, n_theta) * weights[:, None]).reshape(-1)
+        e = np.concatenate([e, known[:, :-1] @ state.theta - known[:, -1]])
+        back = whitening(J, curvature_of_delays(triangles, state, problem, weights))
+        step = -back @ (back.T @ (J.T @ e))
+        before, share = cost(state), 1.0
+        terms = sizes[:, :, n_theta + 1] + np.abs(state.b)[:, None] * modelled(sizes, np.abs(state.theta))
+        rounding = ROUNDING * float(np.linalg.norm(terms * weights[:, None]))
+        highest = (np.sqrt(before) + rounding) ** 2
+        while share > 1e-6 and cost(moved(state, share * step, n_theta, free_gains)) > highest:
+            share /= 2
+        state = moved(state, share * step, n_theta, free_gains)
+        smallest = max(SETTLED * np.sqrt(before / problem.total_rows.sum()), rounding)
+        if np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]):
+            settled = True
+            break
+    else:
+        settled = False
+    solution = finish(problem, triangles, state, weigh(state, errors(state)), errors(state), free_gains, J_known)
+    return replace(solution, settled=settled)
+
+
+def curvature_of_delays(blocks: np.ndarray, state: State, problem: Problem, weights: np.ndarray) -> np.ndarray:
+    """What ``e e'' `` adds to the curvature of the cost in each joint's delay, (..., n).
+
+    Where motions are slow and the current's noise white, ``v'`` is mostly noise; Gauss and Newton then see a curvature
+    that is not there, and their steps in the delays are a hundred times too short.
+    """
+    e = residuals(blocks, state, problem.n_theta)
+    second = np.einsum("...jp,...jp->...j", e, blocks[..., problem.n_theta + 3])
+    return np.asarray(second * weights**2 * (problem.slowest > 0))
+
+
+def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+    """``B`` (k, .) with ``B B^T`` the inverse of ``rows^T rows``, its last diagonal entries raised by ``curvature``.
+
+    Directions without any effect are left out, and those in which the curvature is hardly there count as a little
+    curved.
+    """
+    norms = np.linalg.norm(rows, axis=0)
+    norms[norms == 0] = 1.0
+    _, s, Vt = np.linalg.svd(triangle(rows / norms), full_matrices=False)
+    told = s > RANK * s[0]
+    back = Vt[told].T / s[told] / norms[:, None]
+    added = back[len(back) - len(curvature) :]
+    values, vectors = np.linalg.eigh(np.eye(back.shape[1]) + (added.T * curvature) @ added)
+    return np.asarray(back @ (vectors / np.sqrt(np.maximum(values, FLATTEST))))
+
+
+def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """``gauss + second`` (k, k), of which the delays' curvature leaves ``FLATTEST`` of that of Gauss and Newton."""
+    try:
+        np.linalg.cholesky((1 - FLATTEST) * gauss + second)
+        return np.asarray(gauss + second)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(gauss)
+        told = values > RANK * values[-1]
+        root, inverse = vectors[:, told] * np.sqrt(values[told]), vectors[:, told] / np.sqrt(values[told])
+        shares, axes = np.linalg.eigh(np.eye(root.shape[1]) + inverse.T @ second @ inverse)
+        return np.asarray(root @ (axes * np.maximum(shares, FLATTEST)) @ axes.T @ root.T)
+
+
+def _size(n: int, n_theta: int, free_gains: bool) -> int:
+    return n_theta + (2 if free_gains else 1) * n
+
+
+def finish(
+    problem: Problem,
+    triangles: np.ndarray,
+    state: State,
+    weights: np.ndarray,
+    errors: np.ndarray,
+    free_gains: bool,
+    J_known: np.ndarray,
+) -> Solution:
+    """Covariances of what was found at ``state``; ``J_known`` (., k) are further equations, of priors."""
+    n, n_theta = len(problem.joints), problem.n_theta
+    size = _size(n, n_theta, free_gains)
+    sigma = np.sqrt(errors / np.maximum(problem.total_rows - size / n, 1))
+    J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]  # (n, p, size)
+    rows = np.concatenate([J.reshape(-1, size), J_known])
+    # from whitened to physical parameters
+    back = whitening(rows, curvature_of_delays(triangles, state, problem, weights))
+    white = (J @ back * (sigma * weights)[:, None, None]).reshape(-1, back.shape[1])
+    of_prior = back @ (back.T @ (J_known.T @ J_known) @ back) @ back.T
+    formula = back @ (white.T @ white) @ back.T + of_prior
+    gains, T = 1 / state.b, to_gains(state, n_theta, free_gains)
+
+    def curvature(blocks: np.ndarray) -> np.ndarray:
+        added = back[size - n :]
+        return np.asarray((added.T * curvature_of_delays(blocks, state, problem, weights)) @ added)
+
+    def replicates() -> np.ndarray:
+        # one step from the solution, with unit u left out
+        whitened, second, units = rows @ back, curvature(triangles), []
+        gauss = whitened.T @ whitened
+        for unit in problem.units:
+            J_u = (jacobian(unit, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
+            e_u = (residuals(unit, state, n_theta) * weights[:, None]).reshape(-1)
+            left = curved(gauss - J_u.T @ J_u, second - curvature(unit))
+            units.append((np.eye(len(left)) - left, J_u.T @ e_u))
+        return one_step(units) @ (T @ back).T
+
+    return Solution(state.theta, gains, state.delays, sigma, T @ formula @ T.T, replicates, {}, T @ of_prior @ T.T)
+
+
+def to_gains(state: State, n_theta: int, free_gains: bool) -> np.ndarray:
+    """Derivatives of (theta, g, d) by the unknowns of :func:`jacobian`, (n_theta + 2 n, .)."""
+    n = len(state.b)
+    size = _size(n, n_theta, free_gains)
+    T = np.zeros((n_theta + 2 * n, size))
+    T[:n_theta, :n_theta] = np.eye(n_theta)
+    if free_gains:
+        T[n_theta : n_theta + n, n_theta : n_theta + n] = -np.diag(1 / state.b**2)
+    T[n_theta + n :, size - n :] = np.eye(n)
+    return T
+
+
+def one_step(units: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Newton's steps (U, k) from the estimates of all units to those without each.
+
+    ``units`` are each unit's share in the matrix of the normal equations (k, k), whose sum is the unit matrix, and its
+    equations' left-hand side (k,), whose sum is zero.
+    """
+    steps = []
+    for share, side in units:
+        left = np.eye(len(share)) - share
+        try:
+            inverse = np.linalg.inv(left)
+            if np.abs(inverse).max() > LARGEST_STEP:
+                raise np.linalg.LinAlgError
+            steps.append(inverse @ side)
+        except np.linalg.LinAlgError:  # what only this unit tells stays as it is
+            steps.append(np.linalg.lstsq(left, side, rcond=1e-10)[0])
+    return np.array(steps)

@@ -1,0 +1,149 @@
+"""Standard parameters that rigid bodies can have, behind the identified base parameters.
+
+The data fix sums of standard parameters and say nothing of the rest. Simulation and control want every
+one of them, and a mass matrix that is positive: so the fit is repeated over the standard parameters, with
+a positive definite pseudo-inertia for every link, platform and payload, friction and rotor inertia not
+negative, and the bounds and priors that are given. With the gains free it is a sequence of convex
+programmes, each one Gauss-Newton step of the maximum likelihood in the current domain.
+
+What the data leave open is taken close to a plausible robot: solid links of equal masses, no friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.newton import State, jacobian, moved, residuals, stacked
+from gtau.estimation.estimators.ridge import Unknowns, standard_unknowns
+from gtau.estimation.estimators.semidefinite import constrained_least_squares, pseudo_inertia
+from gtau.estimation.estimators.solution import Solution, jackknife
+from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.triangle import leave_one_out, triangle
+from gtau.estimation.results.estimate import Consistency, Move
+from gtau.robots.robot import INERTIAL
+from gtau.signals.experiment import Prior
+
+STEPS = 40
+SETTLED = 1e-3  # of a standard deviation
+
+
+def consistent(
+    data: Data, assembly: Assembly, solution: Solution, priors: Mapping[str, Prior], free_gains: bool
+) -> Consistency:
+    """Physically consistent standard parameters, alone (gains given) or together with the gains.
+
+    Parameters
+    ----------
+    data, assembly, solution : Data, Assembly, Solution
+        What was identified without regard to consistency.
+    priors : mapping
+        Standard parameter to what is known of it.
+    free_gains : bool
+        Estimate the gains again, under the constraints.
+
+    Raises
+    ------
+    GtauError
+        Where no rigid bodies agree with the priors and payloads, the programme does not settle, or
+        its solver is not installed.
+    """
+    problem, n = assembly.whole, len(assembly.whole.joints)
+    unknowns = standard_unknowns(data, assembly, solution, priors)
+    triangles, n_theta = stacked(problem), problem.n_theta
+    values = dict(zip(assembly.problem.parameters, solution.theta, strict=True))
+    theta = np.array([values.get(name, 0.0) for name in problem.parameters])
+    state = State(theta, 1 / solution.gains, solution.delays)
+
+    def errors(at: State) -> np.ndarray:
+        return np.sum(residuals(triangles, at, n_theta) ** 2, axis=-1)
+
+    before = errors(state)
+    for _ in range(STEPS):
+        weights = 1 / np.maximum(np.sqrt(errors(state) / problem.total_rows), problem.smallest_sigma)
+        R = triangle(_linear(triangles, state, problem, weights, free_gains))
+        x, rest = _programme(R, unknowns)
+        step = np.concatenate([unknowns.S @ x - state.theta, rest])
+        state = moved(state, step, n_theta, free_gains)
+        J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]
+        if np.linalg.norm(J.reshape(-1, step.size) @ step) < SETTLED * np.sqrt(step.size):
+            break
+    else:
+        raise GtauError(
+            "the search for physically consistent parameters did not settle; give 'priors' for the parameters that "
+            "the data leave open, or identify without --consistent."
+        )
+    gain_std = _gain_std(problem, state, weights, unknowns) if free_gains else np.zeros(n)
+    std = dict(zip(assembly.problem.parameters, np.sqrt(np.diag(solution.jackknife)), strict=False))
+    gains, free_std = 1 / state.b, np.sqrt(np.diag(solution.jackknife))[len(values) : len(values) + n]
+    moves = [
+        Move(name, values[name], float(value), abs(float(value) - values[name]) / std[name])
+        for name, value in zip(problem.parameters, state.theta, strict=True)
+        if "@" not in name and std.get(name)
+    ]
+    moves += [
+        Move(f"gain_{joint}", float(a), float(b), float(abs(b - a) / s))
+        for joint, a, b, s in zip(problem.joints, solution.gains, gains, free_std, strict=True)
+        if free_gains
+    ]
+    count = len(data.model.parameter_names)
+    return Consistency(
+        standard={name: float(value) for name, value in zip(unknowns.names[:count], x[:count], strict=True)},
+        payloads={
+            body.name: dict(zip(INERTIAL, map(float, body.values(x)), strict=True))
+            for body in unknowns.bodies[len(unknowns.bodies) - len(assembly.payloads) :]
+        },
+        gains={joint: (float(g), float(s)) for joint, g, s in zip(problem.joints, gains, gain_std, strict=True)},
+        moves=tuple(sorted(moves, key=lambda move: -move.deviations)),
+        eigenvalues={
+            body.name: float(np.linalg.eigvalsh(pseudo_inertia(body.values(x)))[0]) for body in unknowns.bodies
+        },
+        loss={
+            joint: 100 * float(np.sqrt(after / first) - 1)
+            for joint, first, after in zip(problem.joints, before, errors(state), strict=True)
+        },
+        open=data.base.without_effect,
+    )
+
+
+def _linear(blocks: np.ndarray, state: State, problem: Problem, weights: np.ndarray, free_gains: bool) -> np.ndarray:
+    """Rows ``[J_theta J_rest | y]`` (., size + 1): errors linear in theta and in steps of 1/g and the delays."""
+    J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
+    J = J.reshape(-1, J.shape[-1])
+    e = (residuals(blocks, state, problem.n_theta) * weights[:, None]).reshape(-1)
+    return np.column_stack([J, J[:, : problem.n_theta] @ state.theta - e])
+
+
+def _programme(R: np.ndarray, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns x, and steps of 1/g and of the delays, that solve one convex programme."""
+    n_theta, c = unknowns.S.shape
+    R, y = R[:-1, :-1], R[:-1, -1]  # the last row is what no unknown can explain
+    rest = R.shape[1] - n_theta
+    A = np.zeros((len(R) + c, c + rest))
+    A[: len(R), :c], A[: len(R), c:] = R[:, :n_theta] @ unknowns.S, R[:, n_theta:]
+    A[len(R) :, :c] = np.diag(1 / unknowns.spread)
+    sizes = np.linalg.norm(R[:, n_theta:], axis=0)
+    free = np.full(rest, np.inf)
+    solved = constrained_least_squares(
+        A,
+        np.concatenate([y, unknowns.centre / unknowns.spread]),
+        unknowns.bodies,
+        np.concatenate([unknowns.lower, -free]),
+        np.concatenate([unknowns.upper, free]),
+        np.concatenate([unknowns.unit, 1 / np.where(sizes > 0, sizes, 1.0)]),
+        unknowns.mass,
+        unknowns.length,
+    )
+    return solved[:c], solved[c:]
+
+
+def _gain_std(problem: Problem, state: State, weights: np.ndarray, unknowns: Unknowns) -> np.ndarray:
+    """Standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
+    n = len(problem.joints)
+    factors = [triangle(_linear(unit, state, problem, weights, True)) for unit in problem.units]
+    gains = np.array([1 / (state.b + _programme(R, unknowns)[1][:n]) for R in leave_one_out(factors)])
+    return np.sqrt(np.diag(jackknife(gains)))

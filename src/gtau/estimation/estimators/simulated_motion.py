@@ -1,0 +1,163 @@
+"""Motion simulated in closed loop with the current estimate, free of the noise of the encoders.
+
+The estimators with instruments (:mod:`gtau.estimation.estimators.instrumental_variables`) and DIDIM
+(:mod:`gtau.estimation.estimators.didim`) take the regressor along a simulated motion. A log does not say by which law
+its robot was controlled, so the one simulated is the usual stand-in: PID through the inertia of the model itself, the
+acceleration of the reference fed forward,
+
+    M(q) (qdd_r + kd ed + kp e + ki int e) = M(q) qdd + h(q, qd),      e = q_r - q
+
+with all three poles at ``-pole``. The measured motion, smoothed to the bandwidth of the motion, is the reference.
+What the model has besides inertia then acts as a disturbance: ``e = s / (s + pole)^3  M^-1 h``. This is solved for the
+whole run, block by block, by filtering ``M^-1 h`` along the motion of the pass before, until the motion stays: the loop
+forgets in a few ``1 / pole``, so two or three passes do, each as fast as the model is along a log. (Integrated step
+by step, the Orthoglide takes a thousand times as long.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.rows import Labels
+from gtau.estimation.regression.system import Assembly
+from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
+from gtau.signals.filters import filter_edge, position_filter
+from gtau.signals.preparation import Held, Preparation, Prepared, Sampled
+from gtau.signals.storage import Store, block, spans
+
+SMOOTH = 4.0  # cut-off of the reference over the bandwidth of the motion
+POLE = 20.0  # of the loop, over the bandwidth of the motion
+PASSES = 20
+SETTLED = 1e-6  # change of the accelerations, of their rms
+MEASURED = ("command", "command_d", "command_dd", "usable")
+
+
+def resimulated_runs(data: Data, assembly: Assembly, solution: Solution) -> tuple[Held, ...]:
+    """All runs along the motion that the loop, simulated with what was found, gives them; see :func:`resimulated`."""
+    regressor = data.model.columns(data.base.standard)
+    return tuple(
+        resimulated(data.model, regressor, assembly.motion(k, solution.theta), each, data.preparation)
+        for k, each in enumerate(data.prepared)
+    )
+
+
+def resimulated(
+    idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: Prepared, preparation: Preparation
+) -> Held:
+    """A run along the motion that the loop simulated gives it; rows in the reference's ends are left out too.
+
+    Parameters
+    ----------
+    idm, regressor, values : InverseDynamics, Regressor, ndarray
+        The model, and its columns with their values (columns,): inertia, payload and friction of the run.
+    prepared, preparation : Prepared, Preparation
+        The run as measured, and the bandwidth of the motion.
+
+    Raises
+    ------
+    GtauError
+        Where the inertia estimated is not positive, so that there is nothing to simulate, or the loop does not settle.
+    """
+    run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
+    rate, edge = run.rate, filter_edge(run.rate, SMOOTH * preparation.bandwidth)
+    cutoff = SMOOTH * preparation.bandwidth if SMOOTH * preparation.bandwidth < 0.4 * rate else None
+    pole = 2 * np.pi * POLE * preparation.bandwidth
+    motion: list[np.ndarray] = []
+    for _ in range(PASSES):
+        stores, loop, c = [Store((n,)) for _ in range(3)], Loop(rate, pole), None
+        change = size = 0.0
+        for start, stop in spans(samples, PATH):
+            reference = position_filter(run.position, rate, cutoff, kept.start + start, kept.start + stop)
+            before = [block(each, start, stop) for each in motion] or reference
+            labels = Labels(run.name, block(prepared.time, start, stop))
+            disturbance, c = _disturbance(idm, regressor, values, before, reference[1], labels, c)
+            following = [r - e for r, e in zip(reference, loop.errors(disturbance), strict=True)]
+            for each, part in zip(stores, following, strict=True):
+                each.append(part)
+            change += float(np.sum((following[2] - before[2]) ** 2))
+            size += float(np.sum(reference[2] ** 2))
+        motion = [each.array() for each in stores]
+        if change < SETTLED**2 * size:
+            break
+    else:
+        raise GtauError(
+            f"run '{run.name}': the robot simulated with the parameters estimated does not follow its motion; "
+            "use --method ml, or add runs that tell the parameters better."
+        )
+    rest = {name: Store((n,), bool if name == "usable" else float) for name in MEASURED}
+    for start, stop in spans(samples):
+        measured = prepared.samples(start, stop)
+        number = np.arange(kept.start + start, kept.start + stop)
+        measured.usable[(number < edge) | (number >= len(run.time) - edge)] = False
+        for name, each in rest.items():
+            each.append(getattr(measured, name))
+    return Held(run, Sampled(prepared.time, *motion, **{name: each.array() for name, each in rest.items()}))
+
+
+def _disturbance(
+    idm: InverseDynamics,
+    regressor: Regressor,
+    values: np.ndarray,
+    motion: Sequence[np.ndarray],
+    direction: np.ndarray,
+    here: Labels,
+    before: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """``M^-1 h`` (M, n) along some samples of a motion, three of (M, n), and the last configuration.
+
+    Coulomb friction opposes the speeds of ``direction`` (M, n), those of the reference, so that a joint needs no
+    stiction; rows where the two differ in sign are next to a reversal, and masked. ``before`` is the configuration
+    ahead of them.
+    """
+    q, qd, directed = (np.ascontiguousarray(each.T) for each in (*motion[:2], direction))
+    dry = np.array([name.startswith("fs_") for name in regressor.names])
+    c = idm.path(q, here, before)
+    still = np.zeros_like(q)
+    moving = idm.rates(c, qd, still, here)
+    h = regressor.torques_along(idm.layout, moving, np.where(dry, 0.0, values))
+    signs = idm.rates(c, directed, still, here)
+    h += regressor.torques_along(idm.layout, signs, np.where(dry, values, 0.0))
+    rest = replace(moving, yd=np.zeros_like(moving.yd), ydd=np.zeros_like(moving.ydd))
+    weight = regressor.torques_along(idm.layout, rest, values)
+    columns = [
+        regressor.torques_along(idm.layout, replace(rest, ydd=np.ascontiguousarray(moving.J[:, k])), values) - weight
+        for k in range(len(q))
+    ]
+    M = np.stack(columns, axis=1).transpose(2, 0, 1)
+    M = (M + M.swapaxes(1, 2)) / 2
+    lowest = np.linalg.eigvalsh(M / np.sqrt(np.einsum("ti,tj->tij", *2 * [np.abs(np.einsum("tii->ti", M))])))[:, 0]
+    if not lowest.min() > 0:
+        raise GtauError(
+            f"the inertia estimated is not positive ({here[int(lowest.argmin())]}), so the robot cannot be "
+            "simulated; use --method ml, or add runs that tell the parameters better."
+        )
+    return np.linalg.solve(M, h.T[:, :, None])[:, :, 0], c[:, -1]
+
+
+class Loop:
+    """The loop's error and its first two derivatives as a disturbance goes by, block by block.
+
+    At the beginning it is as if the first disturbance had always been there.
+    """
+
+    def __init__(self, rate: float, pole: float):
+        from scipy.signal import bilinear
+
+        denominator = [1.0, 3 * pole, 3 * pole**2, pole**3]
+        self._filters = [bilinear([1.0, *[0.0] * (k + 1)], denominator, rate) for k in range(3)]
+        self._states: list[np.ndarray] = []
+
+    def errors(self, disturbance: np.ndarray) -> list[np.ndarray]:
+        """Three of (M, n) from a disturbance (M, n)."""
+        from scipy.signal import lfilter, lfilter_zi
+
+        states = self._states or [lfilter_zi(b, a)[:, None] * disturbance[:1] for b, a in self._filters]
+        found = [lfilter(b, a, disturbance, axis=0, zi=z) for (b, a), z in zip(self._filters, states, strict=True)]
+        self._states = [state for _, state in found]
+        return [error for error, _ in found]

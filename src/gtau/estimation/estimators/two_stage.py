@@ -1,0 +1,74 @@
+"""Two-stage least squares (2SLS): the currents are replaced by what their own joint's regressor explains of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.newton import State, finish, least_squares, one_step, residuals, stacked
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.problem import Problem, delayed
+from gtau.estimation.regression.triangle import triangle
+
+
+def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
+    """Two-stage least squares (2SLS).
+
+    The currents are first projected on their own joint's regressor columns, which frees them of noise
+    uncorrelated with the motion; the known payload then stands alone on the right-hand side.
+
+    Parameters
+    ----------
+    problem : Problem
+        All equations.
+    delays : ndarray, optional
+        Of the currents, (n,), s; if left out, those that each joint's own model explains best.
+    """
+    delays = problem.own_delays if delays is None else delays
+    n, n_theta = len(problem.joints), problem.n_theta
+    coefficients = [
+        least_squares(R[:, columns], R[:, n_theta + 1 :] @ delayed(d))
+        for R, columns, d in zip(problem.triangles, problem.own_columns, delays, strict=True)
+    ]
+    blocks = [_rows(problem, j, R, coefficients[j]) for j, R in enumerate(problem.triangles)]
+    gains = np.ones(n)
+    for _ in range(3):
+        scale = 1 / (problem.own_sigma * np.abs(gains))
+        A = np.concatenate([block * weight for block, weight in zip(blocks, scale, strict=True)])
+        x = least_squares(A[:, :-1], -A[:, -1])
+        gains = x[n_theta:]
+        if not np.all(np.abs(gains) > 0):
+            raise GtauError(
+                "the currents of some joint do not follow its motion at all; check the columns of the current "
+                "references."
+            )
+    state = State(x[:n_theta], 1 / gains, delays)
+    errors = np.sum(residuals(stacked(problem), state, n_theta) ** 2, axis=-1)
+    weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
+    solution = finish(problem, stacked(problem), state, weights, errors, True, np.zeros((0, n_theta + 2 * n)))
+
+    def replicates() -> np.ndarray:
+        norms = np.linalg.norm(A[:, :-1], axis=0)
+        norms[norms == 0] = 1.0
+        back = np.linalg.pinv(triangle(A[:, :-1] / norms)) / norms[:, None]
+        units = []
+        for unit in problem.units:
+            # the projected currents of a unit are its regressor's rows with the coefficients of all units
+            A_u = np.concatenate([_rows(problem, j, unit[j], coefficients[j]) * scale[j] for j in range(n)])
+            e_u = (residuals(unit, state, n_theta) * (scale * gains)[:, None]).reshape(-1)
+            white = A_u[:, :-1] @ back
+            units.append((white.T @ white, -(white.T @ e_u)))
+        return np.hstack([one_step(units) @ back.T, np.zeros((len(problem.units), n))])  # delays are those of all units
+
+    return replace(solution, replicates=replicates)
+
+
+def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Rows ``[W_theta -v_projected | known]`` of the second stage from a block (., n_theta + 4) of joint j."""
+    n_theta = problem.n_theta
+    rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
+    rows[:, :n_theta], rows[:, -1] = block[:, :n_theta], block[:, n_theta]
+    rows[:, n_theta + j] = -block[:, problem.own_columns[j]] @ coefficients
+    return rows

@@ -1,0 +1,152 @@
+"""Base parameters: the fewest that the model can be computed from (paper, section 3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gtau.estimation.regression.legs import identical_legs
+from gtau.estimation.regression.triangle import triangle
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.random_states import random_motion
+from gtau.robots.robot import INERTIAL, Robot
+
+DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
+SAMPLES = 1500
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """A set of base parameters and what each regroups.
+
+    Attributes
+    ----------
+    names : tuple of str
+        ``count`` names; one that regroups others ends in ``R``.
+    standard : tuple of str
+        The standard parameter whose column each base parameter keeps.
+    regroupings : dict
+        Name to formula in standard parameters, as text.
+    matrix : ndarray
+        (count, n_st): base parameters from standard ones, ``chi = matrix @ chi_st``.
+    without_effect : tuple of str
+        Standard parameters that act on no actuated joint.
+    """
+
+    names: tuple[str, ...]
+    standard: tuple[str, ...] = field(repr=False)
+    regroupings: dict[str, str] = field(repr=False)
+    matrix: np.ndarray = field(repr=False)
+    without_effect: tuple[str, ...] = field(repr=False)
+
+    @property
+    def count(self) -> int:
+        """Number of base parameters, n_b."""
+        return len(self.names)
+
+
+def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
+    """``names`` in the order of eq. (23): platforms first, then parameter by parameter over like legs.
+
+    Joints on the way to a motor stand before the others, so that no coupling bar takes up what belongs to a motor.
+    """
+    order = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
+    kinds = list(dict.fromkeys(name.split("_", 1)[0] for name in names))
+    towards_motors: set[str] = set()
+    for joint in reversed(robot.joints):
+        if joint.name in robot.driven or joint.name in towards_motors:
+            towards_motors |= {joint.name, joint.antecedent}
+    joints = [alike for group in identical_legs(robot) for alike in zip(*group, strict=True)]
+    for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
+        order += [f"{kind}_{joint}" for kind in kinds for joint in alike]
+    wanted = set(names)
+    return [name for name in order if name in wanted]
+
+
+def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
+    """Base parameters of a robot from the structure of its model.
+
+    The regressor of random feasible states is factorised by QR without pivoting, its columns
+    normalised and in the symmetric order of eq. (23); a column that depends on those kept before it is
+    skipped, and its parameter regrouped with theirs (eq. 22).
+
+    Parameters
+    ----------
+    idm : InverseDynamics
+        Model of the robot.
+    seed : int
+        Of the random states.
+
+    Raises
+    ------
+    GtauError
+        Where the robot's limits leave no feasible states.
+    """
+    motion = random_motion(idm, SAMPLES, np.random.default_rng(seed))
+    order = symmetric_order(idm.robot, idm.parameter_names)
+    entries = idm.full(idm.layout, motion)
+    position = {name: k for k, name in enumerate(idm.parameter_names)}
+    W = np.zeros((len(idm.actuated), motion.c.shape[1], len(position)))
+    W[idm.full.rows, :, idm.full.columns] = entries
+    R = triangle(W.reshape(-1, len(position))[:, [position[name] for name in order]])
+    kept, coefficients, idle = independent_columns(R)
+    matrix = np.zeros((len(kept), len(position)))
+    for row in range(len(kept)):
+        for column, name in enumerate(order):
+            matrix[row, position[name]] = coefficients[row, column]
+    standard = [order[k] for k in kept]
+    names, regroupings = [], {}
+    for row, own in enumerate(standard):
+        others = [name for name in idm.parameter_names if name != own and matrix[row, position[name]]]
+        names.append(own + "R" if others else own)
+        regroupings[names[-1]] = own + "".join(_term(matrix[row, position[name]], name) for name in others)
+    return BaseParameters(tuple(names), tuple(standard), regroupings, matrix, tuple(order[k] for k in idle))
+
+
+def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]]:
+    """Columns of ``A`` that do not depend on those before them.
+
+    Parameters
+    ----------
+    A : ndarray
+        (r, c), any matrix or its triangular factor.
+
+    Returns
+    -------
+    kept : list of int
+        Indices of the b independent columns.
+    coefficients : ndarray
+        (b, c): column k of ``A`` is ``A[:, kept] @ coefficients[:, k]``.
+    idle : list of int
+        Indices of the columns that are zero.
+    """
+    norms = np.linalg.norm(A, axis=0)
+    idle = norms <= 1e-12 * norms.max(initial=0.0)
+    units = A / np.where(idle, 1.0, norms)
+    Q = np.zeros((min(A.shape), A.shape[0]))  # orthonormal rows, the first len(kept) of them
+    kept: list[int] = []
+    triangle = np.zeros((min(A.shape), A.shape[1]))
+    for k in np.flatnonzero(~idle):
+        rest, basis = units[:, k].copy(), Q[: len(kept)]
+        for _ in range(2):  # twice is enough to stay orthogonal
+            along = basis @ rest
+            rest -= along @ basis
+            triangle[: len(kept), k] += along
+        size = np.linalg.norm(rest)
+        if size > DEPENDENT:
+            triangle[len(kept), k] = size
+            Q[len(kept)] = rest / size
+            kept.append(int(k))
+    b = len(kept)
+    coefficients = np.linalg.solve(triangle[:b, kept], triangle[:b]) if b else np.zeros((0, A.shape[1]))
+    coefficients[np.abs(coefficients) < 1e-7] = 0.0
+    coefficients *= norms / norms[kept][:, None]
+    return kept, coefficients, [int(k) for k in np.flatnonzero(idle)]
+
+
+def _term(coefficient: float, name: str) -> str:
+    sign = "-" if coefficient < 0 else "+"
+    size = abs(coefficient)
+    return f" {sign} {name}" if abs(size - 1.0) < 1e-6 else f" {sign} {size:.5g} {name}"

@@ -1,0 +1,275 @@
+"""All runs of an experiment, read and reduced to factors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
+from gtau.estimation.regression.factors import STRETCHES, Factors, Weigh, joined, outputs_of, reduce_run
+from gtau.estimation.regression.friction import PAPER, Friction
+from gtau.estimation.regression.motion_limits import within_limits
+from gtau.estimation.regression.system import Assembly, assemble
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import Progress, silent
+from gtau.robots.load import load_robot
+from gtau.robots.plausibility import oddities, tool_note
+from gtau.robots.robot import Robot
+from gtau.signals.decimation import Decimator, decimation_factor
+from gtau.signals.experiment import Experiment, LoggedRun, Payload, check_robot, read_experiment
+from gtau.signals.filters import cutoff_frequency
+from gtau.signals.preparation import Preparation, Prepared, choose_preparation, prepare
+from gtau.signals.run import Run, arrange, read_run
+
+if TYPE_CHECKING:
+    from gtau.estimation.results.result import Result
+
+PART = 1 << 19  # samples of a run that are worth a part of their own
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some stretches of a run, with all that is needed to reduce them.
+
+    It can be sent to another process, which then has no more of the run than these stretches are made from: of a run
+    that was read from logs it reads as much there. What is found does not depend on how a run is cut into parts.
+
+    Attributes
+    ----------
+    robot : Robot
+        Its model is made once in a process.
+    columns : tuple of str
+        Standard parameters wanted, the columns of the factors.
+    prepared, decimator : Prepared, Decimator
+        The run, and the filter of its rows.
+    stretches : range
+        Which of the run's ``STRETCHES`` jackknife stretches.
+    load : ndarray, optional
+        Values of the columns that give the torques transmitted by the joints; see :func:`stream_rows`.
+    weigh : Weigh, optional
+        Weights of the rows; see :func:`reduce_run`.
+    """
+
+    robot: Robot
+    columns: tuple[str, ...]
+    prepared: Prepared
+    decimator: Decimator
+    stretches: range
+    load: np.ndarray | None = None
+    weigh: Weigh | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        each = self.prepared
+        outputs = outputs_of(self.stretches, self.decimator.outputs(len(each)))
+        reach = self.decimator.reach(len(each), outputs)
+        needed = each.needed(reach.start, max(reach.stop, reach.start + 1))
+        return self.__dict__ | {"prepared": replace(each, run=each.run.only(needed))}
+
+
+Mapper = Callable[[Callable[[Part], Factors], Sequence[Part]], Iterable[Factors]]
+"""Applies a function to parts and gives what it returns in their order, each as soon as it is there, as ``map`` does.
+
+The builtin ``map`` is the one that computes here and now; others may compute elsewhere or remember.
+"""
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+def reduce_part(part: Part) -> Factors:
+    """Factors of the stretches of a part, in any process; parts of a run are put together by :func:`joined`."""
+    model = model_of(part.robot)
+    return reduce_run(model, part.columns, part.prepared, part.decimator, part.load, part.weigh, part.stretches)
+
+
+@lru_cache(maxsize=8)
+def model_of(robot: Robot) -> InverseDynamics:
+    """The model of a robot, made once."""
+    return InverseDynamics(robot)
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """All runs of an experiment, read and reduced, before any estimation."""
+
+    robot: Robot
+    model: InverseDynamics
+    base: BaseParameters
+    preparation: Preparation
+    prepared: tuple[Prepared, ...]
+    factors: tuple[Factors, ...]
+    mapper: Mapper = map
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The runs, their joints in the model's order."""
+        return tuple(each.run for each in self.prepared)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is odd in the robot, and what was repaired or left out of each run."""
+        robot = oddities(self.robot) + (tool_note(self.robot) if any(run.payload for run in self.runs) else ())
+        runs = (f"{each.run.name}: {note}" for each in self.prepared for note in (*each.run.notes, *each.notes))
+        return (*(f"robot '{self.robot.name}': {note}" for note in robot), *runs)
+
+    def assembly(
+        self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None
+    ) -> Assembly:
+        """The estimation problem with this friction; if need be without delays, or with other known payload values."""
+        payloads = [run.payload for run in self.runs] if payloads is None else payloads
+        slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
+        return assemble(self.model, self.base, self.factors, payloads, slowest, friction)
+
+    def parts(
+        self, loads: Sequence[np.ndarray] | None = None, weigh: Sequence[Weigh] | None = None
+    ) -> list[list[Part]]:
+        """What is to be reduced, the parts of every run."""
+        return [
+            [
+                Part(
+                    self.robot,
+                    self.base.standard,
+                    each,
+                    self.preparation.decimator,
+                    stretches,
+                    None if loads is None else loads[k],
+                    None if weigh is None else weigh[k],
+                )
+                for stretches in cut(len(each))
+            ]
+            for k, each in enumerate(self.prepared)
+        ]
+
+    def reduced(
+        self,
+        loads: Sequence[np.ndarray] | None = None,
+        progress: Progress = silent,
+        weigh: Sequence[Weigh] | None = None,
+    ) -> Data:
+        """The same runs reduced to factors, with the torques of ``loads`` (one a run) in load-dependent friction.
+
+        ``weigh`` (one a run) gives the rows weights; see :func:`reduce_run`.
+        """
+        parts = self.parts(loads, weigh)
+        sizes = [len(part.prepared) * len(part.stretches) // STRETCHES for run in parts for part in run]
+        done, total, factors = 0, sum(sizes), []
+        progress("model along the runs", done, total)
+        for found, size in zip(self.mapper(reduce_part, [part for run in parts for part in run]), sizes, strict=True):
+            factors.append(found)
+            done += size
+            progress("model along the runs", done, total)
+        of_run = iter(factors)
+        return replace(self, factors=tuple(joined([next(of_run) for _ in run]) for run in parts))
+
+
+def cut(samples: int) -> list[range]:
+    """Stretches of a run of so many samples, in parts that are worth the while."""
+    parts = min(max(samples // PART, 1), STRETCHES)
+    edges = [STRETCHES * k // parts for k in range(parts + 1)]
+    return [range(*pair) for pair in pairwise(edges)]
+
+
+def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
+    """Read logged runs of an experiment file; raises GtauError."""
+    whole = 1000  # of a run
+
+    def read(k: int, run: LoggedRun) -> Run:
+        def advance(done: float) -> None:
+            progress("reading logs", round(whole * (k + done)), whole * len(runs))
+
+        return read_run(run.log, experiment.signals, run.payload, experiment.units, advance)
+
+    return tuple(read(k, run) for k, run in enumerate(runs))
+
+
+def experiment_of(model: Result, path: str | Path) -> Experiment:
+    """Read an experiment file that is to be used with an identified model.
+
+    Raises
+    ------
+    GtauError
+        Where the file is wrong, or its robot or signals are not those of the model.
+    """
+    experiment = read_experiment(path)
+    robot = load_robot(experiment.robot)
+    check_robot(experiment, robot)
+    if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
+        raise GtauError(
+            f"{path} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
+            "another geometry; give the model of this robot."
+        )
+    if experiment.signals.kind != model.kind:
+        raise GtauError(
+            f"the logs of {path} hold {experiment.signals.kind}s, but the model was identified from {model.kind}s; "
+            "give logs of the same kind."
+        )
+    return experiment
+
+
+def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:
+    """A preparation chosen for other runs, with filters for the sampling rate of these."""
+    rate = min(run.rate for run in runs)
+    factor = decimation_factor(rate, preparation.bandwidth)
+    return replace(
+        preparation,
+        cutoff=cutoff_frequency(preparation.bandwidth, rate),
+        decimator=replace(preparation.decimator, factor=factor),
+    )
+
+
+def reduce_runs(
+    robot: Robot,
+    runs: Sequence[Run],
+    preparation: Preparation | None = None,
+    decimator: Literal["fir", "chebyshev"] = "fir",
+    progress: Progress = silent,
+    mapper: Mapper = map,
+) -> Data:
+    """Prepare all runs and reduce them to triangular factors.
+
+    ``mapper`` says where that is done.
+
+    Raises
+    ------
+    GtauError
+        Where a run does not suit the robot, or the robot's loops cannot be closed along it.
+    """
+    model = model_of(robot)
+    runs = tuple(arrange(run, model.actuated) for run in runs)
+    if len({run.kind for run in runs}) > 1:
+        raise GtauError("some runs hold currents and others torques; identify them apart.")
+    preparation = preparation or choose_preparation(runs, decimator)
+    progress("base parameters", 0, 1)
+    base = base_parameters(model)
+    prepared = prepare_runs(model, runs, preparation)
+    return Data(robot, model, base, preparation, prepared, (), mapper).reduced(progress=progress)
+
+
+def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[Prepared, ...]:
+    """Prepare runs whose joints stand in the model's order.
+
+    Raises
+    ------
+    GtauError
+        Where nothing moves in a run, or its log is shorter than its filters.
+    """
+    rubbing = _rubbing(model)
+    return tuple(within_limits(model.robot, prepare(run, preparation, rubbing)) for run in runs)
+
+
+def _rubbing(model: InverseDynamics) -> np.ndarray:
+    """Speeds of the joints (n_y, n) that a motor drives through couplings too: their friction acts in its row.
+
+    The ratios do not change along a run. Where closures drive the joints, a motor's own joint is all.
+    """
+    n, robot = len(model.actuated), model.robot
+    if not robot.couplings or robot.closures:
+        return np.eye(n)
+    still = np.zeros((n, 1))
+    return model.motion(still, still, still).J[:, :, 0]

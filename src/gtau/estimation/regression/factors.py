@@ -1,0 +1,138 @@
+"""Triangular factors: all that the estimators need to know of a run, however long.
+
+Each joint's decimated rows ``[W_j  terms_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one for
+each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.estimation.regression.friction import TERMS
+from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.triangle import triangle
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.signals.decimation import Decimator
+from gtau.signals.preparation import Held, Prepared
+from gtau.signals.storage import Store, store
+
+STRETCHES = 20
+ROWS = 512  # merged into a triangle at once
+CURRENTS = 3  # columns of a joint's current: v, v', v''
+EXTRA = len(TERMS) + CURRENTS
+
+
+@dataclass(frozen=True, eq=False)
+class Weigh:
+    """Huber's weights: rows whose residual is above ``limit`` (n,) count less, in proportion.
+
+    Residuals of joint j are ``rows @ coefficients[j]``, of ``[W_j terms_j v_j v_j' v_j'']``, (n, p).
+    """
+
+    coefficients: np.ndarray
+    limit: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """A run, or some stretches of one, reduced.
+
+    Attributes
+    ----------
+    R : ndarray
+        (stretches, n, p, p) triangles of ``[W_j terms_j v_j v_j' v_j'']``, p = columns + 5.
+    rows : ndarray
+        (stretches, n) number of rows behind each.
+    distances : ndarray
+        (K, 2) to singularities of type 1 and 2 at the decimated samples, in single precision; of logs only.
+    residuals : ndarray
+        (K, n) of weighed rows before they are weighed, NaN where the row is not kept; (0, n) of others.
+    """
+
+    R: np.ndarray
+    rows: np.ndarray
+    distances: np.ndarray | None = None
+    residuals: np.ndarray | None = None
+
+
+def outputs_of(stretches: range, outputs: int) -> range:
+    """Which of a run's decimated rows are those of some stretches."""
+    return range(*(-(-s * outputs // STRETCHES) for s in (stretches.start, stretches.stop)))
+
+
+def joined(parts: Sequence[Factors]) -> Factors:
+    """The factors of a run from those of its stretches, in order."""
+    return Factors(
+        R=np.concatenate([part.R for part in parts]),
+        rows=np.concatenate([part.rows for part in parts]),
+        distances=store((part.distances for part in parts if part.distances is not None), (2,), np.float32),
+        residuals=store((part.residuals for part in parts if part.residuals is not None), parts[0].rows.shape[1:]),
+    )
+
+
+def reduce_run(
+    idm: InverseDynamics,
+    columns: tuple[str, ...],
+    prepared: Prepared | Held,
+    decimator: Decimator,
+    load: np.ndarray | None = None,
+    weigh: Weigh | None = None,
+    stretches: range = range(STRETCHES),
+) -> Factors:
+    """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
+
+    With ``weigh`` of weighed rows. Of all its ``stretches`` or of some.
+
+    Raises
+    ------
+    GtauError
+        Where the closures refuse a sample.
+    """
+    regressor = idm.columns(columns)
+    outputs = decimator.outputs(len(prepared))
+    chosen = outputs_of(stretches, outputs)
+    n, p = len(idm.actuated), len(columns) + EXTRA
+    own = [np.append(np.unique(regressor.columns[regressor.rows == j]), np.arange(p - EXTRA, p)) for j in range(n)]
+    R, rows = np.zeros((len(stretches), n, p, p)), np.zeros((len(stretches), n), dtype=int)
+    small = [[np.zeros((0, columns.size)) for columns in own] for _ in stretches]  # the triangles of own columns
+    waiting: list[list[np.ndarray]] = [[] for _ in range(n)]
+    distances = Store((2,), np.float32)
+    residuals = Store((n,))
+    now, held = 0, 0
+
+    def merge() -> None:
+        for j in range(n):
+            if waiting[j]:
+                small[now][j] = triangle(small[now][j], *waiting[j])
+                waiting[j].clear()
+
+    for part in stream_rows(idm, regressor, prepared, decimator, load, chosen):
+        distances.append(part.distances.T)
+        stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs - stretches.start
+        A = np.zeros((n, len(part.time), p))
+        A[regressor.rows, :, regressor.columns] = part.entries
+        A[:, :, -EXTRA:-CURRENTS] = part.terms.transpose(1, 2, 0)
+        A[:, :, -CURRENTS:] = part.currents.transpose(1, 2, 0)
+        if weigh is not None:
+            e = np.einsum("jkp,jp->jk", A, weigh.coefficients)
+            residuals.append(np.where(part.keep, e, np.nan).T)
+            A *= np.sqrt(np.minimum(1.0, weigh.limit[:, None] / np.maximum(np.abs(e), 1e-300)))[:, :, None]
+        for s in range(stretch[0], stretch[-1] + 1):
+            if s > now or held >= ROWS:
+                merge()
+                now, held = s, 0
+            held += int((stretch == s).sum())
+            for j in range(n):
+                kept = A[j, (stretch == s) & part.keep[j]]
+                if len(kept):
+                    waiting[j].append(kept[:, own[j]])
+                    rows[s, j] += len(kept)
+    merge()
+    for s in range(len(stretches)):
+        for j in range(n):
+            # in the columns of all joints a triangle's rows still begin at the diagonal or right of it
+            R[s, j, : len(small[s][j]), own[j]] = small[s][j].T
+    return Factors(R, rows, distances.array(), residuals.array())

@@ -1,0 +1,143 @@
+"""The estimation problem, ready to solve: every joint's equations as small matrices (eqs. 29 to 33).
+
+Row block (u, j) holds the equations of joint j in unit u, a stretch of one run. Its columns are
+
+    [ W_theta | known | v | v' | v'' ]
+
+where ``W_theta`` acts on the unknown parameters ``theta`` (base parameters, then every loaded run's
+unknown payload parameters), ``known`` is ``W_kl chi_kl``, and v is the current reference with its two
+time derivatives. The rows may be those of the decimated system, or their triangular factor: all
+estimators see them only through ``A^T A`` and give the same for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from gtau.estimation.regression.base_parameters import independent_columns
+from gtau.estimation.regression.triangle import triangle
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Equations ``v(t - d_j) g_j = W_theta theta + known`` of all joints.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+        Names of theta, (n_theta,).
+    joints : tuple of str
+        Actuated joints, (n,).
+    units : ndarray
+        (U, n, p, n_theta + 4), rows or triangular factors.
+    rows : ndarray
+        (U, n) number of equations behind each block.
+    slowest : float
+        Longest delay (s) that the expansion in derivatives can describe; 0 for a problem without delays.
+    """
+
+    parameters: tuple[str, ...]
+    joints: tuple[str, ...]
+    units: np.ndarray
+    rows: np.ndarray
+    slowest: float
+
+    @property
+    def n_theta(self) -> int:
+        """Number of unknown parameters."""
+        return len(self.parameters)
+
+    @cached_property
+    def triangles(self) -> tuple[np.ndarray, ...]:
+        """Each joint's triangular factor over all units, n arrays (., n_theta + 4)."""
+        return tuple(triangle(*self.units[:, j]) for j in range(len(self.joints)))
+
+    @cached_property
+    def own_columns(self) -> tuple[list[int], ...]:
+        """For each joint, the columns of [W_theta | known] that its equations alone can tell apart."""
+        return tuple(_told_apart(R, self.n_theta) for R in self.triangles)
+
+    @cached_property
+    def own_currents(self) -> tuple[np.ndarray, ...]:
+        """What each joint's own model leaves of v, v', v'': (3, 3) triangles, one a joint."""
+        left = []
+        for R, columns in zip(self.triangles, self.own_columns, strict=True):
+            full = triangle(R[:, [*columns, *range(self.n_theta + 1, self.n_theta + 4)]])
+            left.append(full[len(columns) :, len(columns) :])
+        return tuple(left)
+
+    @property
+    def total_rows(self) -> np.ndarray:
+        """Equations of each joint, (n,)."""
+        return self.rows.sum(axis=0)
+
+    @cached_property
+    def own_delays(self) -> np.ndarray:
+        """Delay of each joint's current (s), (n,), that its own model explains best.
+
+        Minimises what is left of ``v - d v' + d^2/2 v''`` outside the joint's regressor, from the
+        (3, 3) triangles alone. Zero where the minimum lies outside +-``slowest``.
+        """
+        found = np.zeros(len(self.joints))
+        for j, T in enumerate(self.own_currents):
+            if T.shape[0] < 2:
+                continue
+            r, r1, r2 = T.T
+            # |r - d r1 + d^2/2 r2|^2 is a quartic in d
+            quartic = np.array([r2 @ r2 / 4, -(r1 @ r2), r1 @ r1 + r @ r2, -2 * (r @ r1), r @ r])
+            stationary = np.roots(np.polyder(quartic))
+            real = stationary[np.abs(stationary.imag) < 1e-12].real
+            real = real[np.abs(real) < self.slowest]  # none of them without delays
+            if real.size:
+                found[j] = real[np.argmin(np.polyval(quartic, real))]
+        return found
+
+    @cached_property
+    def own_sigma(self) -> np.ndarray:
+        """Standard deviation of each joint's current about its own model (eq. 28), (n,)."""
+        sigma = np.zeros(len(self.joints))
+        for j, T in enumerate(self.own_currents):
+            rest = T @ delayed(self.own_delays[j])
+            free = max(self.total_rows[j] - len(self.own_columns[j]), 1)
+            sigma[j] = np.sqrt(rest @ rest / free)
+        return np.maximum(sigma, self.smallest_sigma)
+
+    @property
+    def signal(self) -> np.ndarray:
+        """Each joint's current, rms, (n,)."""
+        norms = [np.linalg.norm(R[:, self.n_theta + 1]) for R in self.triangles]
+        return np.asarray(norms / np.sqrt(self.total_rows))
+
+    @property
+    def smallest_sigma(self) -> np.ndarray:
+        """What rounding leaves of each joint's current: no error level is taken to be below it, (n,)."""
+        return 1e-10 * self.signal
+
+    def without(self, names: Sequence[str]) -> Problem:
+        """The same problem with the parameters ``names`` set to zero."""
+        keep = [k for k, name in enumerate(self.parameters) if name not in set(names)]
+        columns = [*keep, *range(self.n_theta, self.n_theta + 4)]
+        less = replace(self, parameters=tuple(self.parameters[k] for k in keep), units=self.units[..., columns])
+        # the triangles of fewer columns follow from those of all: the units need not be looked at again
+        less.__dict__["triangles"] = tuple(triangle(R[:, columns]) for R in self.triangles)
+        # columns that depended on others still do if these are all there
+        now = {old: new for new, old in enumerate(columns)}
+        less.__dict__["own_columns"] = tuple(
+            [now[k] for k in own] if now.keys() >= set(own) else _told_apart(R, less.n_theta)
+            for own, R in zip(self.own_columns, less.triangles, strict=True)
+        )
+        return less
+
+
+def _told_apart(R: np.ndarray, n_theta: int) -> list[int]:
+    """Columns of [W_theta | known] that the equations with the triangle R can tell apart."""
+    return independent_columns(R[:, : n_theta + 1])[0]
+
+
+def delayed(d: float) -> np.ndarray:
+    """Weights of v, v', v'' that make ``v(t - d)``, (3,)."""
+    return np.array([1.0, -d, d * d / 2])

@@ -1,0 +1,116 @@
+"""The decimated rows of a run, ``[W | V_tau]`` of eq. (20), streamed block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.estimation.regression.friction import term_columns
+from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
+from gtau.signals.decimation import Block, Decimator
+from gtau.signals.preparation import Held, Prepared, Sampled
+
+FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of all joints at K output instants.
+
+    ``time`` (K,) in s; ``keep`` (n, K); ``entries`` of the regressor (entries, K); ``currents``
+    (3, n, K): the command and its first two time derivatives; ``terms`` (2, n, K), the columns of further
+    friction; ``outputs`` their numbers in the run; ``distances`` (2, K) to singularities of type 1
+    and 2, the latter NaN without closures.
+    """
+
+    time: np.ndarray
+    keep: np.ndarray
+    entries: np.ndarray
+    currents: np.ndarray
+    terms: np.ndarray
+    outputs: slice
+    distances: np.ndarray
+
+
+def stream_rows(
+    idm: InverseDynamics,
+    regressor: Regressor,
+    prepared: Prepared | Held,
+    decimator: Decimator,
+    load: np.ndarray | None = None,
+    outputs: range | None = None,
+) -> Iterator[Rows]:
+    """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (section 3.1).
+
+    Parameters
+    ----------
+    idm, regressor : InverseDynamics, Regressor
+        The model, and the columns wanted of it.
+    prepared, decimator : Prepared or Held, Decimator
+        The run, and its filter.
+    load : ndarray, optional
+        Values of the columns (columns,) that give the torques transmitted by the joints, for friction
+        that depends on them; without it the command stands in for the torque, up to the drive gain.
+    outputs : range, optional
+        The rows wanted, by their numbers in the run; all if left out.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    """
+    n = len(prepared)
+    size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
+    outputs = range(decimator.outputs(n)) if outputs is None else outputs
+    for block, of, c in _along(idm, prepared, decimator.blocks(n, size, outputs), decimator.reach(n, outputs).stop):
+        last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
+        seen = slice(block.first - decimator.support, last + decimator.support + 1)
+        kept = slice(block.first, last + 1, decimator.factor)
+        qd = of.qd.T.copy()
+        motion = idm.rates(c, qd, of.qdd.T.copy(), Labels(prepared.run.name, of.time))
+        currents = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
+        entries = regressor(idm.layout, motion)
+        effort = currents[0] if load is None else regressor.torques(entries, load, len(idm.actuated))
+        yield Rows(
+            of.time[kept],
+            decimator.keep(of.usable[seen]).T,
+            decimator.apply(entries, block),
+            decimator.apply(currents, block),
+            decimator.apply(term_columns(qd, effort), block),
+            block.outputs,
+            idm.singularities.distances(motion[kept]),
+        )
+
+
+def _along(
+    idm: InverseDynamics, prepared: Prepared | Held, blocks: Iterable[Block], last: int
+) -> Iterator[tuple[Block, Sampled, np.ndarray]]:
+    """The blocks, each with its samples and configurations; these are made for longer stretches, which is faster.
+
+    Samples from ``last`` on are not looked at.
+    """
+    begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
+    c = np.zeros((idm.layout.n_c, 0))
+    for block in blocks:
+        at = block.samples
+        if at.stop > end:
+            known = max(end - at.start, 0) if c.size else 0
+            stop = min(max(at.start + PATH, at.stop), last)
+            of = prepared.samples(at.start, stop)
+            labels = Labels(prepared.run.name, of.time[known:])
+            path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)
+            c, begin, end = np.hstack([c[:, c.shape[1] - known :], path]), at.start, stop
+        yield block, of[at.start - begin : at.stop - begin], c[:, at.start - begin : at.stop - begin]
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What messages call the samples of a run: its name and the time."""
+
+    run: str
+    time: np.ndarray
+
+    def __getitem__(self, sample: int) -> str:
+        return f"t = {self.time[sample]:.4f} s of run '{self.run}'"

@@ -1,0 +1,240 @@
+"""From the factors of all runs to the estimation problem: payloads and what the motions can tell (eqs. 29 to 33)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.base_parameters import BaseParameters, independent_columns
+from gtau.estimation.regression.factors import CURRENTS, EXTRA, Factors
+from gtau.estimation.regression.friction import DRIFTING, TERMS, Friction, transmitted
+from gtau.estimation.regression.problem import Problem
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.robot import INERTIAL, Robot
+from gtau.signals.experiment import Payload
+
+FEWEST_ROWS = 50  # of a joint, in all runs together
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedPayload:
+    """The payload of one run.
+
+    ``unknown`` maps the name in the problem of each unknown parameter that acts on some actuated joint
+    to its kind, and ``regroupings`` the kind to the formula of what it stands for: ``sums`` (unknown, free)
+    of the kinds ``free`` that are not known. In base columns, a unit of each is ``unknown_columns``
+    (n_b, unknown), and all that is known together ``known_column`` (n_b,).
+    """
+
+    run: int
+    payload: Payload
+    unknown: Mapping[str, str]
+    regroupings: Mapping[str, str]
+    free: tuple[str, ...]
+    sums: np.ndarray
+    unknown_columns: np.ndarray
+    known_column: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """The problem, and what its parameters are.
+
+    ``unexcited`` are base parameters that these motions cannot tell from those before them; they are
+    not part of the problem, but of ``whole``. ``places`` (U, 2) say where the problem's units stand: the
+    number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, n, p, n_theta + 4) lead
+    from the columns of the runs' factors to those of ``whole``.
+    """
+
+    problem: Problem
+    whole: Problem
+    base: BaseParameters
+    payloads: tuple[CarriedPayload, ...]
+    unexcited: tuple[str, ...]
+    friction: Friction
+    places: np.ndarray
+    maps: np.ndarray
+
+    def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
+        """What acts in ``run``: values of the base columns with its payload and its own friction, (n_b,)."""
+        values = dict(zip(self.problem.parameters, theta, strict=True))
+        last = len(self.maps) - 1
+        chi = np.array([values.get(name, 0.0) for name in self.base.names])
+        for k, name in enumerate(self.base.names):
+            drifts = [values.get(drift_name(name, other), 0.0) for other in range(last)]
+            chi[k] += drifts[run] if run < last else -sum(drifts)
+        return chi + self._payload(run, values)
+
+    def load(self, run: int, theta: np.ndarray) -> np.ndarray:
+        """What the joints of ``run`` transmit: values of the base columns, without friction, with payload, (n_b,)."""
+        values = dict(zip(self.problem.parameters, theta, strict=True))
+        chi = np.array([values.get(name, 0.0) for name in self.base.names]) * transmitted(self.base.names)
+        return chi + self._payload(run, values)
+
+    def _payload(self, run: int, values: Mapping[str, float]) -> np.ndarray:
+        """Values that the payload of ``run`` adds to the base columns, (n_b,)."""
+        of_run = [carried for carried in self.payloads if carried.run == run]
+        return sum(
+            (
+                each.unknown_columns @ [values.get(name, 0.0) for name in each.unknown] + each.known_column
+                for each in of_run
+            ),
+            np.zeros(self.base.count),
+        )
+
+
+def known_values(payload: Payload) -> dict[str, float]:
+    """Known inertial parameters of a payload, by kind; empty for an unknown payload."""
+    mass = {} if payload.mass is None else {"m": payload.mass}
+    return {**mass, **payload.parameters}
+
+
+def assemble(
+    idm: InverseDynamics,
+    base: BaseParameters,
+    factors: Sequence[Factors],
+    payloads: Sequence[Payload | None],
+    slowest: float,
+    friction: Friction,
+) -> Assembly:
+    """Join the runs' factors into one problem.
+
+    A payload is a further body on the robot's tool (eq. 18), so its columns are
+    combinations of the base columns, and each run's factor becomes a block of the problem by one
+    product with a small matrix.
+
+    Parameters
+    ----------
+    idm, base : InverseDynamics, BaseParameters
+        Model and base parameters, whose columns the factors have.
+    factors, payloads : sequences
+        One entry a run; None for a run without payload.
+    slowest : float
+        Longest delay that can be described, s; 0 for none.
+    friction : Friction
+        Terms to take, and whether friction may drift between runs.
+
+    Raises
+    ------
+    GtauError
+        Where some joint has no usable row in any run.
+    """
+    carried = tuple(_carried(idm, base, run, payload) for run, payload in enumerate(payloads) if payload is not None)
+    drifting = [
+        k
+        for k, name in enumerate(base.names)
+        if name in {f"{kind}_{joint}" for kind in DRIFTING for joint in idm.actuated}
+    ]
+    last = len(factors) - 1
+    drifts = [drift_name(base.names[k], run) for run in range(last) for k in drifting] if friction.per_run else []
+    names = [*base.names, *(name for each in carried for name in each.unknown), *drifts, *friction.terms]
+    position = {name: k for k, name in enumerate(names)}
+    n_b, n_theta = base.count, len(names)
+    units, maps = [], []
+    for run, factor in enumerate(factors):
+        # from the columns of the factor to those of the problem
+        M = np.zeros((n_b + EXTRA, n_theta + 1 + CURRENTS))
+        M[:n_b, :n_b] = np.eye(n_b)
+        M[-CURRENTS:, n_theta + 1 :] = np.eye(CURRENTS)
+        for each in carried:
+            if each.run == run:
+                M[:n_b, [position[name] for name in each.unknown]] = each.unknown_columns
+                M[:n_b, n_theta] = each.known_column
+        for k in drifting if drifts else ():
+            # a run's deviation from the mean friction; those of all runs add up to zero
+            for other in range(last):
+                M[k, position[drift_name(base.names[k], other)]] = (other == run) - (run == last)
+        of_joints = []
+        for joint in idm.actuated:
+            M_j = M.copy()
+            for t, term in enumerate(TERMS):
+                if f"{term}_{joint}" in position:
+                    M_j[n_b + t, position[f"{term}_{joint}"]] = 1.0
+            of_joints.append(M_j)
+        maps.append(of_joints)
+        units.append(np.stack([factor.R[:, j] @ M_j for j, M_j in enumerate(of_joints)], axis=1))
+    rows = np.concatenate([factor.rows for factor in factors])
+    filled = rows.sum(axis=1) > 0
+    places = np.array(
+        [(run, (s + 0.5) / len(each.rows)) for run, each in enumerate(factors) for s in range(len(each.rows))]
+    )
+    problem = Problem(tuple(names), idm.actuated, np.concatenate(units)[filled], rows[filled], slowest)
+    for joint, rows in zip(idm.actuated, problem.total_rows, strict=True):
+        if rows < FEWEST_ROWS:
+            raise GtauError(
+                f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps; "
+                "add runs in which it moves, or longer ones."
+            )
+    unexcited = _unexcited(problem)
+    return Assembly(
+        problem.without(unexcited), problem, base, carried, unexcited, friction, places[filled], np.array(maps)
+    )
+
+
+def drift_name(name: str, run: int) -> str:
+    """Name of the deviation of a friction parameter from its mean, in a run."""
+    return f"{name}@{run + 1}"
+
+
+def _carried(idm: InverseDynamics, base: BaseParameters, run: int, payload: Payload) -> CarriedPayload:
+    column = {name: k for k, name in enumerate(idm.parameter_names)}
+    values = known_values(payload)
+    free = [kind for kind in INERTIAL if kind not in values]
+    columns = base.matrix[:, [column[f"{kind}_{idm.robot.tool}"] for kind in free]]
+    kept, coefficients, _ = independent_columns(columns)
+    known = base.matrix[:, [column[f"{kind}_{idm.robot.tool}"] for kind in values]] @ np.array(list(values.values()))
+    formulas = {
+        free[k]: " + ".join(
+            f"{coefficients[row, other]:.5g} {kind}" if other != k else kind
+            for other, kind in enumerate(free)
+            if coefficients[row, other]
+        )
+        for row, k in enumerate(kept)
+    }
+    unknown = {f"{free[k]}_L{run + 1}": free[k] for k in kept}
+    return CarriedPayload(run, payload, unknown, formulas, tuple(free), coefficients, columns[:, kept], known)
+
+
+def _unexcited(problem: Problem) -> tuple[str, ...]:
+    stacked = np.concatenate(
+        [R[:, : problem.n_theta] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)]
+    )
+    kept, _, _ = independent_columns(stacked)
+    return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)
+
+
+def require_scale(robot: Robot, assembly: Assembly, payloads: Sequence[Payload | None], method: str) -> None:
+    """Check that the runs can fix the scale of the drive gains of a ``robot`` (section 3.3).
+
+    Raises
+    ------
+    GtauError
+        Without a run with a known payload, without a second load, or where the known parameters of the
+        payloads act on no joint in a way of their own.
+    """
+    other = "or use --method wls with prior_gains"
+    if not any(payload is not None and payload.mass is not None for payload in payloads):
+        raise GtauError(
+            f"method '{method}' needs a run with a payload of known mass to find the drive gains, and no run has one; "
+            f"add 'payload: {{name: ..., mass: ...}}' to a loaded run, {other}."
+        )
+    if len({None if payload is None else payload.name for payload in payloads}) < 2:
+        raise GtauError(
+            f"method '{method}' needs runs with two different loads to find the drive gains, and all runs carry "
+            "the same payload; "
+            f"add a run without payload, {other}."
+        )
+    problem = assembly.problem
+    stacked = np.concatenate(
+        [R[:, : problem.n_theta + 1] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)]
+    )
+    if problem.n_theta not in independent_columns(stacked)[0]:
+        on = f"'{robot.tool}'" + ("" if robot.named_tool else ", which was assumed")
+        raise GtauError(
+            f"the payload's known parameters have no effect of their own on any actuated joint where it sits, on {on}, "
+            "so they cannot give the scale of the drive gains; check 'tool' in the robot file, give more known "
+            f"'parameters' of the payload, {other}."
+        )

@@ -1,0 +1,1 @@
+"""What an identification returns, and how it is printed, saved and used to predict."""

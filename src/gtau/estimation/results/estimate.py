@@ -1,0 +1,162 @@
+"""What is said of a number: its value, unit, deviation and verdict; and what a result is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its unit and standard deviation.
+
+    ``value`` is None where the data cannot tell, ``std`` None where the value is known. ``spread`` is the
+    standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
+    says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
+    """
+
+    name: str
+    value: float | None
+    std: float | None
+    unit: str
+    regrouping: str = ""
+    spread: float | None = None
+    verdict: Verdict = GOOD
+    freedom: float | None = None
+
+    def __str__(self) -> str:
+        """Value, deviation and unit."""
+        if self.value is None:
+            return "cannot be told"
+        return f"{self.value:.5g}{'' if self.std is None else f' +- {self.std:.2g}'} {self.unit}"
+
+    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
+        """Confidence interval by the t distribution, in ``unit``; None without value or deviation."""
+        if self.value is None or self.std is None:
+            return None
+        from scipy.special import ndtri, stdtrit
+
+        tail = (1 + level) / 2
+        half = self.std * float(ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail))
+        return self.value - half, self.value + half
+
+    @property
+    def rel_std(self) -> float | None:
+        """Relative standard deviation, per cent."""
+        return 100 * self.std / abs(self.value) if self.value and self.std is not None else None
+
+
+class Named(dict[str, Estimate]):
+    """Estimates by joint or parameter; a name that is not there is answered with those that are (GtauError)."""
+
+    def __missing__(self, name: str) -> NoReturn:
+        raise GtauError(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
+
+
+@dataclass(frozen=True)
+class PayloadEstimate:
+    """Inertial parameters of the payload of a run, by kind, in the frame of the body that carries it."""
+
+    name: str
+    run: str
+    parameters: Mapping[str, Estimate]
+    known: frozenset[str]
+    verdict: Verdict = GOOD
+
+
+@dataclass(frozen=True)
+class TorqueError:
+    """How well torques ``v g_tau`` are met at a joint: rms of error and of signal, N m or N."""
+
+    joint: str
+    rms: float
+    signal: float
+    unit: str
+
+    @property
+    def relative(self) -> float:
+        """Error over signal, per cent."""
+        return 100 * self.rms / self.signal
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Decimated torques along a run: ``time`` (K,), ``predicted`` and ``measured`` (K, n), ``keep`` (K, n).
+
+    ``keep`` is False near reversals and gaps, where the model's friction does not hold.
+    """
+
+    joints: tuple[str, ...]
+    time: np.ndarray
+    predicted: np.ndarray
+    measured: np.ndarray
+    keep: np.ndarray
+
+
+@dataclass(frozen=True)
+class Move:
+    """What consistency did to a number: its value without and with it, and by how many standard deviations it moved."""
+
+    name: str
+    free: float
+    consistent: float
+    deviations: float
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """A robot that can exist.
+
+    Attributes
+    ----------
+    standard : dict
+        Every standard parameter by name, SI units.
+    payloads : dict
+        Label (``L3``) of each carried payload to its ten inertial parameters by kind.
+    gains : dict
+        Joint to (drive gain, standard deviation) found together with them; the deviation is 0 where given.
+    moves : tuple of Move
+        Every base parameter and gain, the most moved first.
+    eigenvalues : dict
+        Smallest eigenvalue of the pseudo-inertia of each body, SI units.
+    loss : dict
+        Joint to the growth of its residual, per cent.
+    open : tuple of str
+        Standard parameters that act on no actuated joint, chosen and not identified.
+    """
+
+    standard: Mapping[str, float]
+    payloads: Mapping[str, Mapping[str, float]]
+    gains: Mapping[str, tuple[float, float]]
+    moves: tuple[Move, ...]
+    eigenvalues: Mapping[str, float]
+    loss: Mapping[str, float]
+    open: tuple[str, ...]
+
+
+def unit_of(kind: str, robot: Robot, joint: str) -> str:
+    """SI unit of a parameter of ``kind`` at a joint or platform."""
+    if kind in ("xx", "xy", "xz", "yy", "yz", "zz"):
+        return "kg m2"
+    if kind in ("mx", "my", "mz"):
+        return "kg m"
+    if kind == "m":
+        return "kg"
+    turns = robot.joint(joint).kind == "revolute"
+    if kind == "ia":
+        return "kg m2" if turns else "kg"
+    if kind == "fv":
+        return "N m s/rad" if turns else "N s/m"
+    return torque_unit(robot, joint)
+
+
+def torque_unit(robot: Robot, joint: str) -> str:
+    """N m for a revolute joint, N for a prismatic one."""
+    return "N m" if robot.joint(joint).kind == "revolute" else "N"

@@ -1,0 +1,268 @@
+"""``model.json``: a result as a file, with a schema version."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gtau.documents.files import write_atomically
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.results.estimate import Consistency, Estimate, Move, PayloadEstimate, TorqueError, unit_of
+from gtau.estimation.results.singularity_distances import NearestPose
+from gtau.robots.readers.native import parse_native
+from gtau.robots.readers.native_text import native_text
+from gtau.robots.robot import Robot
+from gtau.signals.decimation import Decimator
+from gtau.signals.preparation import Preparation
+
+if TYPE_CHECKING:
+    from gtau.estimation.results.result import Result
+
+SCHEMA = "gtau-model/1"
+
+
+def to_document(result: Result) -> dict[str, Any]:
+    """The JSON document of a result; ``rel_std`` in per cent, null where a value is known."""
+    preparation = result.preparation
+    return {
+        "schema": SCHEMA,
+        "robot": result.robot.name,
+        "method": result.method,
+        "kind": result.kind,
+        "runs": list(result.runs),
+        "drive_gains": [_estimate(each, "joint") for each in result.drive_gains.values()],
+        "delays": [_estimate(each, "joint") for each in result.delays.values()],
+        "parameters": [_parameter(each) for each in result.parameters.values()],
+        "essential": [_parameter(each) for each in result.essential.values()],
+        "friction": [_estimate(each) for each in result.friction.values()],
+        "payloads": payload_documents(result.payloads),
+        "residuals": [
+            {"joint": each.joint, "rms": each.rms, "signal": each.signal, "relative": each.relative, "unit": each.unit}
+            for each in result.residuals
+        ],
+        "preparation": {
+            "bandwidth": preparation.bandwidth,
+            "cutoff": preparation.cutoff,
+            "decimation": preparation.decimator.factor,
+            "decimator": preparation.decimator.kind,
+            "speed_fraction": preparation.speed_fraction,
+        },
+        "statistics": dict(result.statistics),
+        "singularities": [asdict(each) for each in result.singularities],
+        "notes": list(result.notes),
+        "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
+        "robot_file": native_text(result.robot),
+        "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
+    }
+
+
+def _standard(found: Consistency, robot: Robot) -> dict[str, Any]:
+    return {
+        "parameters": [
+            {
+                "name": name,
+                "value": value,
+                "unit": unit_of(name.split("_", 1)[0], robot, name.split("_", 1)[1]),
+                "open": name in found.open,
+            }
+            for name, value in found.standard.items()
+        ],
+        "payloads": [{"name": name, "parameters": dict(values)} for name, values in found.payloads.items()],
+        "drive_gains": [{"joint": joint, "value": g, "std": std} for joint, (g, std) in found.gains.items()],
+        "moves": [asdict(move) for move in found.moves],
+        "smallest_eigenvalues": dict(found.eigenvalues),
+        "loss": dict(found.loss),
+    }
+
+
+def _read_standard(document: Mapping[str, Any]) -> Consistency:
+    return Consistency(
+        standard={each["name"]: float(each["value"]) for each in document["parameters"]},
+        payloads={each["name"]: each["parameters"] for each in document["payloads"]},
+        gains={each["joint"]: (float(each["value"]), float(each["std"])) for each in document["drive_gains"]},
+        moves=tuple(Move(**each) for each in document["moves"]),
+        eigenvalues=document["smallest_eigenvalues"],
+        loss=document["loss"],
+        open=tuple(each["name"] for each in document["parameters"] if each["open"]),
+    )
+
+
+def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:
+    """Payloads as they stand in ``model.json`` and in what ``gtau payload --json`` prints."""
+    return [
+        {
+            "name": each.name,
+            "run": each.run,
+            **_verdict(each.verdict),
+            "parameters": {
+                kind: _estimate(estimate) | {"known": kind in each.known, "regrouping": estimate.regrouping}
+                for kind, estimate in each.parameters.items()
+            },
+        }
+        for each in payloads
+    ]
+
+
+def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
+    return {
+        key: estimate.name,
+        "value": estimate.value,
+        "std": estimate.std,
+        "rel_std": estimate.rel_std,
+        "interval": estimate.interval(),
+        "freedom": None if estimate.std is None else estimate.freedom,
+        "unit": estimate.unit,
+        **_verdict(estimate.verdict),
+    }
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    return {"outcome": verdict.outcome.value, "why": verdict.why, "advice": verdict.advice}
+
+
+def _parameter(estimate: Estimate) -> dict[str, Any]:
+    return _estimate(estimate) | {"regrouping": estimate.regrouping, "spread": estimate.spread}
+
+
+def model_text(result: Result) -> str:
+    """Text of the file of a result."""
+    return json.dumps(to_document(result), indent=1, allow_nan=False) + "\n"
+
+
+def save(result: Result, path: str | Path) -> None:
+    """Write ``result`` to ``path``, atomically."""
+    write_atomically(path, model_text(result))
+
+
+def load(path: str | Path, make: type[Result]) -> Result:
+    """Read a result, which ``make`` makes.
+
+    Raises
+    ------
+    GtauError
+        Where the file cannot be read, or is no model of this schema.
+    """
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refuse)
+    except OSError as error:
+        raise GtauError(
+            f"{path} cannot be read ({error.strerror}); give the model.json that 'gtau identify' wrote."
+        ) from None
+    except (ValueError, RecursionError):
+        raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
+    if not isinstance(document, dict) or "schema" not in document:
+        raise GtauError(f"{path} is not a model; give the model.json that 'gtau identify' wrote.")
+    if document["schema"] != SCHEMA:
+        raise GtauError(
+            f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again "
+            "with this version."
+        )
+    try:
+        result = _result(document, path, make)
+    except KeyError as error:
+        raise _damaged(path, f"{error} is missing") from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise _damaged(path, str(error).split(". ")[0]) from None
+    for problem in _problems(result):
+        raise _damaged(path, problem)
+    return result
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no JSON number")
+
+
+def _damaged(path: str | Path, problem: str) -> GtauError:
+    return GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
+
+
+def _problems(result: Result) -> Iterator[str]:
+    joints, preparation = list(result.robot.actuated), result.preparation
+    for what, estimates in (("drive gains", result.drive_gains), ("delays", result.delays)):
+        if list(estimates) != joints:
+            yield f"the {what} are not those of the joints {', '.join(joints)}"
+        if any(each.value is None for each in estimates.values()):
+            yield f"one of the {what} is null"
+    if any(each.value == 0 for each in result.drive_gains.values()):
+        yield "a drive gain is zero"
+    every = (*result.drive_gains.values(), *result.delays.values(), *result.parameters.values())
+    if not np.isfinite([each.value or 0.0 for each in every]).all():
+        yield "a value is not finite"
+    size = len(result.covariance_names)
+    if result.covariance.shape != (size, size) or not np.isfinite(result.covariance).all():
+        yield "the covariance is no matrix of its names"
+    if not {f"gain_{joint}" for joint in joints} <= set(result.covariance_names):
+        yield "the covariance lacks the drive gains"
+    if result.kind not in ("current", "torque"):
+        yield f"the kind '{result.kind}' is neither current nor torque"
+    if preparation.bandwidth <= 0 or preparation.decimator.kind not in ("fir", "chebyshev"):
+        yield "the preparation of the signals is not one that this version knows"
+
+
+def _result(document: Mapping[str, Any], path: str | Path, make: type[Result]) -> Result:
+    preparation = document["preparation"]
+    return make(
+        robot=parse_native(document["robot_file"], path),
+        method=document["method"],
+        kind=document["kind"],
+        drive_gains=_estimates(document["drive_gains"], "joint"),
+        delays=_estimates(document["delays"], "joint"),
+        parameters=_estimates(document["parameters"]),
+        essential=_estimates(document["essential"]),
+        friction=_estimates(document["friction"]),
+        payloads=tuple(
+            PayloadEstimate(
+                each["name"],
+                each["run"],
+                {kind: _read(entry) for kind, entry in each["parameters"].items()},
+                frozenset(kind for kind, entry in each["parameters"].items() if entry["known"]),
+                _read_verdict(each),
+            )
+            for each in document["payloads"]
+        ),
+        residuals=tuple(
+            TorqueError(each["joint"], float(each["rms"]), float(each["signal"]), each["unit"])
+            for each in document["residuals"]
+        ),
+        covariance_names=tuple(document["covariance"]["names"]),
+        covariance=np.array(document["covariance"]["matrix"], dtype=float),
+        preparation=Preparation(
+            float(preparation["bandwidth"]),
+            None if preparation["cutoff"] is None else float(preparation["cutoff"]),
+            Decimator(int(preparation["decimation"]), preparation["decimator"]),
+            float(preparation["speed_fraction"]),
+        ),
+        statistics=document["statistics"],
+        runs=tuple(document["runs"]),
+        notes=tuple(document["notes"]),
+        consistency=None if document["standard"] is None else _read_standard(document["standard"]),
+        singularities=tuple(NearestPose(**each) for each in document["singularities"]),
+    )
+
+
+def _estimates(entries: list[Mapping[str, Any]], key: str = "name") -> dict[str, Estimate]:
+    return {entry[key]: _read(entry, key) for entry in entries}
+
+
+def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
+    value, std = (None if entry[k] is None else float(entry[k]) for k in ("value", "std"))
+    return Estimate(
+        entry[key],
+        value,
+        std,
+        entry["unit"],
+        entry.get("regrouping", ""),
+        entry.get("spread"),
+        _read_verdict(entry),
+        entry["freedom"],
+    )
+
+
+def _read_verdict(entry: Mapping[str, Any]) -> Verdict:
+    return Verdict(Outcome(entry["outcome"]), entry["why"], entry["advice"])

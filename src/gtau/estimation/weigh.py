@@ -1,0 +1,98 @@
+"""Weighing payloads: what an identified robot can say of an unknown load (paper, section 5.2)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.payload_checks import mass_uncertainty
+from gtau.estimation.estimators.current_domain import wls
+from gtau.estimation.estimators.degrees_of_freedom import freedom
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.identify import given_gains, with_friction
+from gtau.estimation.regression.dataset import at_rate_of, experiment_of, read_runs, reduce_runs
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.results.build import payload_estimates
+from gtau.estimation.results.estimate import PayloadEstimate
+from gtau.estimation.results.result import Result
+from gtau.progress import Progress, silent
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+def weigh(
+    model: Result,
+    experiment: str | Path,
+    gains: str = "identified",
+    progress: Progress = silent,
+) -> tuple[PayloadEstimate, ...]:
+    """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its runs without payload.
+
+    Runs with a known payload are left out, as a known mass would weigh the others by itself, whatever the gains; only
+    where no run is without payload are they what the unknown ones are compared with.
+
+    Parameters
+    ----------
+    model : Result
+        Identified model: its gains, their uncertainty, and its preparation of the signals.
+    experiment : path
+        Experiment file with at least one run of unknown payload and one of another load.
+    gains : {"identified", "prior"}
+        The model's gains, or the file's ``prior_gains`` (the paper's cases 2 and 1).
+
+    Returns
+    -------
+    tuple of PayloadEstimate
+        One for each run with an unknown payload. The standard deviations include what the identified
+        gains' own uncertainty does.
+
+    Raises
+    ------
+    GtauError
+        Where a file is wrong or of another robot, or the runs cannot tell the payload.
+    """
+    described = experiment_of(model, experiment)
+    robot = model.robot
+    if not any(run.payload is not None and run.payload.mass is None for run in described.runs):
+        raise GtauError(f"{experiment}: no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
+    if gains == "prior" and described.signals.kind == "current" and not described.prior_gains:
+        raise GtauError(f"{experiment} has no 'prior_gains'; add them, or weigh with the identified gains.")
+    bare = any(run.payload is None for run in described.runs)
+    chosen = [run for run in described.runs if run.payload is None or run.payload.mass is None or not bare]
+    runs = read_runs(described, chosen, progress)
+    if gains == "prior":
+        g_tau, covariance = given_gains(robot, runs, described.prior_gains, "wls"), None
+    else:
+        g_tau = np.array([model.drive_gains[joint].value for joint in robot.actuated], dtype=float)
+        rows = [model.covariance_names.index(f"gain_{joint}") for joint in robot.actuated]
+        covariance = model.covariance[np.ix_(rows, rows)]
+    data = reduce_runs(robot, runs, at_rate_of(runs, model.preparation), progress=progress)
+
+    def solve(problem: Problem) -> Solution:
+        return wls(problem, g_tau)
+
+    data, assembly = with_friction(data, solve, progress)
+    lost = [name for each in assembly.payloads for name in each.unknown if name in assembly.unexcited]
+    if lost:
+        raise GtauError(
+            f"{experiment}: the runs cannot tell the payload from the robot itself; add a run without payload, or "
+            "with one of which all parameters are known."
+        )
+    solution = solve(assembly.problem)
+    total = solution.jackknife + mass_uncertainty(data, assembly, solution, solve)
+    if covariance is not None:
+        slopes = np.stack([_slope(assembly.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
+        total = total + slopes @ covariance @ slopes.T
+    estimates = payload_estimates(data, assembly, solution.theta, total, {}, freedom(assembly.problem, solution, False))
+    return tuple(each for each in estimates if "m" not in each.known)
+
+
+def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -> np.ndarray:
+    """Derivative of the WLS estimates (k,) by the gain of joint j."""
+    step = 1e-4 * gains[j]
+    moved = gains.copy()
+    moved[j] += step
+    shift = wls(problem, moved).stacked - estimates
+    return shift / step

@@ -1,0 +1,210 @@
+"""The motion of the whole robot from that of its motors, and derivatives carried back through the closures.
+
+Forward, the closures are solved numerically (:mod:`gtau.model.loops`). Backward, derivatives of any
+quantity by c, yd, ydd and J become derivatives by q, qd and qdd: each of the equations
+
+    phi(c) = 0,    G yd = 0,    G J = 0,    G ydd + gamma = 0
+
+takes a multiplier that frees the passive coordinates, so that a gradient costs one linear solve a
+sample and equation, however many parameters the trajectory has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import scipy.linalg
+
+from gtau.errors import GtauError
+from gtau.model.closures import closure_expressions
+from gtau.model.coordinates import Coordinates
+from gtau.model.interpreter.program import Program, compile_program
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.kinematics import configuration_rates, constant
+from gtau.model.loops import Motion
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Derivatives of a scalar a sample by c (n_c, N), yd and ydd (n_y, N), and the passive rows of J (n_p, n, N)."""
+
+    c: np.ndarray
+    yd: np.ndarray
+    ydd: np.ndarray
+    J: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Pullback:
+    """Derivatives by c, yd, ydd, J to those by q, qd, qdd; see :func:`pullback`.
+
+    ``rows`` are the independent closure equations among all; ``G`` maps c to all rows, scaled as
+    :meth:`Loops.condition` does; ``by_yd`` and ``by_c`` give the derivatives of the equations weighted with
+    multipliers, and ``of_G`` those of the entries of the passive columns of ``G``.
+    """
+
+    layout: Coordinates
+    rows: np.ndarray
+    unit: np.ndarray  # (n_y,) rad or m in one unit of a scaled coordinate
+    G: Program
+    by_yd: Program
+    by_c: Program
+    of_G: Program
+
+    def __call__(self, motion: Motion, slopes: Slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives (n, N) by q, qd and qdd of the actuated joints."""
+        layout, samples = self.layout, motion.c.shape[1]
+        a, p = layout.actuated, layout.passive
+        G = self.columns(motion.c)[self.rows] / self.unit[:, None]
+        G_a, inverse = G[:, a], np.linalg.inv(G[:, p].transpose(2, 1, 0))  # (N, n_p, n_p)
+
+        def multiplier(slope: np.ndarray) -> np.ndarray:
+            return -np.einsum("sij,j...s->i...s", inverse, slope)
+
+        on_acceleration = multiplier(slopes.ydd[p])
+        on_J = multiplier(slopes.J)
+        J = motion.J[p].reshape(-1, samples)
+        by_yd = slopes.yd + self.by_yd(np.vstack([motion.c, motion.yd, motion.ydd, on_acceleration]))
+        on_velocity = multiplier(by_yd[p])
+        stacked = [
+            motion.c,
+            motion.yd,
+            motion.ydd,
+            J,
+            on_acceleration,
+            on_velocity,
+            on_J.reshape(-1, samples),
+            slopes.c,
+        ]
+        by_y = self.by_c(np.vstack(stacked))
+        return tuple(
+            slope + np.einsum("ias,is->as", G_a, on)
+            for slope, on in (
+                (by_y[a], multiplier(by_y[p])),
+                (by_yd[a], on_velocity),
+                (slopes.ydd[a], on_acceleration),
+            )
+        )
+
+    def columns(self, c: np.ndarray) -> np.ndarray:
+        """All rows of scaled ``G``, (rows, n_y, N)."""
+        return self.G(c).reshape(-1, self.layout.n_y, c.shape[1])
+
+    def condition(self, motion: Motion) -> tuple[np.ndarray, Slopes]:
+        """``log sqrt(trace(M) trace(M^-1))``, M = G_p^T G_p: distance to singularity (N,), and its slopes."""
+        G = self.columns(motion.c)[:, self.layout.passive]
+        M = np.einsum("ips,iqs->spq", G, G)
+        inverse = np.linalg.inv(M)
+        size, spread = np.trace(M, axis1=1, axis2=2), np.trace(inverse, axis1=1, axis2=2)
+        # d(log)/dG = G / trace(M) - G M^-2 / trace(M^-1)
+        by_G = G / size - np.einsum("ips,spq->iqs", G, inverse @ inverse) / spread
+        by_c = self.of_G(np.vstack([motion.c, by_G.reshape(-1, len(size))]))
+        zero = np.zeros_like(motion.yd)
+        return np.log(size * spread) / 2, Slopes(by_c, zero, zero, np.zeros_like(motion.J[self.layout.passive]))
+
+
+def pullback(model: InverseDynamics) -> Pullback | None:
+    """Compile the way back of derivatives; None for a robot without closures, where y = q."""
+    loops, layout = model.loops, model.layout
+    if loops is None:
+        return None
+    n, passive = len(layout.actuated), layout.passive.tolist()
+    c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
+    _, velocity, gamma = closure_expressions(layout, c, yd)
+    unit = np.where(layout.angular, 1.0, characteristic_length(layout.robot))
+    G = ca.jacobian(velocity, yd)
+    G_program = compile_program([c], [ca.densify(G @ constant(np.diag(unit))).T])
+    at_home = G_program(loops.home[:, None]).reshape(-1, layout.n_y)
+    _, _, order = scipy.linalg.qr(at_home[:, passive].T, pivoting=True, mode="economic")
+    rows = np.sort(order[: len(passive)])
+
+    G_own = G[rows.tolist(), :]
+    acceleration = G_own @ ydd + gamma[rows.tolist()]
+    on_a, on_v = ca.SX.sym("on_a", len(rows)), ca.SX.sym("on_v", len(rows))
+    on_J, J = ca.SX.sym("on_J", len(passive), n), ca.SX.sym("J", len(passive), n)
+    slope_c = ca.SX.sym("slope_c", layout.n_c)
+    weighted = ca.dot(on_a, acceleration) + ca.dot(on_v, velocity[rows.tolist()]) + ca.dot(slope_c, c)
+    for k in range(n):
+        column = ca.SX(layout.n_y, 1)
+        column[int(layout.actuated[k])] = 1
+        column[passive] = J[:, k]
+        weighted += ca.dot(on_J[:, k], G_own @ column)
+    by_G = ca.SX.sym("by_G", G.shape[0], len(passive))
+    of_G = ca.gradient(ca.dot(by_G, (G @ constant(np.diag(unit)))[:, passive]), c)
+    # arrays come row by row, CasADi stacks columns
+    return Pullback(
+        layout,
+        rows,
+        unit,
+        G_program,
+        compile_program([c, yd, ydd, on_a], [ca.gradient(ca.dot(on_a, acceleration), yd)]),
+        compile_program(
+            [c, yd, ydd, J.T, on_a, on_v, on_J.T, slope_c],
+            [_to_velocities(layout, c, ca.gradient(weighted, c))],
+        ),
+        compile_program([c, by_G.T], [of_G]),
+    )
+
+
+def _to_velocities(layout: Coordinates, c: ca.SX, by_c: ca.SX) -> ca.SX:
+    """Slopes by the displacements that velocities make, from those by c."""
+    v = ca.SX.sym("v", layout.n_y)
+    return ca.gradient(ca.dot(configuration_rates(layout, c, v), by_c), v)
+
+
+def in_platform_space(robot: Robot) -> Robot:
+    """The robot driven by its platform: the platform's coordinates are actuated joints, the motors' joints passive.
+
+    The same closure equations then give the inverse kinematics. The platform, free in x, y, z and at most in turns,
+    becomes the last link of a chain of slides and hinges along the base axes.
+
+    Raises
+    ------
+    GtauError
+        Where the robot has no platform, or several.
+    """
+    if len(robot.platforms) != 1:
+        raise GtauError(
+            f"robot '{robot.name}' has {len(robot.platforms) or 'no'} platforms; a motion in platform space needs one, "
+            "so give the motion in joint space."
+        )
+    platform = robot.platforms[0]
+    turns = [dof for dof in ROTATIONS if dof in platform.dof]
+    order = [dof for dof in TRANSLATIONS if dof in platform.dof] + turns[::-1]
+    chain, before = [], GROUND
+    for k, dof in enumerate(order):
+        last = k == len(order) - 1
+        axis = tuple(float(axis == dof[-1]) for axis in TRANSLATIONS)
+        kind = "prismatic" if dof in TRANSLATIONS else "revolute"
+        name = platform.name if last else f"{dof} of {platform.name}"
+        # the platform's place at home comes first, its orientation last, so that the axes are those of the base
+        placement = Pose(platform.home.xyz if k == 0 else (0.0, 0.0, 0.0))
+        chain.append(Joint(name, before, kind, placement, axis, True, 0.0, Limits(), "none"))  # type: ignore[arg-type]
+        before = name
+    held = Pose((0.0, 0.0, 0.0), platform.home.rpy)
+
+    def moved(end: Attachment) -> Attachment:
+        if end.body != platform.name:
+            return end
+        rotation = held.rotation @ end.placement.rotation
+        return Attachment(end.body, _pose(rotation, held.rotation @ end.placement.position))
+
+    return replace(
+        robot,
+        joints=(*chain, *(replace(joint, actuated=False) for joint in robot.joints)),
+        platforms=(),
+        closures=tuple(replace(closure, a=moved(closure.a), b=moved(closure.b)) for closure in robot.closures),
+    )
+
+
+def _pose(rotation: np.ndarray, position: np.ndarray) -> Pose:
+    pitch = float(np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0)))
+    if abs(rotation[2, 0]) < 1 - 1e-12:
+        roll, yaw = np.arctan2(rotation[2, 1], rotation[2, 2]), np.arctan2(rotation[1, 0], rotation[0, 0])
+    else:  # roll and yaw turn about one axis
+        roll, yaw = 0.0, np.arctan2(-rotation[0, 1], rotation[1, 1])
+    return Pose((float(position[0]), float(position[1]), float(position[2])), (float(roll), pitch, float(yaw)))

@@ -1,0 +1,165 @@
+"""A trajectory seen on a grid: what it makes the robot do, and gradients of whatever follows from that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.estimation.regression.triangle import triangle
+from gtau.excitation.closure_gradients import Slopes
+from gtau.excitation.criteria import Criterion
+from gtau.excitation.information import derivative
+from gtau.excitation.task import Task, close
+from gtau.model.loops import Motion
+
+PER_HARMONIC = 12  # instants of the design grid in a period of the highest harmonic
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Instants of one period, evenly spaced, and the trajectory's basis there, (4, N, free)."""
+
+    time: np.ndarray
+    step: float
+    basis: np.ndarray
+
+
+def design_grid(task: Task, finer: int = 1) -> Grid:
+    """The grid on which designs are made, or one ``finer`` times finer."""
+    samples = PER_HARMONIC * task.series.harmonics * finer
+    step = task.series.period / samples
+    time = step * np.arange(samples)
+    return Grid(time, step, task.series.basis(time))
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One motion: joints (4, n, N) with q, qd, qdd and jerk, the whole robot, the base regressor (n, N, n_b).
+
+    ``runs`` follow it. In platform space ``platform`` is the motion of the robot driven by its platform.
+    """
+
+    task: Task
+    grid: Grid
+    runs: tuple[int, ...]
+    joints: np.ndarray
+    motion: Motion
+    platform: Motion | None
+    W: np.ndarray
+
+    def to_joints(self, slopes: Slopes) -> np.ndarray:
+        """Slopes (3, n, N) by q, qd, qdd from those by the whole robot's motion."""
+        if self.task.pullback is None:
+            return np.stack([slopes.c, slopes.yd, slopes.ydd])
+        return np.stack(self.task.pullback(self.motion, slopes))
+
+    def to_rows(self, by_joints: np.ndarray) -> np.ndarray:
+        """Slopes (N, series.size) by its numbers, sample by sample, from those (3, n, N) by q, qd, qdd."""
+        series, by = self.task.series, by_joints
+        if self.platform is not None:
+            assert self.task.platform_pullback is not None
+            motors = self.task.motors
+            model = self.task.platform_pullback.layout
+            c, yd, ydd = (np.zeros_like(each) for each in (self.platform.c, self.platform.yd, self.platform.ydd))
+            c[motors], yd[motors], ydd[motors] = by
+            J = np.zeros((len(model.passive), len(model.actuated), c.shape[1]))
+            by = np.stack(self.task.platform_pullback(self.platform, Slopes(c, yd, ydd, J)))
+        rows = by.transpose(2, 1, 0) @ self.grid.basis[:3].transpose(1, 0, 2) * series.half[:, None]
+        return np.asarray(rows.reshape(len(self.grid.time), series.size))
+
+    def jerk_rows(self, joint: int) -> np.ndarray:
+        """Slopes (N, series.size) of a joint's jerk by its numbers."""
+        series = self.task.series
+        if self.platform is None:
+            rows = np.zeros((len(self.grid.time), len(series.center), series.free))
+            rows[:, joint] = self.grid.basis[3] * series.half[joint]
+            return rows.reshape(len(rows), series.size)
+        by = np.zeros((3, len(self.task.model.actuated), len(self.grid.time)))
+        by[2, joint] = 1.0
+        return derivative(self.to_rows(by).T, self.grid.step).T
+
+
+def evaluate(task: Task, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
+    """All motions for ``x`` (task.size,); the loops are closed from the configurations of ``near`` if given.
+
+    Raises
+    ------
+    GtauError
+        Where the trajectory leaves what the robot can reach, or comes too close to a singular pose.
+    """
+    before: Sequence[Point | None] = near or [None] * len(task.motions)
+    parts = np.split(x, len(task.motions))
+    return tuple(
+        evaluate_one(task, part, grid, runs, each) for part, runs, each in zip(parts, task.motions, before, strict=True)
+    )
+
+
+def evaluate_one(task: Task, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None) -> Point:
+    """The motion of the ``runs``, for the numbers x (series.size,) of its series; see :func:`evaluate`."""
+    series, platform = task.series, None
+    numbers = x.reshape(-1, series.free) * series.half[:, None]
+    table = (grid.basis @ numbers.T).transpose(0, 2, 1)
+    table[0] += series.center[:, None]
+    if task.platform_model is not None:
+        before = near.platform.c if near is not None and near.platform is not None else None
+        platform = close(task.platform_model, table[0], table[1], table[2], before)
+        motors = task.motors
+        qdd = platform.ydd[motors]
+        table = np.stack([platform.c[motors], platform.yd[motors], qdd, derivative(qdd, grid.step)])
+    motion = close(task.model, table[0], table[1], table[2], None if near is None else near.motion.c)
+    return Point(task, grid, runs, table, motion, platform, task.regressor(motion))
+
+
+def information(points: Sequence[Point]) -> np.ndarray:
+    """Triangular factor (P, P) of the information of all runs of all motions."""
+    return triangle(*(each.factor for each in map(_informed, points)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Informed:
+    """Rows of a motion's runs, (n, N, P) each, how much they count (n, N), and the factor of their information."""
+
+    rows: list[np.ndarray]
+    counts: np.ndarray
+    factor: np.ndarray
+
+
+def _informed(point: Point) -> _Informed:
+    info, step = point.task.information, point.grid.step
+    counts = info.counts(point.task.window(step).weights(point.joints[1]), step)
+    rows = [info.jacobians(point.W, run, step) for run in point.runs]
+    return _Informed(rows, counts, info.factor(rows, counts))
+
+
+def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool) -> tuple[float, np.ndarray]:
+    """Logarithm of a criterion and its gradient (task.size,) by x.
+
+    ``of_regressor`` for a criterion of the regressor's factor, in place of that of the information.
+    """
+    if of_regressor:
+        value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
+        return value, np.concatenate([_slope_of_regressor(point, F, f) for point in points])
+    informed = [_informed(point) for point in points]
+    value, F, f = criterion(triangle(*(each.factor for each in informed)))
+    return value, np.concatenate(
+        [_slope_of_information(point, each, F, f) for point, each in zip(points, informed, strict=True)]
+    )
+
+
+def _slope_of_regressor(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarray:
+    by_W = 2 * (point.W @ F * f) @ F.T
+    return point.to_rows(point.to_joints(point.task.regressor.slopes(point.motion, by_W))).sum(axis=0)
+
+
+def _slope_of_information(point: Point, informed: _Informed, F: np.ndarray, f: np.ndarray) -> np.ndarray:
+    info, step = point.task.information, point.grid.step
+    by_W, by_counts = np.zeros_like(point.W), np.zeros_like(informed.counts)
+    for run, A in zip(point.runs, informed.rows, strict=True):
+        along = A @ F
+        by_W += info.back(2 * informed.counts[:, :, None] * ((along * f) @ F.T), run, step)
+        by_counts += along**2 @ f
+    by_joints = point.to_joints(point.task.regressor.slopes(point.motion, by_W))
+    by_joints[1] += point.task.window(step).back(point.joints[1], info.counts(by_counts, step))
+    return point.to_rows(by_joints).sum(axis=0)

@@ -1,0 +1,198 @@
+"""What a motion tells about gains and parameters: the information matrix of the maximum-likelihood problem.
+
+The rows are those of :mod:`gtau.estimation.estimators.current_domain`, linearised at prior values,
+
+    e_j = v(t - d_j) - (W theta + known) / g_j,
+
+so that the inverse of the information matrix is the covariance to expect of (theta, log g, d). All runs are in it:
+payload columns, friction of each run, and rows left out near reversals, as identification has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.estimation.regression.base_parameters import BaseParameters
+from gtau.estimation.regression.factors import EXTRA, Factors
+from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.system import assemble
+from gtau.estimation.regression.triangle import triangle
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.signals.experiment import Payload
+
+VAGUE = 1e3  # prior deviations of what is estimated, in units of its scale: so wide that they decide nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """The unknowns (theta, log g, d) and how rows of the base regressor become their equations.
+
+    Attributes
+    ----------
+    names : tuple of str
+        (P,), ``gain_`` and ``delay_`` before a joint's name.
+    scale : ndarray
+        (P,) what a relative deviation refers to.
+    maps : ndarray
+        (runs, n, n_b, P): a row of W times this is a row of the current's Jacobian, without delays.
+    load, smooth : ndarray
+        (runs, n_b): prior values of the base columns, with payload; and those without Coulomb friction.
+    precision : ndarray
+        (P,) of the vague prior.
+    """
+
+    names: tuple[str, ...]
+    scale: np.ndarray
+    maps: np.ndarray
+    load: np.ndarray
+    smooth: np.ndarray
+    gains: np.ndarray
+    precision: np.ndarray
+
+
+def unknowns(
+    model: InverseDynamics,
+    base: BaseParameters,
+    payloads: Sequence[Payload | None],
+    chi: np.ndarray,
+    gains: np.ndarray,
+) -> Unknowns:
+    """The unknowns of an experiment with these runs, at base parameters ``chi`` (n_b,) and ``gains`` (n,)."""
+    n, n_b, runs = len(model.actuated), base.count, len(payloads)
+    p = n_b + EXTRA
+    # factors that are the identity bring out the matrices with which identification joins its runs
+    whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
+    problem = assemble(model, base, [whole] * runs, payloads, 0.0, Friction((), runs > 1)).problem
+    n_theta = problem.n_theta
+    M = problem.units[:, 0, :n_b]  # (runs, n_b, n_theta + 4), the same for all joints
+    theta = np.zeros(n_theta)
+    theta[[problem.parameters.index(name) for name in base.names if name in problem.parameters]] = [
+        value for name, value in zip(base.names, chi, strict=True) if name in problem.parameters
+    ]
+    load = M[:, :, :n_theta] @ theta + M[:, :, n_theta]
+    smooth = load * np.array([not name.startswith("fs_") for name in base.names])
+    maps = np.zeros((runs, n, n_b, n_theta + 2 * n))
+    for j in range(n):
+        maps[:, j, :, :n_theta] = -M[:, :, :n_theta] / gains[j]
+        maps[:, j, :, n_theta + j] = load / gains[j]
+    names = (*problem.parameters, *(f"gain_{j}" for j in model.actuated), *(f"delay_{j}" for j in model.actuated))
+    scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
+    return Unknowns(names, scale, maps, load, smooth, gains, (VAGUE * scale) ** -2.0)
+
+
+def _scales(names: tuple[str, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
+    """Typical size of each parameter: its prior value, or that of the others of its kind."""
+    kinds = [name.split("_", 1)[0] for name in names]
+    mass = max((payload.mass or 1.0 for payload in payloads if payload is not None), default=1.0)
+    # a load of that mass some decimetre away
+    usual = {"m": mass, "mx": 0.1 * mass, "my": 0.1 * mass, "mz": 0.1 * mass, "fv": 1.0, "fs": 1.0, "off": 1.0}
+    sizes = np.abs(theta)
+    for k, kind in enumerate(kinds):
+        if sizes[k] == 0.0:
+            alike = [abs(value) for value, other in zip(theta, kinds, strict=True) if other == kind and value]
+            sizes[k] = float(np.median(alike)) if alike else usual.get(kind, 0.01 * mass)
+    return sizes
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """How rows near a joint's reversals are lost on a periodic grid of instants ``step`` s apart.
+
+    A row is lost where the joint is slower than ``fraction`` of its rms speed anywhere within ``reach`` s, the
+    support of the decimation filter. The rms speed is that of a whole run, so ``floor`` (n,), rad/s or m/s, stands for
+    approach and return in the root of the mean square: without it a joint that hardly moves would lose nothing.
+    Here the loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the speed over its rms value, a row counts
+    ``s^2`` times the product over the cells of the grid within reach of ``1 - share * (1 - s s') / 2``, where a cell's
+    two ends have s and s', and ``share`` of it is within reach.
+    """
+
+    step: float
+    reach: float
+    fraction: float
+    floor: np.ndarray
+
+    def weights(self, qd: np.ndarray) -> np.ndarray:
+        """Weight of each joint's rows, (n, N), from speeds (n, N) over a period."""
+        return self._parts(qd)[0]
+
+    def back(self, qd: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Slopes (n, N) by qd from ``slopes`` (n, N) by the weights."""
+        weights, s, kept, shares, root = self._parts(qd)
+        product = weights / s**2
+        by_s = slopes * 2 * s * product
+        by_cell = np.zeros_like(s)
+        for offset, share in shares:
+            factor = np.roll(kept, -offset, axis=1)
+            by_cell += np.roll(slopes * weights * -share / (1 - share * factor), offset, axis=1)
+        # a cell's loss is (1 - s s') / 2
+        ahead = np.roll(s, -1, axis=1)
+        by_s += -by_cell / 2 * ahead + np.roll(-by_cell / 2 * s, 1, axis=1)
+        rms = self._rms(qd)
+        by_u = by_s * self.fraction**2 / root**3
+        return by_u / rms - qd * np.sum(by_u * qd, axis=1, keepdims=True) / rms**3 / qd.shape[1]
+
+    def _rms(self, qd: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sqrt(np.mean(qd**2, axis=1, keepdims=True) + self.floor[:, None] ** 2 + 1e-300))
+
+    def _parts(self, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[tuple[int, float]], np.ndarray]:
+        u = qd / self._rms(qd)
+        root = np.sqrt(u**2 + self.fraction**2)
+        s = np.where(u == 0, 1e-12, u) / root
+        lost = (1 - s * np.roll(s, -1, axis=1)) / 2
+        weights = s**2
+        shares = self._shares(qd.shape[1])
+        for offset, share in shares:
+            weights = weights * (1 - share * np.roll(lost, -offset, axis=1))
+        return weights, s, lost, shares, root
+
+    def _shares(self, samples: int) -> list[tuple[int, float]]:
+        """Cells (from instant i + offset to the next) within reach of instant i, and the share within."""
+        reach = min(self.reach / self.step, samples / 2 - 1)
+        cells = range(-int(np.ceil(reach)), int(np.ceil(reach)))
+        # not quite 1, so that one lost cell leaves the slopes by the others finite
+        overlap = [(cell, min(cell + 1, reach) - max(cell, -reach)) for cell in cells]
+        return [(cell, min(share, 0.999)) for cell, share in overlap if share > 0]
+
+
+def derivative(values: np.ndarray, step: float) -> np.ndarray:
+    """Derivative along the last axis of samples ``step`` apart of a periodic function, fourth order."""
+    one, two = (np.roll(values, -k, axis=-1) - np.roll(values, k, axis=-1) for k in (1, 2))
+    return np.asarray((8 * one - two) / (12 * step))
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Information about the unknowns from rows of one motion carried out in the runs ``runs``."""
+
+    unknowns: Unknowns
+    sigma: np.ndarray  # (n,) A: standard deviation of a current's sample
+    rate: float  # samples a second of the motion
+
+    def jacobians(self, W: np.ndarray, run: int, step: float) -> np.ndarray:
+        """Rows (n, N, P) of a run from columns W (n, N, n_b) on a periodic grid."""
+        n, P = W.shape[0], len(self.unknowns.names)
+        A = np.einsum("jsb,jbp->jsp", W, self.unknowns.maps[run], optimize=True)
+        slope = derivative(W @ self.unknowns.smooth[run], step) / self.unknowns.gains[:, None]
+        for j in range(n):
+            A[j, :, P - n + j] = -slope[j]
+        return A
+
+    def back(self, by_A: np.ndarray, run: int, step: float) -> np.ndarray:
+        """Slopes by W from those by the rows."""
+        n, P = by_A.shape[0], len(self.unknowns.names)
+        by_W = np.einsum("jsp,jbp->jsb", by_A, self.unknowns.maps[run], optimize=True)
+        by_slope = np.stack([-by_A[j, :, P - n + j] for j in range(n)]) / self.unknowns.gains[:, None]
+        by_W -= derivative(by_slope, step)[:, :, None] * self.unknowns.smooth[run]
+        return by_W
+
+    def counts(self, weights: np.ndarray, step: float) -> np.ndarray:
+        """How much rows count (n, N), 1/A2, from ``weights`` (n, N)."""
+        return weights * (self.rate * step / self.sigma**2)[:, None]
+
+    def factor(self, rows: list[np.ndarray], counts: np.ndarray) -> np.ndarray:
+        """Triangular factor (P, P) of the information of all runs, each with ``rows`` (n, N, P)."""
+        root = np.sqrt(counts)[:, :, None]
+        return triangle(*((A * root).reshape(-1, A.shape[2]) for A in rows))

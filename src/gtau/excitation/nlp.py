@@ -1,0 +1,234 @@
+"""The nonlinear programme of one start: IPOPT with exact first derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from gtau.errors import GtauError
+from gtau.excitation.constraints import Load, loads
+from gtau.excitation.criteria import criterion
+from gtau.excitation.evaluation import Point, design_grid, evaluate, objective
+from gtau.excitation.task import Task
+
+ITERATIONS = 100
+TOLERANCE = 1e-3  # of the logarithm of the criterion: a tenth of a per cent
+
+
+class Programme:
+    """Criterion and limits of a task as functions of x, evaluated once for each x.
+
+    ``Programme(task, criterion, {}).value(x)`` is the criterion's logarithm and its gradient by x (task.size,). Six
+    axes with 5 harmonics have 60 Fourier coefficients, of which rest at the ends leaves 48, and 6 centers.
+
+    ``tightness`` maps what a limit is of to the part of it that may be used; ``best`` is the best x so far whose loads
+    are within that, and ``best_value`` the logarithm of its criterion.
+    """
+
+    def __init__(self, task: Task, criterion_name: str, tightness: Mapping[str, float]):
+        self.task, self.tightness = task, tightness
+        self.grid = design_grid(task)
+        self.of_regressor = criterion_name == "condition"
+        self.criterion = criterion(criterion_name, task.unknowns)
+        self.best: np.ndarray | None = None
+        self.best_value = np.inf
+        self._x = np.array([])
+        self._last: tuple[Point, ...] = ()
+        self._closed: tuple[Point, ...] = ()  # the last motions whose loops could be closed
+        self._loads: tuple[Load, ...] | None = None
+
+    def points(self, x: np.ndarray) -> tuple[Point, ...]:
+        """The motions for x; none where they leave what the robot can reach."""
+        if not np.array_equal(self._x, x):
+            self._x = x.copy()
+            try:
+                self._last = self._closed = evaluate(self.task, x, self.grid, self._closed)
+            except GtauError:
+                self._last = ()
+            self._loads = None
+        return self._last
+
+    def loads(self, x: np.ndarray) -> tuple[Load, ...]:
+        """Loads of all limits; none where the robot cannot go."""
+        points = self.points(x)
+        if self._loads is None:
+            self._loads = tuple(loads(points))
+        return self._loads
+
+    def excess(self, x: np.ndarray) -> float:
+        """Largest load over what the tightness allows; infinite where the robot cannot go."""
+        if not self.points(x):
+            return float("inf")
+        return max((load.excess / self.tightness[load.what] for load in self.loads(x)), default=0.0)
+
+    def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Logarithm of the criterion and its gradient; nan where the robot cannot go."""
+        points = self.points(x)
+        if not points:
+            return float("nan"), np.full(len(x), np.nan)
+        value, slope = objective(points, self.criterion, self.of_regressor)
+        if self.tightness and value < self.best_value and self.excess(x) <= 1.0 + 1e-6:
+            self.best, self.best_value = x.copy(), value
+        return value, slope
+
+    def bounds(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of all loads, stacked."""
+        low, high = [], []
+        for load in self.loads(x):
+            allowed = self.tightness[load.what]
+            low.append(np.full(len(load.values), 1 / allowed if load.least else -allowed))
+            high.append(np.full(len(load.values), np.inf if load.least else allowed))
+        return np.concatenate(low), np.concatenate(high)
+
+
+def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.ndarray:
+    """Minimise from the start x; returns where IPOPT ends, the best point within the limits is in ``programme``."""
+    low, high = programme.bounds(x)
+
+    def constraints(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([load.values for load in programme.loads(x)] or [np.full(len(low), np.nan)])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([load.rows() for load in programme.loads(x)] or [np.full((len(low), len(x)), np.nan)])
+
+    symbol = ca.MX.sym("x", len(x))
+    # which entries can be other than zero shows at a point of no symmetry
+    rows, columns = np.nonzero(jacobian(x))
+    pattern = ca.Sparsity.triplet(len(low), len(x), rows.tolist(), columns.tolist())
+    dense = ca.Sparsity.dense(1, len(x))
+    f = _Callback("f", len(x), 1, lambda x: programme.value(x)[0], lambda x: programme.value(x)[1][None], dense)
+    g = _Callback("g", len(x), len(low), constraints, jacobian, pattern)
+    ended = _Stop("stop", len(x), len(low), stop)
+    solver = ca.nlpsol(
+        "design",
+        "ipopt",
+        {"x": symbol, "f": f(symbol), "g": g(symbol)},
+        {
+            "iteration_callback": ended,
+            "print_time": False,
+            "show_eval_warnings": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "hessian_approximation": "limited-memory",
+                "limited_memory_max_history": 20,
+                "max_iter": ITERATIONS,
+                "tol": TOLERANCE,
+                "constr_viol_tol": 1e-4,
+                "acceptable_tol": 3 * TOLERANCE,
+                "acceptable_iter": 8,
+                "acceptable_obj_change_tol": 1e-3,
+                "mu_strategy": "adaptive",
+                "mumps_pivot_order": 6,  # for dense columns: every number of a series acts on every instant
+            },
+        },
+    )
+    # with the solver's libraries loaded: on systems this small, their threads only wait for each other
+    with threadpool_limits(limits=1):
+        found = solver(x0=x, lbg=low, ubg=high)
+    return np.array(found["x"]).ravel()
+
+
+class _Callback(ca.Callback):
+    """A function of x with a Jacobian, both written in NumPy."""
+
+    def __init__(
+        self,
+        name: str,
+        inputs: int,
+        outputs: int,
+        function: Callable[[np.ndarray], Any],
+        jacobian: Callable[[np.ndarray], np.ndarray],
+        pattern: ca.Sparsity,
+    ):
+        ca.Callback.__init__(self)
+        self._sizes, self._function, self._jacobian, self._pattern = (inputs, outputs), function, jacobian, pattern
+        self._held: list[ca.Callback] = []
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return 1
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, k: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[0], 1)
+
+    def get_sparsity_out(self, k: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[1], 1)
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
+        return [self._function(np.array(arguments[0]).ravel())]
+
+    def has_jacobian(self) -> bool:
+        return True
+
+    def get_jacobian(
+        self, name: str, inames: Sequence[str], onames: Sequence[str], options: Mapping[str, Any]
+    ) -> ca.Function:
+        self._held.append(_Jacobian(name, self._sizes, self._jacobian, self._pattern, options))
+        return self._held[-1]
+
+
+class _Jacobian(ca.Callback):
+    """The Jacobian of a callback: a function of x, and of the value, which it has no use for."""
+
+    def __init__(
+        self,
+        name: str,
+        sizes: tuple[int, int],
+        jacobian: Callable[[np.ndarray], np.ndarray],
+        pattern: ca.Sparsity,
+        options: Mapping[str, Any],
+    ):
+        ca.Callback.__init__(self)
+        self._sizes, self._jacobian, self._pattern = sizes, jacobian, pattern
+        self._places = np.array(pattern.row()), np.repeat(np.arange(sizes[0]), np.diff(pattern.colind()))
+        self.construct(name, dict(options))
+
+    def get_n_in(self) -> int:
+        return 2
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, k: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[k], 1)
+
+    def get_sparsity_out(self, k: int) -> ca.Sparsity:
+        return self._pattern
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
+        return [ca.DM(self._pattern, self._jacobian(np.array(arguments[0]).ravel())[self._places])]
+
+
+class _Stop(ca.Callback):
+    """Asks after every iteration whether to stop."""
+
+    def __init__(self, name: str, variables: int, constraints: int, stop: Callable[[], bool]):
+        ca.Callback.__init__(self)
+        self._sizes, self._stop = (
+            {"x": variables, "f": 1, "g": constraints, "lam_x": variables, "lam_g": constraints},
+            stop,
+        )
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, k: int) -> str:
+        return str(ca.nlpsol_out(k))
+
+    def get_sparsity_in(self, k: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes.get(ca.nlpsol_out(k), 0), 1)
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
+        return [int(self._stop())]

@@ -1,0 +1,98 @@
+"""What is assumed of a robot beforehand: from a model, from given parameters, or roughly from its geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.base_parameters import BaseParameters
+from gtau.estimation.results.result import Result
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.random_states import random_motion
+from gtau.robots.robot import Robot
+
+FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque
+MODERATE = 0.15  # rough rms torque, of the effort limit
+NOISE = 0.005  # rough noise of a current's sample, of the effort limit
+STATES = 200
+
+
+def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: Mapping[str, float]) -> np.ndarray:
+    """Base parameters (n_b,) from standard ones by name; those not named are zero.
+
+    Raises
+    ------
+    GtauError
+        Where the robot has no parameter of that name.
+    """
+    for name in parameters:
+        if name not in model.parameter_names:
+            raise GtauError(
+                f"robot '{model.robot.name}' has no standard parameter '{name}'; write one such as "
+                f"'{model.parameter_names[0]}' or '{model.parameter_names[-1]}'."
+            )
+    chi = base.matrix @ np.array([parameters.get(name, 0.0) for name in model.parameter_names])
+    return np.where(np.abs(chi) > 1e-12 * np.abs(chi).max(initial=0.0), chi, 0.0)
+
+
+def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:
+    """Standard parameters of a robot whose every link is a rod of one mass, with friction to match, and that mass.
+
+    The mass is twice that of the ``payload``, kg, or less where the motors could not well move it. A link's rod leads
+    from its frame's origin to the mean of those of its followers and closures; friction is a tenth of the rms torque
+    of random states.
+    """
+    robot = model.robot
+    chi: dict[str, float] = {}
+    for body in robot.bodies:
+        if f"m_{body}" not in model.parameter_names:
+            continue
+        end = _far_end(robot, body)
+        inertia = (end @ end * np.eye(3) - np.outer(end, end)) / 3 + 1e-3 * np.eye(3)
+        chi |= {f"{kind}_{body}": float(value) for kind, value in zip(("mx", "my", "mz"), end / 2, strict=True)}
+        places = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
+        chi |= {f"{kind}_{body}": float(inertia[place]) for kind, place in places.items()}
+        chi[f"m_{body}"] = 1.0
+    torque = rms_torque(model, base, given_parameters(model, base, chi))  # of links of 1 kg
+    effort = np.array([robot.joint(joint).limits.effort or np.inf for joint in model.actuated])
+    mass = float(min(2 * payload, np.min(MODERATE * effort / np.maximum(torque, 1e-12))))
+    chi = {name: mass * value for name, value in chi.items()}
+    for joint, size in zip(model.actuated, mass * torque, strict=True):
+        chi[f"fs_{joint}"] = float(FRICTION * size)
+        chi[f"fv_{joint}"] = float(FRICTION * size / (robot.joint(joint).limits.velocity or 1.0))
+    return chi, mass
+
+
+def rough_noise(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:
+    """Standard deviation (n,) of a sample of each torque: a share of the effort limit, or else of the rms torque."""
+    torque = rms_torque(model, base, chi) / MODERATE
+    joints = [model.robot.joint(name) for name in model.actuated]
+    return NOISE * np.array([joint.limits.effort or size for joint, size in zip(joints, torque, strict=True)])
+
+
+def _far_end(robot: Robot, body: str) -> np.ndarray:
+    places = [joint.placement.position for joint in robot.joints if joint.antecedent == body]
+    places += [end.placement.position for each in robot.closures for end in (each.a, each.b) if end.body == body]
+    return np.mean(places, axis=0) if places else np.zeros(3)
+
+
+def rms_torque(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:
+    """Rms torques (n,) of random states within the robot's limits, N m or N."""
+    motion = random_motion(model, STATES, np.random.default_rng(0))
+    regressor = model.columns(base.standard)
+    torques = regressor.torques(regressor(model.layout, motion), chi, len(model.actuated))
+    return np.asarray(np.sqrt(np.mean(torques**2, axis=1)))
+
+
+def parameters_of(result: Result, base: BaseParameters) -> np.ndarray:
+    """Base parameters (n_b,) of an identified model; 0 where it has no value."""
+    return np.array([result.params.get(name, 0.0) for name in base.names])
+
+
+def noise_of(result: Result) -> np.ndarray:
+    """Standard deviation (n,) of a sample of each current that would leave a model's residuals, A."""
+    gains = np.array([result.drive_gains[joint].value for joint in result.robot.actuated], dtype=float)
+    row = np.array([error.rms for error in result.residuals]) / np.abs(gains)
+    return np.asarray(row * np.sqrt(result.preparation.decimator.factor))

@@ -1,0 +1,204 @@
+"""A design task: which robot moves how, with which loads and limits, and what is known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.base_parameters import BaseParameters
+from gtau.excitation.closure_gradients import Pullback, in_platform_space, pullback
+from gtau.excitation.information import Information, Unknowns, Window, unknowns
+from gtau.excitation.regressor import SmoothRegressor, smooth_regressor
+from gtau.excitation.trajectory import FourierSeries, approach_duration
+from gtau.model.interpreter.program import Program, compile_program
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.kinematics import frames
+from gtau.model.loops import Motion, advance, differentiate
+from gtau.signals.decimation import Decimator, decimation_factor
+from gtau.signals.experiment import Payload
+from gtau.signals.preparation import Preparation
+
+SPEED_FRACTION = Preparation.speed_fraction
+SMOOTH = 0.02  # width of passive joints' Coulomb friction in a design, of their speed
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of the actuated joints, (n,) each with inf where there is none, and of the motion as a whole.
+
+    ``position`` (n, 2), ``velocity``, ``acceleration``, ``jerk`` in rad or m and s; ``current`` in A; ``workspace``
+    maps x, y, z of the tool's frame to an interval in m; ``condition`` is the largest condition number of the closures;
+    ``away`` the least share of each joint's samples away from its reversals.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    current: np.ndarray
+    workspace: Mapping[str, tuple[float, float]]
+    condition: float
+    away: float
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """All that a design needs.
+
+    Attributes
+    ----------
+    model, base : InverseDynamics, BaseParameters
+        The robot.
+    series : FourierSeries
+        Of the actuated joints, or of the platform.
+    in_platform_space : bool
+        Whether ``series`` moves the platform; its coordinates then count from the platform's place at home.
+    rate : float
+        Of the controller, Hz.
+    repetitions : int
+        Periods in a run.
+    rest : ndarray or None
+        Pose (n,) in which a run begins and ends; None for a run without approach and return.
+    payloads : tuple
+        One entry a run.
+    one_motion : bool
+        Whether all runs follow one motion; otherwise each has a motion of its own.
+    limits : Limits
+        Of the motion.
+    chi, gains, sigma : ndarray
+        Prior base parameters (n_b,), gains (n,), and standard deviations of a sample of each current (n,), A.
+    """
+
+    model: InverseDynamics
+    base: BaseParameters
+    series: FourierSeries
+    in_platform_space: bool
+    rate: float
+    repetitions: int
+    rest: np.ndarray | None
+    payloads: tuple[Payload | None, ...]
+    one_motion: bool
+    limits: Limits
+    chi: np.ndarray
+    gains: np.ndarray
+    sigma: np.ndarray
+
+    def __post_init__(self) -> None:
+        if self.series.harmonics * self.series.base_frequency > 0.1 * self.rate:
+            raise GtauError(
+                f"the highest harmonic is {self.series.harmonics * self.series.base_frequency:g} Hz, which a log of "
+                f"{self.rate:g} Hz cannot follow; take at most a tenth of the rate."
+            )
+
+    @property
+    def motions(self) -> tuple[tuple[int, ...], ...]:
+        """The runs that follow each motion."""
+        runs = range(len(self.payloads))
+        return (tuple(runs),) if self.one_motion else tuple((run,) for run in runs)
+
+    @property
+    def size(self) -> int:
+        """Length of x: the free numbers of the series, motion by motion."""
+        return len(self.motions) * self.series.size
+
+    @cached_property
+    def unknowns(self) -> Unknowns:
+        """What is to be estimated from all runs together."""
+        return unknowns(self.model, self.base, self.payloads, self.chi, self.gains)
+
+    @cached_property
+    def decimator(self) -> Decimator:
+        """The decimation filter that identification will choose for this bandwidth."""
+        return Decimator(decimation_factor(self.rate, self.series.harmonics * self.series.base_frequency))
+
+    @cached_property
+    def information(self) -> Information:
+        """From rows to information, over all repetitions."""
+        return Information(self.unknowns, self.sigma, self.rate * self.repetitions)
+
+    def window(self, step: float) -> Window:
+        """How rows near reversals are lost on a grid of instants ``step`` apart."""
+        return Window(step, self.decimator.support / self.rate, SPEED_FRACTION, self.approach_speed)
+
+    @cached_property
+    def approach_speed(self) -> np.ndarray:
+        """Root (n,) of what approach and return add to the mean square speed of a run, at most; rad/s or m/s."""
+        if self.rest is None:
+            return np.zeros(len(self.gains))
+        limits = self.limits
+        way = np.abs(limits.position - self.rest[:, None]).max(axis=1)
+        way = np.where(np.isfinite(way), way, 0.0)
+        span = approach_duration(way, limits.velocity, limits.acceleration, limits.jerk)
+        whole = self.series.period * self.repetitions + 2 * span
+        # the mean square speed of a quintic move by 1 in 1 s is 10 / 7
+        return np.asarray(way * np.sqrt(2 * 10 / 7 / span / whole))
+
+    @cached_property
+    def platform_model(self) -> InverseDynamics | None:
+        """The robot driven by its platform, for a motion in platform space."""
+        return InverseDynamics(in_platform_space(self.model.robot), "inertial") if self.in_platform_space else None
+
+    @cached_property
+    def regressor(self) -> SmoothRegressor:
+        """Base columns, with Coulomb friction smoothed where it would jump."""
+        joints = self.model.robot.joints
+        length = self.model.loops.equations.length if self.model.loops else 1.0
+        speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
+        turn = float(np.median(speed)) / (1.0 if joints[self.model.layout.actuated[0]].kind == "revolute" else length)
+        width = np.array([SMOOTH * turn * (1.0 if joint.kind == "revolute" else length) for joint in joints])
+        width[self.model.layout.actuated] = SPEED_FRACTION * SMOOTH * speed  # rows in which these jump do not count
+        return smooth_regressor(self.model, self.base.standard, width)
+
+    @cached_property
+    def pullback(self) -> Pullback | None:
+        """Slopes from the whole robot to its actuated joints."""
+        return pullback(self.model)
+
+    @cached_property
+    def platform_pullback(self) -> Pullback | None:
+        """Slopes from the whole robot to its platform."""
+        return pullback(self.platform_model) if self.platform_model else None
+
+    @cached_property
+    def motors(self) -> list[int]:
+        """Places of the actuated joints among the joints of the robot driven by its platform."""
+        assert self.platform_model is not None
+        names = [joint.name for joint in self.platform_model.robot.joints]
+        return [names.index(name) for name in self.model.actuated]
+
+    @cached_property
+    def tool(self) -> tuple[Program, Program]:
+        """Position of the tool's frame in the base by c, and the slopes by c of a weighted sum of its coordinates."""
+        c, weights = ca.SX.sym("c", self.model.layout.n_c), ca.SX.sym("weights", 3)
+        position = frames(self.model.layout, c)[self.model.robot.tool].p_0
+        back = ca.gradient(ca.dot(weights, position), c)
+        return compile_program([c], [position]), compile_program([c, weights], [back])
+
+    def with_payload_mass(self, mass: float) -> Task:
+        """The same task with all known payloads of another ``mass``, kg."""
+        changed = tuple(
+            None if each is None else each.model_copy(update={"mass": mass}) if each.mass is not None else each
+            for each in self.payloads
+        )
+        return replace(self, payloads=changed)
+
+
+def close(model: InverseDynamics, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, near: np.ndarray | None) -> Motion:
+    """Motion of the whole robot, the loops closed sample by sample from the configurations ``near`` (n_c, N) if given.
+
+    Raises
+    ------
+    GtauError
+        Where a pose cannot be reached, or is close to a singularity.
+    """
+    if model.loops is None or near is None or near.shape[1] != q.shape[1]:
+        return model.motion(q, qd, qdd)
+    c, reached = advance(model.loops, near, q)
+    if not reached.all():
+        return model.motion(q, qd, qdd)  # says where
+    return differentiate(model.loops, c, qd, qdd)

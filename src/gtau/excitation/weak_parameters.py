@@ -1,0 +1,97 @@
+"""What a motion leaves unknown, and what further motion would tell it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.triangle import triangle
+from gtau.excitation.criteria import root_covariance
+from gtau.excitation.design import Design
+from gtau.excitation.evaluation import PER_HARMONIC, Grid, Point, design_grid, evaluate, information
+from gtau.excitation.task import Task, close
+
+WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
+WORTH = 0.7  # a motion is named where it brings a deviation below this part of what it was
+SPANS = {"over its whole range, slowly": (0.9, 0.2), "as fast as it may": (0.5, 0.9)}
+"""What one joint alone does: the part of its range, and of its speed limit."""
+
+
+@dataclass(frozen=True)
+class Weak:
+    """An unknown that stays unidentified, its relative deviation, and the motion of one joint that helps it most.
+
+    ``joint`` is None where no such motion helps; ``then`` is the relative deviation with that motion added.
+    """
+
+    name: str
+    relative: float
+    joint: str | None
+    how: str
+    then: float
+
+
+def weak_unknowns(design: Design) -> tuple[Weak, ...]:
+    """Gains and parameters that a design leaves unidentified, with the best single-joint motion to add for each.
+
+    Candidates are every joint moving alone, slowly over its range or fast in the middle of it, for as long as a run;
+    they are carried out with every payload of the experiment.
+    """
+    task = design.task
+    points = evaluate(task, design.x, design_grid(task))
+    unknowns, R = task.unknowns, information(points)
+    middle = np.mean([point.joints[0].mean(axis=1) for point in points], axis=0)
+    before = _relative(task, R)
+    names = [k for k, name in enumerate(unknowns.names) if not name.startswith("delay_") and "@" not in name]
+    weak = [k for k in names if before[k] > WEAK]
+    if not weak:
+        return ()
+    then = {
+        (joint, how): _relative(task, triangle(R, more))
+        for j, joint in enumerate(task.model.actuated)
+        for how, (span, speed) in SPANS.items()
+        for more in [_alone(task, middle, j, span, speed)]
+        if more is not None
+    }
+    found = []
+    for k in weak:
+        helpful = [(float(relative[k]), *way) for way, relative in then.items() if relative[k] < WORTH * before[k]]
+        least, joint, how = min(helpful) if helpful else (float(before[k]), None, "")
+        found.append(Weak(unknowns.names[k], float(before[k]), joint, how, least))
+    return tuple(found)
+
+
+def _relative(task: Task, R: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(root_covariance(R, task.unknowns.precision), axis=1) / task.unknowns.scale)
+
+
+def _alone(task: Task, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
+    """Factor of the information from joint j moving alone about the pose ``middle`` (n,); None where it cannot."""
+    limits, every = task.limits, tuple(range(len(task.payloads)))
+    low, high = limits.position[j] if np.isfinite(limits.position[j]).all() else middle[j] + np.array([-np.pi, np.pi])
+    center = (low + high) / 2
+    for _ in range(4):
+        amplitude = span * (high - low) / 2
+        omega = min(speed * limits.velocity[j] / amplitude, np.sqrt(speed * limits.acceleration[j] / amplitude))
+        period = 2 * np.pi / omega
+        samples = 8 * PER_HARMONIC
+        time = period / samples * np.arange(samples)
+        joints = np.zeros((4, len(middle), samples))
+        joints[0] = middle[:, None]
+        joints[0, j] = center + amplitude * np.sin(omega * time)
+        joints[1, j] = amplitude * omega * np.cos(omega * time)
+        joints[2, j] = -amplitude * omega**2 * np.sin(omega * time)
+        try:
+            motion = close(task.model, joints[0], joints[1], joints[2], None)
+        except GtauError:
+            span /= 2
+            center = (center + middle[j]) / 2
+            continue
+        step = period / samples
+        grid = Grid(time, step, np.empty((4, 0, 0)))
+        alone = Point(task, grid, every, joints, motion, None, task.regressor(motion))
+        # as long as a run: the rows of one cycle count for all of its cycles
+        return information([alone]) * np.sqrt(task.series.period / period)
+    return None

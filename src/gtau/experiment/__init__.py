@@ -1,1 +1,0 @@
-"""Exciting trajectories, designed for what is to be identified."""

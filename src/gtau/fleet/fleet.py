@@ -1,0 +1,245 @@
+"""A fleet: each of many robots identified from its own experiment, whatever becomes of the others."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from gtau.documents.files import in_order, matching, write_atomically
+from gtau.documents.yaml_document import read_yaml, validate
+from gtau.errors import GtauError
+from gtau.estimation.results.model_file import model_text
+from gtau.parallel.content_hash import content_key
+from gtau.parallel.executor import Spread
+from gtau.progress import Progress, silent
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Experiment, read_experiment
+
+
+@dataclass(frozen=True)
+class Member:
+    """A robot of a fleet: its name, its experiment file, and the folder of its logs where that is another one."""
+
+    name: str
+    experiment: Path
+    logs: Path | None = None
+
+    @property
+    def anywhere(self) -> Member:
+        """The same for a process that stands in another folder."""
+        return replace(
+            self, experiment=self.experiment.absolute(), logs=None if self.logs is None else self.logs.absolute()
+        )
+
+    def read(self) -> Experiment:
+        """Its experiment; raises GtauError."""
+        return read_experiment(self.experiment, self.logs)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What became of a member: the text of its model.json with the key of its inputs, or a sentence why not.
+
+    ``model`` is None where the model with the key that was known before still holds.
+    """
+
+    key: str = ""
+    model: str | None = None
+    sentence: str = ""
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Report:
+    """A member with the document of its model, or with the sentence why there is none."""
+
+    member: Member
+    model: dict[str, Any] | None
+    sentence: str = ""
+    seconds: float = 0.0
+
+
+Patterns = Annotated[
+    tuple[str, ...],
+    BeforeValidator(lambda value: (value,) if isinstance(value, str) else value),
+    Field(min_length=1),
+]
+
+
+class FleetFile(BaseModel):
+    """A fleet file: ``experiments``, one of each robot; or one ``experiment`` with the folders of all robots' logs.
+
+    All are paths or patterns, relative to the file. The paths of the one experiment's logs are relative to each of
+    the ``folders``.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    experiments: Patterns | None = None
+    experiment: Path | None = None
+    folders: Patterns | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> FleetFile:
+        if (self.experiments is None) == (self.experiment is None) or (self.experiment is None) != (
+            self.folders is None
+        ):
+            raise ValueError("give 'experiments', one file for each robot; or 'experiment' and 'folders', one for all")
+        return self
+
+
+def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
+    """The robots of a fleet file, or of experiment files.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        Experiment files, or patterns that match some; or one fleet file.
+
+    Returns
+    -------
+    tuple of Member
+        Named after what tells their paths apart. Nothing but a fleet file has been read.
+
+    Raises
+    ------
+    GtauError
+        Where nothing matches, or a fleet file is wrong.
+    """
+    found = [each for path in paths for each in _matches(Path(path))]
+    if len(found) == 1:
+        document = read_yaml(found[0])
+        if not document.data.keys().isdisjoint(FleetFile.model_fields):
+            fleet, folder = validate(FleetFile, document), found[0].parent
+            if fleet.experiment is not None:
+                folders = [each for path in fleet.folders or () for each in _matches(folder / path) if each.is_dir()]
+                if not folders:
+                    raise GtauError(f"{found[0]}: 'folders' matches no folder; give those of the robots' logs.")
+                return tuple(Member(name, folder / fleet.experiment, logs) for name, logs in _named(folders))
+            found = [each for path in fleet.experiments or () for each in _matches(folder / path)]
+    return tuple(Member(name, path) for name, path in _named(found))
+
+
+def _matches(pattern: Path) -> list[Path]:
+    found = matching(pattern)
+    if not found:
+        raise GtauError(f"no file matches '{pattern}'; give experiment files, one for each robot.")
+    return found
+
+
+def _named(paths: list[Path]) -> list[tuple[str, Path]]:
+    """Paths, each once, with what is left of them without what is common at the beginning and at the end."""
+    paths = in_order(dict.fromkeys(paths))
+    parts = [(path if path.is_dir() else path.with_suffix("")).absolute().parts for path in paths]
+    if len(set(parts)) < len(parts):  # a.yaml and a.yml
+        parts = [path.absolute().parts for path in paths]
+    shortest = min(len(each) for each in parts)
+    first = next((k for k in range(shortest - 1) if len({each[k] for each in parts}) > 1), shortest - 1)
+    room = shortest - first - 1
+    last = next((k for k in range(room) if len({each[-1 - k] for each in parts}) > 1), room)
+    if len(paths) == 1:
+        last = 0
+    return [("/".join(each[first : len(each) - last]), path) for each, path in zip(parts, paths, strict=True)]
+
+
+def identify_fleet(
+    members: Sequence[Member], out: Path, spread: Spread, method: str = "ml", progress: Progress = silent
+) -> tuple[Report, ...]:
+    """Identify every robot of a fleet; what is finished stays and is not computed again.
+
+    A model lies in ``out/models/NAME.json`` and the key of its inputs beside it in ``NAME.key``: where program, robot,
+    experiment and logs are the same the next time, the model is taken as it is.
+
+    Parameters
+    ----------
+    members : sequence of Member
+        The robots.
+    out : Path
+        An existing folder.
+    spread : callable
+        Where to work: :func:`gtau.parallel.process_executor.in_processes` or
+        :func:`gtau.parallel.dask_executor.on_workers`.
+    method : str
+        See :func:`gtau.identify`.
+    progress : callable
+        Called after each robot.
+
+    Raises
+    ------
+    GtauError
+        Where the folder cannot be written. What is wrong with a robot stands in its report.
+    """
+    known = [_read_text(_key_file(out, member)) if _model_file(out, member).is_file() else "" for member in members]
+    reports: dict[int, Report] = {}
+    progress("robots", 0, len(members))
+    items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
+    for k, found in spread(partial(_identify_member, method), items):
+        made = Identified(sentence=str(found)) if isinstance(found, GtauError) else found
+        reports[k] = _keep(out, members[k], made)
+        progress("robots", len(reports), len(members))
+    return tuple(reports[k] for k in range(len(members)))
+
+
+def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
+    """Identify a member, unless the key of its inputs is the one known."""
+    from gtau.estimation.identify import identify
+
+    (member, known), begun = item, time.perf_counter()
+    try:
+        experiment = member.read()
+        if experiment.signals.kind == "torque":
+            raise GtauError(
+                f"{member.experiment}: the logs hold torques, so there are no drive gains to compare in a fleet; use "
+                "'gtau identify'."
+            )
+        inputs = experiment.model_copy(update={"validation": ()})
+        names = [log.name for run in inputs.runs for log in run.log]
+        key = content_key((method, inputs, names, replace(load_robot(experiment.robot), source="")))
+        if key == known:
+            return Identified(key)
+        return Identified(key, model_text(identify(experiment, method=method)), "", time.perf_counter() - begun)
+    except GtauError as error:
+        return Identified(sentence=str(error), seconds=time.perf_counter() - begun)
+    except Exception as error:  # the other robots are to be identified all the same
+        sentence = (
+            f"this should not have happened ({type(error).__name__}: {error}); please report it with what "
+            f"GTAU_DEBUG=1 gtau identify {member.experiment} shows."
+        )
+        return Identified(sentence=sentence, seconds=time.perf_counter() - begun)
+
+
+def _keep(out: Path, member: Member, made: Identified) -> Report:
+    """Write a new model, or remove an old one that holds no longer."""
+    model, key = _model_file(out, member), _key_file(out, member)
+    if made.sentence or made.model is not None:
+        key.unlink(missing_ok=True)  # until the model that it is for is there
+    if made.sentence:
+        model.unlink(missing_ok=True)
+        return Report(member, None, made.sentence, made.seconds)
+    if made.model is not None:
+        model.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(model, made.model)
+        write_atomically(key, made.key)
+    return Report(member, json.loads(_read_text(model)), "", made.seconds)
+
+
+def _model_file(out: Path, member: Member) -> Path:
+    return out / "models" / f"{member.name}.json"
+
+
+def _key_file(out: Path, member: Member) -> Path:
+    return out / "models" / f"{member.name}.key"
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError:
+        return ""

@@ -1,0 +1,1 @@
+"""The batched interpreter of CasADi functions."""

@@ -1,0 +1,30 @@
+"""Numba's decorators as all compiled functions here use them."""
+
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from numba import cfunc, njit
+
+_SOURCES = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
+_EDITION = sha256(_SOURCES).hexdigest()[:12]
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile a function, and keep the result on disk for all robots."""
+    return njit(cache=True, nogil=True, error_model="numpy")(_of_this_edition(function))
+
+
+def compiled_once(signature: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function of this signature that others call by its address, so that they need no copy of it."""
+    return lambda function: cfunc(signature, cache=True)(_of_this_edition(function))
+
+
+def _of_this_edition(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, its name on disk telling the sources.
+
+    Numba looks for changes in the function's own file alone, though it compiles in what is called of others.
+    """
+    function.__qualname__ += f"_{_EDITION}"
+    return function

@@ -1,0 +1,232 @@
+"""From a CasADi function to instructions of the interpreter: fused, and few registers."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import casadi as ca
+import numpy as np
+
+from gtau.model.interpreter.kernel import NOWHERE, OPERATIONS
+
+CODE = {name: code for code, name in enumerate(OPERATIONS)}
+_SAME = {getattr(ca, f"OP_{name}"): name for name in OPERATIONS if hasattr(ca, f"OP_{name}")}
+_SINE_OR_COSINE = (ca.OP_SIN, ca.OP_COS)
+# a product used once is made together with the sum it goes into: by sum and place of the product in it
+_FUSED = {("ADD", 0): "MULTIPLY_ADD", ("ADD", 1): "MULTIPLY_ADD", ("SUB", 0): "MULTIPLY_SUBTRACT",
+          ("SUB", 1): "SUBTRACT_PRODUCT"}  # fmt: skip
+
+# the form of an operation whose operand in a place is the result before
+_LAST = {("MUL", 0): "MUL last", ("MUL", 1): "MUL last", ("ADD", 0): "ADD last", ("ADD", 1): "ADD last",
+         ("SUB", 0): "SUB from last", ("SUB", 1): "SUB last"}  # fmt: skip
+for _name in ("MULTIPLY_ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT"):
+    _LAST |= {(_name, 0): f"{_name} by last", (_name, 1): f"{_name} by last", (_name, 2): f"{_name} last"}
+
+
+class Instruction:
+    """An operation on values, which are numbered: the inputs, then what the instructions give."""
+
+    __slots__ = ("operands", "operation", "results")
+
+    def __init__(self, operation: str, results: list[int], operands: list[int]):
+        self.operation, self.results, self.operands = operation, results, operands
+
+
+def instructions(
+    function: ca.Function, parameters: int
+) -> tuple[np.ndarray, np.ndarray, int, tuple[np.ndarray, np.ndarray]]:
+    """``code``, ``constants``, ``registers`` and ``fixed`` of :class:`gtau.model.interpreter.program.Program`.
+
+    The last ``parameters`` entries of the function's input are the same for all samples.
+    """
+    inputs = function.numel_in() - parameters
+    listing, constants, outputs = _read(function)
+    listing = _fused(_multiplied(listing, constants), outputs)
+    fixed = [k for k, value in enumerate(outputs) if value in constants]
+    used = {value for each in listing for value in each.operands} & constants.keys()
+    place = {value: k for k, value in enumerate(sorted(used))}
+    made = {value for each in listing for value in each.results}
+    # A value that is an output stands in the output's row from the first; other outputs are copies.
+    home: dict[int, int] = {}
+    for k, value in enumerate(outputs):
+        if value in made and value not in home:
+            home[value] = k
+        elif value not in constants:
+            listing.append(Instruction("ASSIGN", [_copy(k)], [value]))
+            home[_copy(k)] = k
+    unstored = _chained(listing, home.keys())
+    registers, stands = _allocated(listing, made - home.keys() - unstored)
+    row = place | {inputs + k: len(place) + k for k in range(parameters)}
+    first = len(place) + parameters
+    row |= {value: first + register for value, register in stands.items()}
+    row |= {value: first + registers + value for value in range(inputs)}
+    row |= {value: first + registers + inputs + k for value, k in home.items()}
+    code = np.zeros((len(listing), 5), dtype=np.uint32)
+    for line, each in zip(code, listing, strict=True):
+        # the second result of SINE_COSINE stands in the place of a second operand
+        rows = [row.get(value, NOWHERE) for value in (each.results[0], *each.operands, *each.results[1:])]
+        line[: len(rows) + 1] = CODE[each.operation], *rows
+    values = np.array([constants[value] for value in sorted(used)])
+    constant_outputs = np.array(fixed, dtype=int), np.array([constants[outputs[k]] for k in fixed])
+    return code, values, registers, constant_outputs
+
+
+def _copy(output: int) -> int:
+    """Number of the value that is a copy for an output."""
+    return -1 - output
+
+
+def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], list[int]]:
+    """Instructions in single assignment, constants by value, and the values that are outputs."""
+    listing: list[Instruction] = []
+    constants: dict[int, float] = {}
+    number: dict[float, int] = {}
+    outputs = [0] * function.numel_out()
+    held: dict[int, int] = {}  # value in each of CasADi's registers
+    turned: dict[int, Instruction] = {}  # sines and cosines by angle
+    fresh = iter(range(function.numel_in(), 2**31))
+
+    def constant(x: float) -> int:
+        if x not in number:
+            number[x] = next(fresh)
+            constants[number[x]] = x
+        return number[x]
+
+    for k in range(function.n_instructions()):
+        identity = function.instruction_id(k)
+        arguments, results = function.instruction_input(k), function.instruction_output(k)
+        if identity == ca.OP_CONST:
+            held[results[0]] = constant(function.instruction_constant(k))
+        elif identity == ca.OP_INPUT:
+            held[results[0]] = arguments[1]
+        elif identity == ca.OP_OUTPUT:
+            outputs[results[1]] = held[arguments[0]]
+        elif identity in _SINE_OR_COSINE:
+            angle = held[arguments[0]]
+            if angle not in turned:
+                turned[angle] = Instruction("SINE_COSINE", [next(fresh), next(fresh)], [angle])
+                listing.append(turned[angle])
+            held[results[0]] = turned[angle].results[_SINE_OR_COSINE.index(identity)]
+        else:
+            operands = [held[argument] for argument in arguments]
+            if identity == ca.OP_SQ:
+                operation, operands = "MUL", operands * 2
+            elif identity == ca.OP_TWICE:
+                operation, operands = "ADD", operands * 2
+            elif identity == ca.OP_INV:
+                operation, operands = "DIV", [constant(1.0), *operands]
+            elif identity in _SAME:
+                operation = _SAME[identity]
+            else:
+                raise ValueError(
+                    f"an expression has CasADi's operation {identity}, which the interpreter does not know"
+                )
+            held[results[0]] = next(fresh)
+            listing.append(Instruction(operation, [held[results[0]]], operands))
+    return listing, constants, outputs
+
+
+def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list[Instruction]:
+    """Division by constants, and by values that divide more than once, as products with reciprocals: far cheaper."""
+    divides: dict[int, int] = {}
+    for each in listing:
+        if each.operation == "DIV":
+            divides[each.operands[1]] = divides.get(each.operands[1], 0) + 1
+    named = [*constants, *(value for each in listing for value in each.results)]
+    fresh = iter(range(1 + max(named, default=0), 2**31))
+    reciprocal: dict[int, int] = {}
+    one = next((value for value, x in constants.items() if x == 1.0), None)
+    found = []
+    for each in listing:
+        if each.operation == "DIV":
+            by = each.operands[1]
+            if by in constants and by not in reciprocal:
+                reciprocal[by] = next(fresh)
+                constants[reciprocal[by]] = 1.0 / constants[by]
+            elif divides[by] > 1 and by not in reciprocal:
+                if one is None:
+                    one = next(fresh)
+                    constants[one] = 1.0
+                reciprocal[by] = next(fresh)
+                found.append(Instruction("DIV", [reciprocal[by]], [one, by]))
+            if by in reciprocal:
+                each = Instruction("MUL", each.results, [each.operands[0], reciprocal[by]])
+        found.append(each)
+    return found
+
+
+def _fused(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
+    """Products, and changes of sign, that are used once in a sum made together with it."""
+    uses: dict[int, int] = {}
+    for value in outputs + [operand for each in listing for operand in each.operands]:
+        uses[value] = uses.get(value, 0) + 1
+    maker = {value: each for each in listing for value in each.results}
+    gone: set[int] = set()
+
+    def once(value: int, operation: str) -> Instruction | None:
+        made = maker.get(value)
+        return made if made and made.operation == operation and uses[value] == 1 else None
+
+    for each in listing:
+        if each.operation not in ("ADD", "SUB"):
+            continue
+        for place in (1, 0):
+            negated = once(each.operands[place], "NEG")
+            if negated and (each.operation == "ADD" or place == 1):
+                # x + (-y) = x - y,  (-x) + y = y - x,  x - (-y) = x + y
+                each.operands = [each.operands[1 - place], negated.operands[0]]
+                each.operation = "SUB" if each.operation == "ADD" else "ADD"
+                gone.add(negated.results[0])
+        for place in (1, 0):
+            product = once(each.operands[place], "MUL")
+            if product:
+                gone.add(product.results[0])
+                each.operation = _FUSED[each.operation, place]
+                each.operands = [*product.operands, each.operands[1 - place]]
+                break
+    return [each for each in listing if each.results[0] not in gone]
+
+
+def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
+    """Let instructions take the result before from the processor's registers; returns what then needs no row.
+
+    The values ``kept`` need one in any case.
+    """
+    made: set[int] = set()
+    read = set(kept)
+    before: int | None = None
+    for each in listing:
+        places = [place for place, value in enumerate(each.operands) if value == before]
+        if len(places) == 1 and (each.operation, places[0]) in _LAST:
+            each.operation = _LAST[each.operation, places[0]]
+            del each.operands[places[0]]
+        read.update(each.operands)
+        before = None
+        if each.operation != "SINE_COSINE":
+            before = each.results[0]
+            made.add(before)
+    return made - read
+
+
+def _allocated(listing: list[Instruction], values: set[int]) -> tuple[int, dict[int, int]]:
+    """Number of registers, and the register of each of ``values``: the one that became free last."""
+    last: dict[int, int] = {}
+    for k, each in enumerate(listing):
+        last.update(dict.fromkeys(each.operands + each.results, k))
+    free: list[int] = []
+    stands: dict[int, int] = {}
+    registers = 0
+    for k, each in enumerate(listing):
+        ended = [value for value in dict.fromkeys(each.operands) if last[value] == k and value in values]
+        if each.operation != "SINE_COSINE":  # which must not write where it reads
+            free += [stands[value] for value in ended]
+        for value in each.results:
+            if value in values:
+                if not free:
+                    free.append(registers)
+                    registers += 1
+                stands[value] = free.pop()
+        if each.operation == "SINE_COSINE":
+            free += [stands[value] for value in ended]
+        free += [stands[value] for value in each.results if last[value] == k and value in values]
+    return registers, stands

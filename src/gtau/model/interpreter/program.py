@@ -1,0 +1,167 @@
+"""CasADi functions evaluated for many samples: a small batched interpreter.
+
+A symbolic function is turned into a list of instructions on rows; each instruction is carried out for a
+whole lane of samples before the next, so the interpreter's own cost is shared by the lane and the
+registers stay in the cache. One compiled loop (Numba, cached on disk) serves all robots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from gtau.model.interpreter.instructions import instructions
+from gtau.model.interpreter.kernel import MACHINE, interpret, scatter
+from gtau.model.interpreter.lanes import LANES
+from gtau.model.interpreter.threads import share
+
+PAD = 8  # strides that are powers of two thrash the cache
+NONE = np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Instructions of a function from a vector to a vector.
+
+    ``code`` is (instructions, 5): operation, row of the result and rows of up to three operands. The rows
+    are first the ``constants``, then the ``parameters``, the registers, the inputs and the outputs. ``fixed`` are
+    the outputs that are constants, and their values: no instruction writes them.
+    """
+
+    code: np.ndarray
+    constants: np.ndarray
+    parameters: int
+    registers: int
+    inputs: int
+    outputs: int
+    fixed: tuple[np.ndarray, np.ndarray]
+
+    def __call__(self, *inputs: np.ndarray, parameters: np.ndarray = NONE) -> np.ndarray:
+        """Evaluate for samples along the last axis.
+
+        Parameters
+        ----------
+        *inputs : ndarray
+            Arrays (., N) that together have as many rows as the program has inputs.
+        parameters : ndarray
+            Values (parameters,) that are the same for all samples.
+
+        Returns
+        -------
+        ndarray (outputs, N)
+        """
+        sources, samples = self._sources(inputs)
+        result = np.empty((self.outputs, sources[0].shape[1]))
+        outputs, values = self.fixed
+        result[outputs] = values[:, None]
+
+        def run(start: int, stop: int) -> None:
+            bound = Bound(self, _rows(sources), addresses(result), parameters)
+            interpret(MACHINE, bound.code, bound.rows, bound.own, len(bound.rows), start, stop)
+
+        share(run, result.shape[1])
+        return result[:, :samples]
+
+    def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
+        """Put the outputs, in ``order`` (outputs,), of every sample at ``places`` (outputs,) of its row of ``table``.
+
+        ``table`` is (N, columns), and the places rise.
+        """
+        sources, samples = self._sources(inputs)
+        whole = table if samples >= LANES else np.zeros((LANES, table.shape[1]))
+
+        def run(start: int, stop: int) -> None:
+            made = aligned(self.outputs)  # it stays in the cache
+            outputs, values = self.fixed
+            made[outputs] = values[:, None]
+            bound = Bound(self, _rows(sources), addresses(made))
+            long = bound.own + self.inputs
+            scatter(MACHINE, bound.code, bound.rows, bound.own, long, start, stop, made, order, places, whole)
+
+        share(run, len(whole))
+        if whole is not table:
+            table[:, places] = whole[:samples, places]
+
+    def _sources(self, inputs: tuple[np.ndarray, ...]) -> tuple[list[np.ndarray], int]:
+        """The inputs, at least a lane of them, and the number of samples."""
+        shapes = [np.shape(each) for each in inputs]
+        samples = shapes[0][-1] if shapes[0] else 0
+        if any(len(shape) != 2 or shape[1] != samples for shape in shapes) or sum(s[0] for s in shapes) != self.inputs:
+            raise ValueError(f"expected inputs of shape ({self.inputs}, N), got {', '.join(map(str, shapes))}")
+        if samples >= LANES:
+            return [_contiguous(each) for each in inputs], samples
+        filled = np.zeros((self.inputs, LANES))
+        filled[:, :samples] = np.concatenate(inputs)
+        if samples:
+            filled[:, samples:] = filled[:, samples - 1 : samples]
+        return [filled], samples
+
+
+class Bound:
+    """A program with registers of its own and the addresses of its inputs and outputs.
+
+    ``own`` of the addresses ``rows`` are those of ``memory`` (own, LANES): constants, parameters and registers.
+    """
+
+    def __init__(self, program: Program, inputs: np.ndarray, outputs: np.ndarray, parameters: np.ndarray = NONE):
+        if parameters.shape != (program.parameters,):
+            raise ValueError(f"expected {program.parameters} parameters, got shape {parameters.shape}")
+        values = np.concatenate([program.constants, parameters])
+        self.code = program.code
+        self.own = len(values) + program.registers
+        self.memory = aligned(self.own)
+        self.memory[: len(values)] = values[:, None]
+        self.rows = np.concatenate([addresses(self.memory), inputs, outputs])
+
+
+def aligned(rows: int) -> np.ndarray:
+    """Rows (rows, LANES) that begin where a cache line does."""
+    memory = np.empty(rows * (LANES + PAD) + PAD)
+    first = -memory.ctypes.data % 64 // 8
+    return memory[first : first + rows * (LANES + PAD)].reshape(rows, LANES + PAD)[:, :LANES]
+
+
+def addresses(array: np.ndarray) -> np.ndarray:
+    """Addresses (rows,) of the rows of an array."""
+    return array.ctypes.data + array.strides[0] * np.arange(len(array))
+
+
+def _rows(arrays: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate([addresses(each) for each in arrays])
+
+
+def _contiguous(array: np.ndarray) -> np.ndarray:
+    """The array, or if need be a copy, its numbers one after the other along the last axis."""
+    array = np.asarray(array, dtype=float)
+    return array if array.strides[-1] == array.itemsize else np.ascontiguousarray(array)
+
+
+def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Sequence[ca.SX] = ()) -> Program:
+    """Instructions that compute the stacked dense ``outputs`` from the stacked ``inputs``.
+
+    Parameters
+    ----------
+    inputs : list of SX
+        Symbols, stacked column by column into one input vector.
+    outputs : list of SX
+        Expressions; their entries, structural zeros included, are stacked column by column.
+    parameters : sequence of SX
+        Symbols whose values are the same for all samples.
+
+    Returns
+    -------
+    Program
+        Takes inputs (sum of the inputs' entries, N) and gives (sum of the outputs' entries, N).
+
+    Raises
+    ------
+    ValueError
+        Where an expression has an operation that the interpreter does not know.
+    """
+    x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
+    function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])
+    code, constants, registers, fixed = instructions(function, p.numel())
+    return Program(code, constants, p.numel(), registers, x.numel(), y.numel(), fixed)

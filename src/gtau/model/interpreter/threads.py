@@ -1,0 +1,43 @@
+"""Sharing samples among threads; the compiled loops let go of Python's lock."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+from gtau.model.interpreter.lanes import LANES
+
+_inside = threading.local()
+SHARE = 16 * LANES  # samples that are worth a thread
+
+
+def threads() -> int:
+    """Threads to use: what the environment variable GTAU_THREADS says, or one for each core."""
+    try:
+        return max(int(os.environ["GTAU_THREADS"]), 1)
+    except (KeyError, ValueError):
+        return os.cpu_count() or 1
+
+
+def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:
+    """Call ``work(start, stop)`` for stretches of whole lanes that together are ``samples``.
+
+    In threads, where each gets at least ``worth`` samples; what is computed does not depend on their number. Work that
+    is itself done by one of them is not shared again.
+    """
+    parts = 1 if hasattr(_inside, "pool") else min(threads(), samples // worth)
+    if parts < 2:
+        work(0, samples)
+        return
+    lanes = samples // LANES
+    cuts = [LANES * (lanes * k // parts) for k in range(parts)] + [samples]
+    list(_pool(os.getpid(), parts).map(work, cuts[:-1], cuts[1:]))
+
+
+@cache
+def _pool(process: int, workers: int) -> ThreadPoolExecutor:
+    """Threads, kept; a forked process needs its own."""
+    return ThreadPoolExecutor(workers, "gtau", lambda: setattr(_inside, "pool", True))

@@ -1,0 +1,1 @@
+"""Where work is done: executors, and the cache of reduced runs."""

@@ -1,0 +1,162 @@
+"""Arithmetic in the numbers of a robot file, such as ``pi/2``, ``-(a + d4)/2`` or ``q - a``.
+
+The text is parsed by Python's own grammar and walked over a white list; nothing is executed.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Callable, Mapping
+
+from gtau.documents.yaml_document import unknown
+
+MAX_LENGTH = 200  # also bounds the depth of the expression
+COORDINATE = "q"
+
+FUNCTIONS: Mapping[str, Callable[..., float]] = {
+    "sqrt": math.sqrt,
+    "sin": math.sin,
+    "cos": math.cos,
+    "tan": math.tan,
+    "asin": math.asin,
+    "acos": math.acos,
+    "atan": math.atan,
+    "atan2": math.atan2,
+    "deg": math.radians,
+}
+RESERVED = frozenset({COORDINATE, "pi", *FUNCTIONS})
+"""Names that a constant cannot have."""
+
+Linear = tuple[float, float]
+"""``(coefficient, constant)`` of an expression linear in the joint coordinate ``q``."""
+
+
+def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
+    """Value of an expression.
+
+    Parameters
+    ----------
+    text : str
+        Numbers, ``pi``, constants, ``+ - * / **``, parentheses and the functions
+        ``sqrt sin cos tan asin acos atan atan2 deg`` (``deg`` takes degrees to radians).
+    names : mapping of str to float, optional
+        Values of the constants.
+
+    Returns
+    -------
+    float
+        A finite number.
+
+    Raises
+    ------
+    ValueError
+        The text is no such expression or has no finite value; the message says what to write.
+    """
+    coefficient, constant = linear(text, names)
+    if coefficient != 0.0:
+        raise ValueError("the joint coordinate q cannot stand here, only in theta or r of a joint")
+    return constant
+
+
+def linear(text: str, names: Mapping[str, float] | None = None) -> Linear:
+    """Coefficient and constant of an expression linear in the joint coordinate, such as ``q - a``.
+
+    Parameters and errors are those of `evaluate`; here the text may hold ``q``.
+
+    Returns
+    -------
+    coefficient, constant : float
+        Of ``coefficient * q + constant``.
+    """
+    if not isinstance(text, str):
+        raise ValueError("write a single number or expression")
+    if len(text) > MAX_LENGTH:
+        raise ValueError(f"the expression is longer than {MAX_LENGTH} characters; use constants to shorten it")
+    if unusual := re.search(r"[^\w.+\-*/(), \t]", text, re.ASCII):
+        hint = "; write powers with **" if unusual[0] == "^" else ""
+        raise ValueError(f"'{text}' is not a number or expression, because of '{unusual[0]}'{hint}")
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ValueError(f"'{text}' is not a number or expression; write one such as 0.31 or pi/2") from None
+    try:
+        result = _value(tree.body, names or {})
+    except ZeroDivisionError:
+        raise ValueError(f"'{text}' divides by zero") from None
+    except OverflowError:
+        result = (0.0, math.inf)
+    if not all(map(math.isfinite, result)):
+        raise ValueError(f"'{text}' has no finite value")
+    return result
+
+
+def _value(node: ast.expr, names: Mapping[str, float]) -> Linear:
+    match node:
+        case ast.Constant(value=float() | int() as number) if not isinstance(number, bool):
+            return 0.0, float(number)
+        case ast.Name(id=name):
+            return _named(name, names)
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            coefficient, constant = _value(operand, names)
+            return -coefficient, -constant
+        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+            return _value(operand, names)
+        case ast.BinOp(left=left, op=operator, right=right):
+            return _operation(operator, _value(left, names), _value(right, names))
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in FUNCTIONS:
+            return 0.0, _call(name, [_value(argument, names) for argument in arguments])
+        case ast.Call(func=ast.Name(id=name)):
+            raise ValueError(unknown(f"function '{name}'", name, FUNCTIONS))
+        case ast.Tuple():
+            raise ValueError("a comma stands in the number; write decimals with a point, such as 0.31")
+        case _:
+            raise ValueError(
+                "only numbers, constants, + - * / **, parentheses and functions such as sqrt(2) are read here"
+            )
+
+
+def _named(name: str, names: Mapping[str, float]) -> Linear:
+    if name == COORDINATE:
+        return 1.0, 0.0
+    if name == "pi":
+        return 0.0, math.pi
+    if name not in names:
+        raise ValueError(unknown(f"name '{name}'", name, {"pi", *FUNCTIONS, *names}))
+    return 0.0, names[name]
+
+
+def _operation(operator: ast.operator, left: Linear, right: Linear) -> Linear:
+    (p, a), (q, b) = left, right
+    match operator:
+        case ast.Add():
+            return p + q, a + b
+        case ast.Sub():
+            return p - q, a - b
+        case ast.Mult() if p == 0.0 or q == 0.0:
+            return p * b + a * q, a * b
+        case ast.Div() if q == 0.0:
+            return p / b, a / b
+        case ast.Pow() if p == 0.0 and q == 0.0:
+            power = a**b  # of floats: never a long computation
+            if isinstance(power, complex):
+                raise ValueError("a root of a negative number is not real")
+            return 0.0, power
+        case ast.Mult() | ast.Div() | ast.Pow():
+            raise ValueError("the joint coordinate q must stand alone, as in 'q - a'")
+        case _:
+            raise ValueError("only the operators + - * / ** are read here")
+
+
+def _call(name: str, arguments: list[Linear]) -> float:
+    count = 2 if name == "atan2" else 1
+    if len(arguments) != count:
+        raise ValueError(f"{name} takes {count} value{'s' if count > 1 else ''}, {len(arguments)} are written")
+    if any(coefficient != 0.0 for coefficient, _ in arguments):
+        raise ValueError("the joint coordinate q must stand alone, as in 'q - a'")
+    values = [constant for _, constant in arguments]
+    try:
+        return FUNCTIONS[name](*values)
+    except ValueError:
+        raise ValueError(f"{name}({', '.join(f'{value:g}' for value in values)}) is not defined") from None

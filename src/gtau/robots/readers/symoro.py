@@ -1,0 +1,192 @@
+"""Parameter files of OpenSYMORO (``.par``): geometry of simple, tree and closed robots."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from gtau.documents.files import read_at_most
+from gtau.errors import GtauError
+from gtau.robots.assembly import assemble
+from gtau.robots.readers.expressions import evaluate, linear
+from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
+from gtau.robots.robot import GROUND, STANDARD_GRAVITY, Attachment, Closure, Robot
+
+MAX_BYTES = 1 << 16
+LISTS = ("ant", "sigma", "mu", "gamma", "b", "alpha", "d", "theta", "r")
+PARAMETERS = LISTS[3:]
+COORDINATES = r"(?:th|theta|t|q|r)_?{}"
+"""How such files call the coordinate of joint {}."""
+
+
+def read_par(path: str | Path) -> Robot:
+    """Read a robot from a parameter file of OpenSYMORO.
+
+    Joints are named by their numbers. A loop is cut at a joint beyond the number of links: its frame stays, as a
+    massless link, and is welded to the fixed frame that the file gives on the other side. Home is solved so that loops
+    close. Lengths and angles must be numbers; symbols (``D3``) may get values on lines of their own, ``D3 = 0.45``.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Robot
+        Joints with ``mu = 1`` are actuated, all of an open chain where no ``mu`` is 1. Gravity that is not given as
+        numbers is 9.80665 m/s2 along -z. Notes say so.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read, lacks a part or a value, or describes a mobile robot.
+    """
+    path = Path(path)
+    try:
+        return _robot(_text(path), path)
+    except GtauError as error:
+        raise GtauError(f"{path}: {error}") from None
+
+
+def _text(path: Path) -> str:
+    larger = "the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path."
+    content = read_at_most(MAX_BYTES, path, larger)
+    return content.decode("latin-1")  # older programs wrote accents in it; what is read is ASCII
+
+
+def _robot(text: str, path: Path) -> Robot:
+    name = re.search(r"\(\*\s*Robotname\s*=\s*'([^']*)'\s*\*\)", text)
+    entries = _entries(_without_comments(text))
+    links, joints, count = (_integer(entries, key) for key in ("NL", "NJ", "NF"))
+    for key in ("is_mobile", "is_floating"):
+        if entries.get(key.lower(), "0") not in ("0", "false", "False"):
+            raise GtauError("the robot's base moves; only robots on a fixed base are read.")
+    if not (0 < links <= joints and count == 2 * joints - links):
+        raise GtauError(
+            f"NL = {links}, NJ = {joints}, NF = {count} do not fit; NF is NL and two for each of the NJ - NL loops."
+        )
+    constants = _constants(entries)
+    lists = {key: _list(entries, key, count) for key in LISTS}
+    rows = []
+    for k in range(count):
+        rows.append(_row(k + 1, {key: lists[key][k] for key in LISTS}, constants, links, joints))
+    tree, frames = table_joints(rows)
+    # a joint that cuts a loop has friction, but its link is part of the link on the other side
+    tree = tuple(replace(joint, parameters="drive") if int(joint.name) > links else joint for joint in tree)
+    closures = tuple(
+        Closure("weld", Attachment(str(cut)), frames[str(cut + joints - links)]) for cut in range(links + 1, joints + 1)
+    )
+    gravity, notes = _gravity(entries, constants)
+    if not any(joint.actuated for joint in tree) and links == joints:
+        tree = tuple(replace(joint, actuated=True) for joint in tree)
+        notes += ("no joint has mu = 1, so all were taken as driven by motors",)
+    robot = Robot(
+        name[1] if name and name[1] else path.stem, tree, closures=closures, gravity=gravity, source=path.name,
+        notes=notes,
+    )  # fmt: skip
+    return assemble(robot)
+
+
+def _without_comments(text: str) -> str:
+    kept, *rest = text.split("(*")
+    for piece in rest:
+        _, end, after = piece.partition("*)")
+        if not end:
+            raise GtauError("a comment begins with '(*' and does not end with '*)'; close it.")
+        kept += after
+    return kept
+
+
+def _entries(text: str) -> dict[str, str]:
+    """Values by lower-case key, since versions of the program differ in case; lists are without their braces."""
+    found: dict[str, str] = {}
+    for key, braces, plain in re.findall(
+        r"^[ \t]*(\w+)[ \t]*=[ \t]*(?:\{([^{}]*)\}|([^{}\n]*))", text, flags=re.MULTILINE
+    ):
+        if key.lower() in found and key.lower() in (*LISTS, "nl", "nj", "nf", "g"):
+            raise GtauError(f"{key} is written twice; keep one of them.")
+        found[key.lower()] = (braces or plain).strip()
+    return found
+
+
+def _integer(entries: Mapping[str, str], key: str) -> int:
+    text = entries.get(key.lower())
+    if text is None:
+        raise GtauError(f"{key} is missing; it is no parameter file of OpenSYMORO, or not all of it.")
+    if not text.isdecimal() or len(text) > 4:
+        raise GtauError(f"{key} is '{text}'; write a number.")
+    return int(text)
+
+
+def _constants(entries: Mapping[str, str]) -> dict[str, float]:
+    """Values of symbols that stand on lines of their own."""
+    constants = {}
+    for key, text in entries.items():
+        if key not in (*LISTS, "nl", "nj", "nf", "type", "is_mobile", "is_floating") and re.fullmatch(
+            r"[-+.\deE]+", text
+        ):
+            constants[key] = evaluate(text)
+    return constants
+
+
+def _list(entries: Mapping[str, str], key: str, count: int) -> list[str]:
+    if key not in entries:
+        raise GtauError(f"{key} is missing; it is no parameter file of OpenSYMORO, or not all of it.")
+    values: list[str] = []
+    depth, start, text = 0, 0, entries[key] + ","
+    for position, character in enumerate(text):  # atan2(b, d) holds a comma
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            values.append(text[start:position].strip())
+            start = position + 1
+    if len(values) != count and key == "mu":
+        values += ["0"] * (count - len(values))  # frames beyond the joints have none
+    if len(values) != count:
+        raise GtauError(f"{key} has {len(values)} values; write {count}, one for each frame.")
+    return values
+
+
+def _row(k: int, texts: Mapping[str, str], constants: Mapping[str, float], links: int, joints: int) -> MdhRow:
+    def value(key: str, moving: bool = False) -> float:
+        text = texts[key]
+        if moving:
+            text = re.sub(rf"\b{COORDINATES.format(k)}\b", "q", text, flags=re.IGNORECASE)
+        try:
+            factor, constant = linear(text.lower(), constants)
+        except ValueError as error:
+            raise GtauError(
+                f"{key} of joint {k}: {error}; give symbols their values on lines such as 'd3 = 0.45'."
+            ) from None
+        if factor not in ((0.0, 1.0) if moving else (0.0,)):
+            raise GtauError(f"{key} of joint {k}: the coordinate must stand plain, as 'th{k}' or 'th{k} + pi/2'.")
+        return constant
+
+    sigma = value("sigma")
+    if k <= joints and sigma == 2 and k > links:
+        raise GtauError(f"joint {k} cuts a loop and is fixed (sigma 2); cut the loop at a joint that moves.")
+    if k > joints and sigma != 2:
+        raise GtauError(f"frame {k} is the other side of a loop; its sigma must be 2.")
+    moving = moving_parameter(str(k), sigma)
+    antecedent = value("ant")
+    return table_row(
+        str(k),
+        GROUND if antecedent == 0 else f"{antecedent:g}",
+        value("mu"),
+        sigma,
+        [value(key, key == moving) for key in PARAMETERS],
+    )
+
+
+def _gravity(
+    entries: Mapping[str, str], constants: Mapping[str, float]
+) -> tuple[tuple[float, float, float], tuple[str, ...]]:
+    default = (0.0, 0.0, -STANDARD_GRAVITY)
+    texts = [text.strip() for text in entries.get("g", "").split(",")]
+    try:
+        x, y, z = (evaluate(text.lower(), constants) for text in texts)
+    except ValueError:
+        note = "gravity is not given as numbers in the file, so it was taken as 9.80665 m/s2 along -z of the base"
+        return default, (note,)
+    return (x, y, z), ()

@@ -1,0 +1,275 @@
+"""URDF files of serial arms and trees: their geometry and limits.
+
+Masses and inertias in the file are left aside: they are what is to be identified.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.robots.geometry import ROUNDING, compose, rounded, rounded_pose
+from gtau.robots.readers.xml_document import attribute, numbers, read_xml
+from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose, Robot
+
+Kind = Literal["revolute", "prismatic"]
+KINDS: dict[str, Kind | None] = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "fixed": None,
+}
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """A URDF joint as it stands in the file."""
+
+    name: str
+    kind: Kind | None  # None where nothing moves
+    parent: str
+    child: str
+    origin: Pose
+    element: Element
+
+
+@dataclass(frozen=True)
+class UrdfTree:
+    """What a URDF file describes.
+
+    ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
+    joint's frame and that of the link it moves are the same.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    couplings: tuple[Coupling, ...]
+    frames: Mapping[str, Attachment]
+    notes: tuple[str, ...]
+
+
+def read_urdf(path: str | Path) -> Robot:
+    """Read a robot from a URDF file.
+
+    Links that hang on fixed joints become part of the link that carries them. Joints stand depth first in the order
+    of the file; each keeps its name, and its link bears the name too. A joint that mimics another is passive and
+    coupled to it. Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths
+    below 1e-10 m, are taken as exact.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Robot
+        Positions in rad or m. A velocity or effort limit of 0 counts as not known.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read, is no URDF, or its links are no tree of revolute, continuous, prismatic and fixed
+        joints.
+    """
+    path = Path(path)
+    tree = read_urdf_tree(path, {})
+    try:
+        return Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=tree.notes)
+    except GtauError as error:
+        raise GtauError(f"{path}: {error}") from None
+
+
+def read_urdf_tree(path: Path, types: Mapping[str, str]) -> UrdfTree:
+    """The tree of a URDF file, with the joints named in `types` read as SPHERICAL, CARDAN or FIXED instead.
+
+    A spherical joint becomes three revolute ones, about x, y and z, a cardan joint two, about x and y; the links in
+    between are massless, and the last one bears the joint's name.
+    """
+    try:
+        root = _parse(path)
+        edges = [_edge(element) for element in root.findall("joint")]
+        links = [attribute(element, "name", "a link") for element in root.findall("link")]
+        ordered = _depth_first(links, edges)
+        joints, frames = _moving(ordered, types)
+        couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
+        slaves = {coupling.joint for coupling in couplings}
+        joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, tuple(_odd_masses(root)))
+    except GtauError as error:
+        raise GtauError(f"{path}: {error}") from None
+
+
+def _parse(path: Path) -> Element:
+    root = read_xml(path)
+    if root.tag != "robot":
+        raise GtauError(f"the outermost element is <{root.tag}>, not <robot>; give a URDF file.")
+    if any("/xacro}" in str(element.tag) for element in root.iter()):
+        raise GtauError("the file holds xacro macros; expand it with the program xacro first.")
+    return root
+
+
+def _edge(element: Element) -> _Edge:
+    name = attribute(element, "name", "a joint")
+    kind = attribute(element, "type", f"joint '{name}'")
+    if kind not in KINDS:
+        raise GtauError(
+            f"joint '{name}' is {kind}; only revolute, continuous, prismatic and fixed joints are read, "
+            "so build it from these or describe the robot in a robot file (YAML)."
+        )
+    ends = []
+    for tag in ("parent", "child"):
+        end = element.find(tag)
+        if end is None:
+            raise GtauError(f"joint '{name}' has no <{tag} link=...>; add it.")
+        ends.append(attribute(end, "link", f"<{tag}> of joint '{name}'"))
+    return _Edge(name, KINDS[kind], ends[0], ends[1], _origin(element, name), element)
+
+
+def _depth_first(links: list[str], edges: list[_Edge]) -> list[_Edge]:
+    """The joints from the root outwards, in the order of the file; refuses what is not a tree."""
+    for kind, names in (("link", links), ("joint", [edge.name for edge in edges])):
+        if repeated := _repeated(names):
+            raise GtauError(f"two {kind}s are called '{repeated}'; give each its own name.")
+    known = set(links)
+    followers: dict[str, list[_Edge]] = {link: [] for link in links}
+    for edge in edges:
+        for link in (edge.parent, edge.child):
+            if link not in known:
+                raise GtauError(f"joint '{edge.name}' refers to the link '{link}', which is not in the file; add it.")
+        followers[edge.parent].append(edge)
+    children = [edge.child for edge in edges]
+    if shared := _repeated(children):
+        raise GtauError(
+            f"link '{shared}' is the child of two joints; a URDF is a tree, so describe loops "
+            "with closures in a robot file (YAML)."
+        )
+    roots = sorted(known.difference(children))
+    if len(roots) > 1:
+        raise GtauError(
+            f"the links {', '.join(roots)} are no joint's child; a robot has one root link, "
+            "so join the others to it or remove them."
+        )
+    ordered: list[_Edge] = []
+    pending = [edge for root in roots for edge in reversed(followers[root])]
+    while pending:
+        edge = pending.pop()
+        ordered.append(edge)
+        pending += reversed(followers[edge.child])
+    if len(ordered) < len(edges):
+        lost = next(edge for edge in edges if edge not in ordered)
+        raise GtauError(
+            f"joint '{lost.name}' is in a loop of parents and children; a URDF is a tree, so correct its parent."
+        )
+    return ordered
+
+
+def _repeated(names: list[str]) -> str | None:
+    return next((name for name, count in Counter(names).items() if count > 1), None)
+
+
+def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
+    """The joints that move, each placed in the frame of the last one before it that moves, and where frames are."""
+    joints: list[Joint] = []
+    frames: dict[str, Attachment] = {}
+    for edge in ordered:
+        before = frames.setdefault(edge.parent, Attachment(GROUND))
+        placement = compose(before.placement, edge.origin)
+        type_ = types.get(edge.name)
+        if type_ == "FIXED" or (type_ is None and edge.kind is None):
+            frames[edge.child] = frames[edge.name] = Attachment(before.body, placement)
+            continue
+        if type_ is None and edge.kind is not None:
+            joints.append(Joint(edge.name, before.body, edge.kind, placement, _axis(edge), limits=_limits(edge)))
+        else:
+            joints += turning(edge.name, before.body, placement, "xyz" if type_ == "SPHERICAL" else "xy")
+        frames[edge.child] = frames[edge.name] = Attachment(edge.name)
+    return tuple(joints), frames
+
+
+def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list[Joint]:
+    """A spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
+    chain = [f"{name}_{axis}" for axis in axes[:-1]] + [name]
+    return [
+        Joint(
+            link,
+            chain[k - 1] if k else antecedent,
+            "revolute",
+            Pose() if k else placement,
+            AXES[axes[k]],
+            parameters="inertial" if link == name else "none",
+        )
+        for k, link in enumerate(chain)
+    ]
+
+
+def _mimic(edge: _Edge) -> Coupling | None:
+    mimic = edge.element.find("mimic")
+    if mimic is None or edge.kind is None:
+        return None
+    master = attribute(mimic, "joint", f"<mimic> of joint '{edge.name}'")
+    ratio, offset = (
+        numbers(mimic.get(key, default), 1, f"{key} of <mimic> of joint '{edge.name}'")[0]
+        for key, default in (("multiplier", "1"), ("offset", "0"))
+    )
+    return Coupling(edge.name, ((master, ratio),), offset)
+
+
+def _odd_masses(root: Element) -> Iterator[str]:
+    """Notes on masses that cannot be meant; they are not used, but other programs would."""
+    masses: dict[str, float] = {}
+    for link in root.findall("link"):
+        name, inertial = attribute(link, "name", "a link"), link.find("inertial/mass")
+        if inertial is not None:
+            masses[name] = numbers(inertial.get("value", ""), 1, f"mass of link '{name}'")[0]
+    typical = float(np.median([mass for mass in masses.values() if mass > 1e-6] or [1.0]))
+    for name, mass in masses.items():
+        if mass < 0.0 or mass > max(1000.0 * typical, 1000.0):
+            yield (
+                f"link '{name}' weighs {mass:,.0f} kg in the file, which cannot be meant; masses are identified, not "
+                "read, but correct it before you use the file elsewhere"
+            )
+
+
+def _origin(element: Element, name: str) -> Pose:
+    origin = element.find("origin")
+    if origin is None:
+        return Pose()
+    xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
+    return rounded_pose(xyz, rpy)
+
+
+def _axis(edge: _Edge) -> tuple[float, float, float]:
+    axis = edge.element.find("axis")
+    if axis is None:
+        return (1.0, 0.0, 0.0)  # as the URDF specification says
+    vector = np.array(numbers(axis.get("xyz", "1 0 0"), 3, f"axis of joint '{edge.name}'"))
+    length = float(np.linalg.norm(vector))
+    if length < ROUNDING:
+        raise GtauError(f"the axis of joint '{edge.name}' is zero; give it a direction.")
+    x, y, z = (rounded(component) for component in vector / length)
+    return (x, y, z)
+
+
+def _limits(edge: _Edge) -> Limits:
+    limit = edge.element.find("limit")
+    if limit is None:
+        return Limits()
+    values = {
+        key: numbers(text, 1, f"{key} of joint '{edge.name}'")[0]
+        for key in ("lower", "upper", "velocity", "effort")
+        if (text := limit.get(key)) is not None
+    }
+    endless = edge.element.get("type") == "continuous" or not values.keys() & {"lower", "upper"}
+    return Limits(
+        position=None if endless else (values.get("lower", 0.0), values.get("upper", 0.0)),
+        velocity=values.get("velocity") or None,
+        effort=values.get("effort") or None,
+    )

@@ -1,0 +1,65 @@
+"""XML files read safely: no entities, no document types, bounded size, numbers checked."""
+
+from __future__ import annotations
+
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree.ElementTree import ParseError
+
+from gtau.documents.files import read_at_most
+from gtau.errors import GtauError
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+MAX_BYTES = 1 << 24
+MAX_DEPTH = 200
+
+
+def read_xml(path: Path) -> Element:
+    """The root element of an XML file.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read, is larger than 16 MiB, is no XML, declares entities or a document type, or is nested
+        more than 200 levels deep. The message does not name the file; the caller does.
+    """
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import fromstring
+
+    larger = "the file is larger than 16 MiB; a robot is text without meshes, so check the path."
+    content = read_at_most(MAX_BYTES, path, larger)
+    try:
+        root: Element = fromstring(content, forbid_dtd=True)
+    except DefusedXmlException:
+        raise GtauError("the file declares entities or a document type; write their values out.") from None
+    except (ParseError, ValueError, LookupError) as error:
+        raise GtauError(f"this is not valid XML ({error}); correct the file.") from None
+    level = [root]
+    for _ in range(MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise GtauError(f"elements are nested more than {MAX_DEPTH} levels deep; check the file.")
+    return root
+
+
+def numbers(text: str, count: int, what: str) -> list[float]:
+    """The finite numbers that an attribute or element holds; refuses any other count."""
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(isfinite, values)):
+        needed = "a number" if count == 1 else f"{count} numbers"
+        raise GtauError(f"the {what} is '{text}'; write {needed}.")
+    return values
+
+
+def attribute(element: Element, key: str, what: str) -> str:
+    """An attribute that must be there."""
+    value = element.get(key)
+    if not value:
+        raise GtauError(f'{what} has no {key}; write {key}="...".')
+    return value

@@ -1,0 +1,191 @@
+"""The five control strategies of the paper's Table 4, on the same robot and the same trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import read_runs
+from gtau.estimation.results.result import Result
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import Progress
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload, check_robot, read_experiment
+from gtau.simulation.closed_loop import Simulated, simulate
+from gtau.simulation.controllers import Controller, Reference, computed_torque, pid_with_velocity, sample, simple_pid
+from gtau.simulation.experiment_files import apparatus
+from gtau.simulation.motions import make_trajectory
+from gtau.simulation.simulation_file import Simulation, check_joints, read_simulation
+
+ERROR_ON_GAINS = 1.25  # the paper's 25 % on the manufacturer's gains
+STRATEGIES = (
+    "simple PID",
+    "advanced PID",
+    "CTC with manufacturer's gains",
+    "CTC with identified gains",
+    "CTC with error on gains",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """How a strategy followed a trajectory: ``maximum`` and ``rms`` (n,) of the error, means of the repetitions.
+
+    ``error`` (N, n) is the first repetition's; rad or m, ``time`` (N,) in s.
+    """
+
+    trajectory: str
+    strategy: str
+    maximum: np.ndarray
+    rms: np.ndarray
+    time: np.ndarray
+    error: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Tracking of every strategy on every trajectory, with the ``references`` by trajectory and the models by gains."""
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    tracking: tuple[Tracking, ...]
+    references: Mapping[str, Reference]
+    models: Mapping[str, Result]
+
+
+def models_of_gains(experiment: str | Path, identified: Mapping[str, float], progress: Progress) -> dict[str, Result]:
+    """Models identified by WLS with the manufacturer's, the identified and the wrong gains: by strategy.
+
+    Raises
+    ------
+    GtauError
+        Where the experiment file is wrong or lacks ``prior_gains``.
+    """
+    described = read_experiment(experiment)
+    robot = load_robot(described.robot)
+    check_robot(described, robot)
+    if not described.prior_gains:
+        raise GtauError(f"{experiment} has no 'prior_gains', the manufacturer's; add them to compare control laws.")
+    runs = [run for run in read_runs(described, described.runs) if run.payload is None or run.payload.mass is not None]
+    wrong = {joint: ERROR_ON_GAINS * gain for joint, gain in described.prior_gains.items()}
+    gains = zip(STRATEGIES[2:], (described.prior_gains, identified, wrong), strict=True)
+    return {name: identify(robot, runs, method="wls", prior_gains=each, progress=progress) for name, each in gains}
+
+
+def compare_control(
+    simulation_file: str | Path,
+    experiment: str | Path,
+    progress: Progress,
+    identified: Mapping[str, float] | None = None,
+    repetitions: int = 2,
+) -> Comparison:
+    """Run the five strategies on the ``control`` trajectories of a simulation file (paper, Table 4).
+
+    Parameters
+    ----------
+    simulation_file : path
+        The robot, its true parameters, drives and sensors, and the trajectories.
+    experiment : path
+        Logs of that robot and the manufacturer's gains, from which each computed torque gets a model of its own.
+    progress : callable
+        Called as the work goes on.
+    identified : mapping, optional
+        Joint to identified gain; by maximum likelihood from the experiment if left out.
+    repetitions : int
+        How often every trajectory is run; the paper's Table 4 holds means of two.
+
+    Raises
+    ------
+    GtauError
+        Where a file is wrong, or the robot gets out of control.
+    """
+    simulation = read_simulation(simulation_file)
+    robot = load_robot(simulation.robot)
+    check_joints(simulation, robot, simulation_file)
+    if not simulation.control:
+        raise GtauError(f"{simulation_file} has no trajectories under 'control'; list one or more to compare laws on.")
+    if identified is None:
+        found = identify(experiment, progress=progress)
+        identified = {joint: gain.value or 0.0 for joint, gain in found.drive_gains.items()}
+    models = models_of_gains(experiment, identified, progress)
+    model = InverseDynamics(robot)
+    references, tracking = {}, []
+    total = len(simulation.control) * len(STRATEGIES) * repetitions
+    for number, described in enumerate(simulation.control):
+        motion, duration = make_trajectory(described.trajectory, robot, f"control '{described.name}'")
+        reference = references[described.name] = sample(motion, duration, simulation.rate)
+        engine, _, parts = apparatus(simulation, model, described.payload)
+        laws = controllers(reference, models, described.payload, simulation)
+        for place, (strategy, law) in enumerate(laws.items()):
+            made: list[Simulated] = []
+            for repetition in range(repetitions):
+                done = (number * len(STRATEGIES) + place) * repetitions + repetition
+                progress("control laws", done, total)
+                rng = np.random.default_rng([simulation.seed, number, repetition])
+                made.append(simulate(strategy, engine, law, parts, rng, described.payload, robot.actuated))
+            errors = [np.abs(each.error) for each in made]
+            maximum = np.mean([each.max(axis=0) for each in errors], axis=0)
+            rms = np.mean([np.sqrt(np.mean(each**2, axis=0)) for each in errors], axis=0)
+            tracking.append(Tracking(described.name, strategy, maximum, rms, reference.time, made[0].error))
+    progress("control laws", total, total)
+    units = tuple("rad" if robot.joint(joint).kind == "revolute" else "m" for joint in robot.actuated)
+    return Comparison(robot.actuated, units, tuple(tracking), references, models)
+
+
+def controllers(
+    reference: Reference, models: Mapping[str, Result], payload: Payload | None, simulation: Simulation
+) -> dict[str, Controller]:
+    """The five laws, by strategy; the PIDs are tuned by the manufacturer's model at the start of the motion."""
+    computed = {
+        name: computed_torque(reference, model, payload, simulation.bandwidth) for name, model in models.items()
+    }
+    known = computed[STRATEGIES[2]]
+    inertia = np.diag(np.diag(known.inertia[0]))  # each axis for itself
+    laws = (simple_pid, pid_with_velocity)
+    pids = {
+        name: law(reference, inertia, known.gains, simulation.bandwidth)
+        for name, law in zip(STRATEGIES, laws, strict=False)
+    }
+    return pids | computed
+
+
+def table(comparison: Comparison) -> str:
+    """The paper's Table 4: largest and rms tracking errors in micrometres or microradians."""
+    joints, lines = comparison.joints, []
+    unit = {"m": "µm", "rad": "µrad"}
+    names = [f"{joint}, {unit[each]}" for joint, each in zip(joints, comparison.units, strict=True)]
+    width = max(10, *(len(name) + 2 for name in names))
+    for trajectory in comparison.references:
+        lines += [
+            f"{trajectory:<32}{'largest error':>{width * len(joints)}}{'rms':>{width * len(joints)}}",
+            " " * 32 + "".join(f"{name:>{width}}" for name in names * 2),
+        ]
+        lines += [
+            f"  {each.strategy:<30}" + "".join(f"{1e6 * value:>{width}.0f}" for value in (*each.maximum, *each.rms))
+            for each in comparison.tracking
+            if each.trajectory == trajectory
+        ]
+        lines.append("")
+    return "\n".join(lines[:-1])
+
+
+def table_document(comparison: Comparison) -> list[dict[str, object]]:
+    """The table as JSON, SI units."""
+    return [
+        {
+            "trajectory": each.trajectory,
+            "strategy": each.strategy,
+            "joints": [
+                {"joint": joint, "maximum": float(largest), "rms": float(rms), "unit": unit}
+                for joint, largest, rms, unit in zip(
+                    comparison.joints, each.maximum, each.rms, comparison.units, strict=True
+                )
+            ],
+        }
+        for each in comparison.tracking
+    ]

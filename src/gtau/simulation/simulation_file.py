@@ -1,0 +1,210 @@
+"""The simulation file: which robot, its true parameters, drives and sensors, and the runs to be made."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+
+from gtau.documents.yaml_document import read_yaml, validate
+from gtau.errors import GtauError
+from gtau.robots.robot import INERTIAL, Robot
+from gtau.signals.columns import Positive
+from gtau.signals.experiment import Payload, file_or_name
+from gtau.simulation.controllers import BANDWIDTH
+from gtau.simulation.drive import Drive, Sensors
+from gtau.simulation.plant import WIDTH
+
+NotNegative = Annotated[FiniteFloat, Field(ge=0)]
+PerJoint = dict[str, FiniteFloat]
+
+
+class _Keys(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class JointHardware(_Keys):
+    """Drive and sensors of a joint; see :class:`gtau.simulation.drive.Drive` and ``Sensors``."""
+
+    gain: FiniteFloat
+    current_limit: Positive | None = None
+    ripple: NotNegative = 0.0
+    ripple_period: Positive = 1.0
+    position_quantum: NotNegative = 0.0
+    delay: Annotated[FiniteFloat, Field(ge=0, le=0.1)] = 0.0
+    current_noise: NotNegative = 0.0
+    current_quantum: NotNegative = 0.0
+
+    @property
+    def drive(self) -> Drive:
+        """The drive."""
+        limit = {} if self.current_limit is None else {"current_limit": self.current_limit}
+        return Drive(self.gain, ripple=self.ripple, ripple_period=self.ripple_period, **limit)
+
+    @property
+    def sensors(self) -> Sensors:
+        """The sensors."""
+        return Sensors(self.position_quantum, self.delay, self.current_noise, self.current_quantum)
+
+
+class RandomMotion(_Keys):
+    """A random trajectory within a share of the joints' limits."""
+
+    seed: int = 0
+    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)] = 20.0
+    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
+
+
+class Points(_Keys):
+    """Fifth-order moves from point to point, each as fast as a share of the joints' limits allows."""
+
+    through: tuple[PerJoint, ...] = Field(min_length=2)
+    rest: NotNegative = 0.05
+    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
+
+
+class Fourier(_Keys):
+    """``center + sum amplitude sin(2 pi frequency t + phase)``, faded in and out; rad or m, Hz, rad, s."""
+
+    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)]
+    frequency: tuple[Positive, ...] = Field(min_length=1)
+    center: PerJoint
+    amplitude: dict[str, tuple[FiniteFloat, ...]]
+    phase: dict[str, tuple[FiniteFloat, ...]]
+
+    @model_validator(mode="after")
+    def _one_of_each_frequency(self) -> Fourier:
+        for what, values in (("amplitude", self.amplitude), ("phase", self.phase)):
+            for joint, each in values.items():
+                if len(each) != len(self.frequency):
+                    raise ValueError(
+                        f"joint '{joint}' has {len(each)} values of '{what}' for {len(self.frequency)} frequencies; "
+                        "write one for each"
+                    )
+        return self
+
+
+class Motion(_Keys):
+    """A trajectory, of one kind; ``csv`` holds the columns ``t`` and ``q_<joint>``, as 'gtau excite' writes them."""
+
+    sines: RandomMotion | None = None
+    moves: RandomMotion | None = None
+    points: Points | None = None
+    fourier: Fourier | None = None
+    csv: Path | None = None
+
+    @field_validator("csv")
+    @classmethod
+    def _existing(cls, csv: Path, info: ValidationInfo) -> Path:
+        path = csv if info.context is None else info.context / csv
+        if not path.is_file():
+            raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
+        return path
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Motion:
+        if len(self.model_fields_set) != 1:
+            raise ValueError("give one trajectory: 'sines', 'moves', 'points', 'fourier' or 'csv'")
+        return self
+
+
+class SimulatedRun(_Keys):
+    """A run to be simulated; a payload with ``weigh: true`` is written into the experiment file without its mass."""
+
+    name: str
+    trajectory: Motion
+    payload: Payload | None = None
+    weigh: bool = False
+
+    @field_validator("name")
+    @classmethod
+    def _name_of_a_file(cls, name: str) -> str:
+        if not re.fullmatch(r"\w[\w.-]*", name, re.ASCII):
+            raise ValueError(f"'{name}' is to be the name of a log; write it with letters, digits, '.', '_' and '-'")
+        return name
+
+    @model_validator(mode="after")
+    def _payload_has_a_mass(self) -> SimulatedRun:
+        if self.payload is not None and self.payload.mass is None:
+            raise ValueError(f"the payload '{self.payload.name}' has no mass; a simulation needs it")
+        if self.weigh and self.payload is None:
+            raise ValueError("'weigh' stands without 'payload'; add one or remove it")
+        return self
+
+
+class Friction(_Keys):
+    """Speeds over which Coulomb friction changes its sign, m/s and rad/s."""
+
+    prismatic: Positive = WIDTH["prismatic"]
+    revolute: Positive = WIDTH["revolute"]
+
+
+class Simulation(_Keys):
+    """A simulation file; its paths are relative to it.
+
+    ``control`` lists the trajectories on which control laws are compared; no logs are written of them.
+    """
+
+    robot: str
+    engine: Literal["gtau", "mujoco"] = "gtau"
+    parameters: dict[str, FiniteFloat]
+    drives: dict[str, JointHardware] = Field(min_length=1)
+    friction_width: Friction = Friction()
+    rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0
+    bandwidth: Positive = BANDWIDTH
+    seed: int = 0
+    prior_gains: PerJoint = {}
+    runs: tuple[SimulatedRun, ...] = Field(min_length=1)
+    validation: tuple[SimulatedRun, ...] = ()
+    control: tuple[SimulatedRun, ...] = ()
+
+    @field_validator("robot")
+    @classmethod
+    def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
+        return robot if info.context is None else file_or_name(robot, info.context)
+
+    @model_validator(mode="after")
+    def _names_once(self) -> Simulation:
+        names = [run.name for run in (*self.runs, *self.validation, *self.control)]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two runs are called '{name}'; give every run its own name")
+        if self.bandwidth > self.rate / 5:
+            raise ValueError(
+                f"a bandwidth of {self.bandwidth:g} rad/s cannot be had at a rate of {self.rate:g} Hz; "
+                f"write at most {self.rate / 5:g}"
+            )
+        return self
+
+
+def read_simulation(path: str | Path) -> Simulation:
+    """Read a simulation file.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read, or something in it is missing, misspelt or contradictory.
+    """
+    return validate(Simulation, read_yaml(path), context=Path(path).parent)
+
+
+def massless(simulation: Simulation, robot: Robot) -> tuple[str, ...]:
+    """Links and platforms of which the file names no mass, moment or inertia: they have none."""
+    named = {name.split("_", 1)[1] for name in simulation.parameters if name.split("_", 1)[0] in INERTIAL}
+    links = [joint.name for joint in robot.joints if joint.has_mass]
+    return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)
+
+
+def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:
+    """Check that drives and prior gains are those of the robot's actuated joints; raises GtauError."""
+    for what, names in (("drives", simulation.drives), ("prior_gains", simulation.prior_gains)):
+        missing = [joint for joint in robot.actuated if joint not in names] if names else []
+        extra = [joint for joint in names if joint not in robot.actuated]
+        if missing or extra:
+            raise GtauError(
+                f"{path}, {what}: "
+                + (f"joint '{missing[0]}' is missing" if missing else f"'{extra[0]}' is no actuated joint")
+                + f"; the actuated joints of robot '{robot.name}' are {', '.join(robot.actuated)}."
+            )

@@ -1,0 +1,84 @@
+"""Fifty experiments with which nothing is wrong: robots, motions and noise drawn anew, and no alarm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+import gtau.estimation.regression.dataset
+from gtau.estimation.diagnostics.verdict import INFLATED, Outcome
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.load import load_robot
+from gtau.robots.robot import INERTIAL
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
+from gtau.simulation.trajectories import envelope, point_to_point, sines
+
+RATE, SECONDS = 400.0, 8.0
+LOADS = (0.0, 0.0, 2.0, 2.0)
+NOISE = 0.003  # of the rms current
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick() -> Iterator[None]:
+    """Base parameters found once for each robot, and one thread."""
+    found: dict[str, BaseParameters] = {}
+
+    def remembered(model: InverseDynamics) -> BaseParameters:
+        return found.setdefault(model.robot.name, found.get(model.robot.name) or base_parameters(model))
+
+    with pytest.MonkeyPatch.context() as patch, threadpool_limits(1, "blas"):
+        patch.setattr(gtau.estimation.regression.dataset, "base_parameters", remembered)
+        yield
+
+
+def parameters(model: InverseDynamics, rng: np.random.Generator) -> dict[str, float]:
+    """Links of a few points of mass, and friction in every joint."""
+    robot, chi = model.robot, {}
+    length = characteristic_length(robot)
+    for body in robot.bodies:
+        mass, points = rng.uniform(0.1, 0.4, 6), length * rng.normal(0.0, 0.2, (6, 3))
+        moment = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(mass, points, strict=True))
+        values = (*moment[np.triu_indices(3)], *(mass @ points), mass.sum())
+        chi |= dict(zip((f"{kind}_{body}" for kind in INERTIAL), values, strict=True))
+    for joint in robot.actuated:
+        chi |= {f"ia_{joint}": length**2, f"off_{joint}": rng.normal(0.0, 0.3 * length)}
+        chi |= {f"fv_{joint}": rng.uniform(4.0, 8.0) * length, f"fs_{joint}": rng.uniform(2.0, 5.0) * length}
+    return {name: value for name, value in chi.items() if name in model.parameter_names}
+
+
+def experiment(model: InverseDynamics, rng: np.random.Generator) -> tuple[list[Run], np.ndarray]:
+    """Runs without and with a payload, friction drifting by 2 % from one to the next, and the true gains."""
+    chi, time = parameters(model, rng), np.arange(round(SECONDS * RATE) + 1) / RATE
+    gains, tool, runs = rng.uniform(1.0, 5.0, len(model.actuated)), f"m_{model.robot.tool}", []
+    for k, mass in enumerate(LOADS):
+        q, qd, qdd = (sines, point_to_point)[k % 2](envelope(model.robot, 0.7), SECONDS, rng)(time)
+        drift = {name: value * (1 + 0.02 * k) for name, value in chi.items() if name.startswith(("fv_", "fs_"))}
+        tau = model.torques(q, qd, qdd, {**chi, **drift, tool: chi[tool] + mass})
+        noise = NOISE * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)
+        payload = Payload(name="disc", mass=mass) if mass else None
+        runs.append(Run(f"run {k}", model.actuated, time, q, (tau + noise) / gains, payload=payload))
+    return runs, gains
+
+
+@pytest.mark.parametrize("source", ["five-bar", "delta"])
+def test_no_alarm_in_25_clean_experiments(source: str) -> None:
+    model = InverseDynamics(load_robot(source))
+    alarms, outside = [], 0
+    for seed in range(25):
+        runs, gains = experiment(model, np.random.default_rng([7, seed]))
+        result = identify(model.robot, runs)
+        found = [gain.verdict for gain in result.drive_gains.values()]
+        alarms += [(seed, verdict.sentence) for verdict in found if verdict.outcome == Outcome.CONTRADICTORY]
+        alarms += [(seed, "lack of fit")] if result.statistics["lack_of_fit"] > INFLATED else []
+        for gain, truth in zip(result.drive_gains.values(), gains, strict=True):
+            low, high = gain.interval(0.95) or (0.0, 0.0)
+            outside += not low < truth < high
+    assert alarms == []
+    assert outside <= 10  # of 50 intervals of 95 %, and a binomial tail of 1e-4

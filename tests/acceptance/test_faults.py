@@ -1,0 +1,382 @@
+"""Faults that happen, put into good logs: each is noticed, and the sentence names it among what to check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import STEEL, Plant
+from orthoglide_logs import experiment
+
+import gtau.estimation.regression.dataset
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import INFLATED, Outcome, worst
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
+from gtau.estimation.results.result import Result
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Mdh, Robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run, read_run
+from gtau.simulation.orthoglide_truth import DRIVE_GAINS
+
+ROBOT = load_robot("orthoglide")
+Fault = Callable[[list[Run]], tuple[Robot, list[Run]]]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def base_once() -> Iterator[None]:
+    """Base parameters found once for each robot, as most of these experiments are of the same."""
+    found: dict[Robot, BaseParameters] = {}
+
+    def remembered(model: InverseDynamics) -> BaseParameters:
+        if model.robot not in found:
+            found[model.robot] = base_parameters(model)
+        return found[model.robot]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gtau.estimation.regression.dataset, "base_parameters", remembered)
+        yield
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    return experiment(1)
+
+
+def sentences(result: Result) -> str:
+    return " | ".join(gain.verdict.sentence for gain in result.drive_gains.values())
+
+
+def errors(result: Result) -> np.ndarray:
+    """Errors of the gains, per cent."""
+    return np.array([100 * (each.value / DRIVE_GAINS[joint] - 1) for joint, each in result.drive_gains.items()])
+
+
+# No fault
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_false_alarm(seed: int, runs: list[Run]) -> None:
+    result = identify(ROBOT, runs if seed == 1 else experiment(seed))
+    every = [gain.verdict for gain in result.drive_gains.values()] + [each.verdict for each in result.payloads]
+    assert worst(every) == Outcome.GOOD
+    assert not any(verdict.why for verdict in every)
+    assert result.statistics["lack_of_fit"] < INFLATED
+    assert np.abs(errors(result)).max() < 0.6
+
+
+# Faults of the runs
+
+
+def command(run: Run, columns: Sequence[int], signs: Sequence[float] = (1, 1, 1)) -> Run:
+    return replace(run, command=run.command[:, columns] * signs)
+
+
+def only(runs: list[Run], k: int, fault: Callable[[Run], Run]) -> list[Run]:
+    return [fault(run) if i == k else run for i, run in enumerate(runs)]
+
+
+def warm_up(run: Run) -> Run:
+    return replace(run, command=run.command * np.linspace(1.0, 1.05, len(run.time))[:, None])
+
+
+def warmer(run: Run, share: float) -> Run:
+    """Of a motor whose torque constant has fallen by a share."""
+    return replace(run, command=run.command * (1 + share))
+
+
+def saturating(run: Run) -> Run:
+    """Of motors whose torque constants fall by 5 % up to the largest currents."""
+    return replace(run, command=run.command * (1 + 0.05 * np.abs(run.command) / np.abs(run.command).max(axis=0)))
+
+
+def turned(robot: Robot) -> Robot:
+    x, y, z = robot.gravity
+    return replace(robot, gravity=(z, x, y))
+
+
+FAULTS: dict[str, tuple[Fault, Outcome, str]] = {
+    "swapped channels": (
+        lambda runs: (ROBOT, [command(run, [1, 0, 2]) for run in runs]),
+        Outcome.CONTRADICTORY,
+        "position and current columns belong together",
+    ),
+    "a sign flipped in one run": (
+        lambda runs: (ROBOT, only(runs, 0, lambda run: command(run, [0, 1, 2], (1, -1, 1)))),
+        Outcome.CONTRADICTORY,
+        "in all runs, and their signs",
+    ),
+    "all signs flipped": (
+        lambda runs: (ROBOT, [command(run, [0, 1, 2], (-1, -1, -1)) for run in runs]),
+        Outcome.CONTRADICTORY,
+        "check the sign of the currents",
+    ),
+    "an unloaded run declared loaded": (
+        lambda runs: (ROBOT, only(runs, 1, lambda run: replace(run, payload=runs[2].payload))),
+        Outcome.WEAK,
+        "payload",
+    ),
+    "a loaded run declared unloaded": (
+        lambda runs: (ROBOT, only(runs, 2, lambda run: replace(run, payload=None))),
+        Outcome.WEAK,
+        "which runs carry the payload",
+    ),
+    "gravity along another axis": (lambda runs: (turned(ROBOT), runs), Outcome.CONTRADICTORY, "direction of gravity"),
+    "gravity upside down": (
+        lambda runs: (replace(ROBOT, gravity=(0.0, 0.0, 9.80665)), runs),
+        Outcome.CONTRADICTORY,
+        "direction of gravity",
+    ),
+    "positions in the wrong order": (
+        lambda runs: (ROBOT, [replace(run, position=run.position[:, [1, 0, 2]]) for run in runs]),
+        Outcome.CONTRADICTORY,
+        "position and current columns belong together",
+    ),
+    "a robot that warms up in a run": (
+        lambda runs: (ROBOT, only(runs, 0, warm_up)),
+        Outcome.CONTRADICTORY,
+        "let the robot warm up before",
+    ),
+    "a robot that warms up from run to run": (
+        lambda runs: (ROBOT, [warmer(run, 0.01 * k) for k, run in enumerate(runs)]),
+        Outcome.CONTRADICTORY,
+        "let the robot warm up, and make loaded and unloaded runs in turn",
+    ),
+    "a torque constant that falls with the current": (
+        lambda runs: (ROBOT, list(map(saturating, runs))),
+        Outcome.CONTRADICTORY,
+        "stay at lower currents",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_noticed(name: str, runs: list[Run]) -> None:
+    put_in, outcome, advice = FAULTS[name]
+    robot, faulty = put_in(runs)
+    result = identify(robot, faulty)
+    found = worst([gain.verdict for gain in result.drive_gains.values()])
+    assert list(Outcome).index(found) >= list(Outcome).index(outcome), sentences(result)
+    assert advice in sentences(result)
+    assert advice.split()[0] in " ".join(result.summary().split())
+
+
+def test_one_reversed_current_is_a_negative_gain_and_said(
+    runs: list[Run],
+) -> None:
+    result = identify(ROBOT, [command(run, [0, 1, 2], (1, -1, 1)) for run in runs])
+    assert result.drive_gains["12"].value == pytest.approx(-DRIVE_GAINS["12"], rel=0.006)
+    assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD
+    assert "drive gain of '12' good: it is negative" in " ".join(result.summary().split())
+
+
+def longer(names: Sequence[str], factor: float) -> Robot:
+    """The robot with links of another length."""
+    joints = [
+        replace(joint, placement=replace(joint.placement, d=factor * joint.placement.d))
+        if isinstance(joint.placement, Mdh) and joint.name in names
+        else joint
+        for joint in ROBOT.joints
+    ]
+    return replace(ROBOT, joints=tuple(joints))
+
+
+@pytest.mark.parametrize("names", [["41"], ["42"], ["43"], [joint.name for joint in ROBOT.joints]])
+def test_a_link_two_per_cent_off_is_found(names: list[str], runs: list[Run]) -> None:
+    result = identify(longer(names, 1.02), runs)
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
+    assert "check the robot's geometry" in sentences(result)
+    assert "variance would go with other lengths" in sentences(result)
+    if len(names) == 1:
+        assert f"such as the length of 316.2 mm at '{names[0]}'" in sentences(result)
+        assert " % shorter" in sentences(result)
+
+
+def test_millimetres_read_as_metres_are_refused(runs: list[Run]) -> None:
+    with pytest.raises(GtauError, match="if the log is in mm say so"):
+        identify(ROBOT, [replace(run, position=1e3 * run.position) for run in runs])
+
+
+# A wrong mass
+
+
+def heavier(run: Run, name: str, factor: float) -> Run:
+    if run.payload is None or run.payload.name != name or run.payload.mass is None:
+        return run
+    return replace(run, payload=Payload(name=name, mass=factor * run.payload.mass))
+
+
+def test_a_wrong_mass_is_not_noticed_with_one_payload_and_that_is_said(runs: list[Run]) -> None:
+    result = identify(ROBOT, [heavier(run, "1.983 kg", 1.2) for run in runs])
+    np.testing.assert_allclose(errors(result), 20.0, atol=0.6)
+    assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD
+    assert "a wrong one cannot be noticed" in " ".join(result.summary().split())
+
+
+def test_a_wrong_mass_is_noticed_with_two_payloads() -> None:
+    two = experiment(4, (0.0, 1.136, 1.983))
+    for factor, outcome in ((1.0, Outcome.GOOD), (1.03, Outcome.CONTRADICTORY)):
+        result = identify(ROBOT, [heavier(run, "1.983 kg", factor) for run in two])
+        assert worst([each.verdict for each in result.payloads]) == outcome
+        assert ("weigh the payloads again" in " ".join(result.summary().split())) == (factor > 1)
+
+
+# A wrong parameter of a payload, on a five-bar that carries it at a known place
+
+
+def steel(parameters: dict[str, float]) -> list[Run]:
+    plant = Plant(noise=0.02)
+    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, STEEL, seed=2)
+    return [free, replace(loaded, payload=Payload(name="steel", mass=STEEL["m"], parameters=parameters))]
+
+
+def test_a_wrong_parameter_of_the_payload_is_found_and_named() -> None:
+    five_bar, kinds = load_robot("five-bar"), [kind for kind in STEEL if kind != "m"]
+    right = identify(five_bar, steel({kind: STEEL[kind] for kind in kinds}))
+    assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD, sentences(right)
+    assert right.payloads[0].verdict.outcome == Outcome.GOOD
+    kind = kinds[0]
+    wrong = identify(five_bar, steel({each: STEEL[each] * (1.5 if each == kind else 1.0) for each in kinds}))
+    assert {gain.verdict.outcome for gain in wrong.drive_gains.values()} == {Outcome.CONTRADICTORY}
+    assert "payload 'steel'" in sentences(wrong)
+    verdict = wrong.payloads[0].verdict
+    assert verdict.outcome == Outcome.CONTRADICTORY
+    assert f"its {kind} is " in verdict.why
+    assert float(verdict.why.split(f"its {kind} is ")[1].split()[0]) == pytest.approx(STEEL[kind], rel=0.05)
+
+
+# Factors of a thousand
+
+
+def per_ampere(factor: float) -> dict[str, float]:
+    return {joint: factor * gain for joint, gain in DRIVE_GAINS.items()}
+
+
+def test_milliamperes_read_as_amperes_contradict_the_prior_gains(runs: list[Run]) -> None:
+    milli = [replace(run, command=1e3 * run.command) for run in runs]
+    result = identify(ROBOT, milli, prior_gains=per_ampere(1.05))
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
+    assert "looks like mA taken for A" in sentences(result)
+    right = identify(ROBOT, runs, prior_gains=per_ampere(1.05))
+    assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD
+
+
+def test_grams_read_as_kilograms_contradict_prior_gains_and_limits(runs: list[Run]) -> None:
+    grams = [heavier(run, "1.983 kg", 1e3) for run in runs]
+    assert "looks like g for kg" in sentences(identify(ROBOT, grams, prior_gains=per_ampere(0.9)))
+    joints = [
+        replace(joint, limits=replace(joint.limits, effort=2000.0)) if joint.name in DRIVE_GAINS else joint
+        for joint in ROBOT.joints
+    ]
+    limited = replace(ROBOT, joints=tuple(joints))
+    result = identify(limited, grams)
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
+    assert "times the joint's limit of 2000 N" in sentences(result)
+    assert worst([gain.verdict for gain in identify(limited, runs).drive_gains.values()]) == Outcome.GOOD
+
+
+def test_no_gain_is_good_beside_a_contradictory_one(runs: list[Run]) -> None:
+    priors = per_ampere(1.0) | {"12": 5 * DRIVE_GAINS["12"]}
+    verdicts = {joint: gain.verdict for joint, gain in identify(ROBOT, runs, prior_gains=priors).drive_gains.items()}
+    assert verdicts["12"].outcome == Outcome.CONTRADICTORY
+    for joint in ("11", "13"):
+        assert verdicts[joint].outcome == Outcome.WEAK
+        assert "joint '12' contradicts" in verdicts[joint].why
+
+
+def test_given_gains_are_said_to_be_given(runs: list[Run]) -> None:
+    result = identify(ROBOT, runs, method="wls", prior_gains=per_ampere(1.0))
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.GIVEN}
+
+
+# A serial arm in the wrong unit
+
+
+def test_degrees_read_as_radians() -> None:
+    model = InverseDynamics(load_robot("puma560"))
+    rng = np.random.default_rng(5)
+    time = np.arange(2401) / 300.0
+    w = 2 * np.pi * np.array([0.3, 0.8, 1.3])[:, None]
+    chi = {name: 0.5 if name.startswith(("m_", "ia", "fv", "fs")) else 0.05 for name in model.parameter_names}
+    logged = []
+    for k, mass in enumerate((0.0, 3.0)):
+        angle = w * time[:, None, None] + rng.uniform(0, 6.0, (3, 6))
+        q, qd, qdd = (0.4 * np.sin(angle) / w).sum(1), (0.4 * np.cos(angle)).sum(1), (-0.4 * w * np.sin(angle)).sum(1)
+        tool = f"m_{model.robot.tool}"
+        tau = model.torques(q, qd, qdd, {**chi, tool: chi[tool] + mass})
+        current = tau / 10.0 + 0.01 * rng.standard_normal(tau.shape)
+        payload = Payload(name="steel", mass=mass) if mass else None
+        logged.append(Run(f"run {k}", model.actuated, time, q, current, payload=payload))
+    right = identify(model.robot, logged)
+    assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD, sentences(right)
+    with pytest.raises(GtauError, match="if the log is in deg say so"):
+        identify(model.robot, [replace(run, position=np.degrees(run.position)) for run in logged])
+
+
+# Faults that the checks of a log find
+
+SIGNALS = {
+    "time": "t",
+    "position": {joint: f"q{joint}" for joint in DRIVE_GAINS},
+    "current": {joint: f"v{joint}" for joint in DRIVE_GAINS},
+}
+
+
+def logged(path: Path, run: Run) -> Run:
+    names = ["t", *(f"{kind}{joint}" for kind in "qv" for joint in run.joints)]
+    table = np.column_stack([run.time, run.position, run.command])
+    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.9f")
+    return read_run(path, SIGNALS, run.payload)
+
+
+def limited(run: Run, share: float) -> Run:
+    highest = share * np.abs(run.command).max(axis=0)
+    return replace(run, command=np.round(np.clip(run.command, -highest, highest), 9))
+
+
+def test_clipped_currents_are_masked_and_said(runs: list[Run], tmp_path: Path) -> None:
+    clipped = [logged(tmp_path / f"run_{k}.csv", limited(run, 0.85)) for k, run in enumerate(runs)]
+    masked = [int((~run.valid).sum()) for run in clipped]
+    assert min(masked) > 0
+    assert all("is clipped at" in " ".join(run.notes) for run in clipped)
+    result = identify(ROBOT, clipped)
+    assert "is clipped at" in " ".join(result.summary().split())
+    for (joint, gain), truth in zip(result.drive_gains.items(), DRIVE_GAINS.values(), strict=True):
+        low, high = gain.interval(0.999) or (0.0, 0.0)
+        assert low < truth < high, joint
+
+
+def test_a_command_clipped_all_the_time_is_refused(runs: list[Run], tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match=r"is clipped at .* record it again with slower motions"):
+        logged(tmp_path / "run.csv", limited(runs[1], 0.3))
+
+
+def test_good_currents_are_not_taken_for_clipped(runs: list[Run], tmp_path: Path) -> None:
+    for k, run in enumerate(runs):
+        assert logged(tmp_path / f"run_{k}.csv", run).notes == ()
+        coarse = replace(run, command=0.02 * np.round(run.command / 0.02))
+        assert "clipped" not in " ".join(logged(tmp_path / "coarse.csv", coarse).notes)
+
+
+@pytest.mark.parametrize("slip", [0.001, 0.005])
+def test_a_slipped_encoder_is_refused(slip: float, runs: list[Run], tmp_path: Path) -> None:
+    run = runs[0]
+    later = np.arange(len(run.time)) > 2000
+    jumped = run.position + slip * np.outer(later, [0, 1, 0])
+    with pytest.raises(GtauError, match=r"joint '12' jumps by 0\.00[15].* at 5\.0025 s.* check the coupling"):
+        logged(tmp_path / "run.csv", replace(run, position=jumped))
+
+
+def test_a_gap_is_refused(runs: list[Run], tmp_path: Path) -> None:
+    run, kept = runs[0], np.ones(len(runs[0].time), dtype=bool)
+    kept[1000:1100] = False
+    gap = replace(
+        run, time=run.time[kept], position=run.position[kept], command=run.command[kept], valid=np.ones(0, bool)
+    )
+    with pytest.raises(GtauError, match=r"0\.25.* s are missing after 2\.49"):
+        logged(tmp_path / "run.csv", gap)

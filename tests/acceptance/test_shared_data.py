@@ -1,0 +1,153 @@
+"""The main job on the logs beside the checkout: an independent Orthoglide plant, and a real UR10e."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.identify import identify
+from gtau.estimation.results.result import Result
+from gtau.estimation.weigh import weigh
+from gtau.signals.experiment import read_experiment
+from gtau.signals.run import read_run
+
+PAGE = Path(__file__).parents[2] / "docs" / "measured.md"
+CONTROLLER = (11.976, 11.976, 9.839, 10.763, 10.76, 10.76)  # N m/A
+
+
+@pytest.fixture(scope="module")
+def folder(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("experiments")
+    texts = re.findall(r"^```yaml\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    places = {"orthoglide": "orthoglide_sim", "weighing": "orthoglide_sim", "ur10e": "ur10e", "tx40": "tx40"}
+    for (name, place), text in zip(places.items(), texts, strict=True):
+        text = re.sub(r"([\w-]+\.csv)", lambda log: str(shared / place / log[1]), text)  # noqa: B023
+        (folder / f"{name}.yaml").write_text(text)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def truth(shared: Path) -> dict:
+    return json.loads((shared / "orthoglide_sim" / "truth.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def orthoglide(folder: Path) -> Result:
+    return identify(folder / "orthoglide.yaml")
+
+
+@pytest.fixture(scope="module")
+def ur10e(folder: Path) -> Result:
+    return identify(folder / "ur10e.yaml")
+
+
+def test_orthoglide_gains(orthoglide: Result, truth: dict) -> None:
+    for estimate, gain in zip(orthoglide.drive_gains.values(), truth["drive_gains"], strict=True):
+        assert estimate.value == pytest.approx(gain, rel=0.003)
+        assert abs(estimate.value - gain) < 4 * estimate.std
+        assert estimate.rel_std < 0.3
+        assert estimate.unit == "N/A"
+    assert len(orthoglide.parameters) == 61
+
+
+def test_orthoglide_delay_is_half_a_sample(orthoglide: Result) -> None:
+    for delay in orthoglide.delays.values():
+        assert delay.value == pytest.approx(5e-4, abs=5e-5)
+
+
+def test_orthoglide_parameters(orthoglide: Result, truth: dict) -> None:
+    # The truth is listed by the standard parameter that each base parameter keeps; it is regrouped all the same.
+    listed = truth["base_parameters"]
+    told = {name.removesuffix("R"): each for name, each in orthoglide.parameters.items() if each.value is not None}
+    compared = [name for name in told if name in listed]
+    assert len(compared) >= 40
+    for name in compared:
+        assert abs(told[name].value - listed[name]) < 6 * told[name].std + 0.002 * abs(listed[name]), name
+
+
+def test_orthoglide_validation(orthoglide: Result, folder: Path) -> None:
+    described = read_experiment(folder / "orthoglide.yaml")
+    logged = described.validation[0]
+    run = read_run(logged.log, described.signals, logged.payload, described.units)
+    for error in orthoglide.validate(run):
+        assert error.rms < 0.35  # N, of signals of 93 to 105 N
+        assert 80 < error.signal < 120
+
+
+@pytest.mark.parametrize(("gains", "mass", "off"), [("identified", 1.136, 0.005), ("prior", 1.09, 0.01)])
+def test_the_second_payload(orthoglide: Result, folder: Path, gains: str, mass: float, off: float) -> None:
+    (second,) = weigh(orthoglide, folder / "weighing.yaml", gains)
+    estimate = second.parameters["m"]
+    assert (second.name, second.run) == ("second", "second_payload_1136g")
+    assert estimate.value == pytest.approx(mass, abs=off)
+    assert estimate.std < 0.01
+
+
+def test_ur10e_gains(ur10e: Result) -> None:
+    gains = list(ur10e.drive_gains.values())
+    for k in (1, 2):
+        assert gains[k].value == pytest.approx(CONTROLLER[k], rel=0.04)
+    for k in (3, 4, 5):
+        assert gains[k].value == pytest.approx(CONTROLLER[k], rel=0.08)
+    assert gains[0].rel_std > 3
+    assert [gain.verdict.outcome for gain in gains] == [Outcome.WEAK, *[Outcome.GOOD] * 5]
+
+
+def test_ur10e_payload_has_ten_parameters(ur10e: Result) -> None:
+    (payload,) = ur10e.payloads
+    assert payload.known == {"m"}
+    assert set(payload.parameters) == {"xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m"}
+
+
+def test_ur10e_by_total_least_squares(folder: Path, ur10e: Result) -> None:
+    """The two smallest singular values are close, but only the gain that the data hardly fix suffers from it."""
+    result = identify(folder / "ur10e.yaml", method="tls")
+    assert result.statistics["singular_ratio"] < 3
+    said = " ".join(result.summary().split())
+    assert f"ratio of the two smallest singular values of W_tot: {result.statistics['singular_ratio']:.2f}" in said
+    gains = result.drive_gains
+    assert [gain.verdict.outcome for gain in gains.values()] == [Outcome.WEAK, *[Outcome.GOOD] * 5]
+    for joint, gain in gains.items():
+        assert abs(gain.value - ur10e.drive_gains[joint].value) < 2 * gain.std
+
+
+def test_ur10e_consistent_parameters_predict_no_worse(folder: Path, shared: Path) -> None:
+    """What the constraints cost on the runs themselves was fitted noise: on another run the errors do not grow."""
+    result = identify(folder / "ur10e.yaml", consistent=True)
+    found = result.consistency
+    assert found is not None
+    assert min(found.eigenvalues.values()) > 0
+    assert np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) < 1.01
+    assert max(move.deviations for move in found.moves) < 2
+    values = result.base.matrix @ np.array([found.standard[name] for name in result.model.parameter_names])
+    moved = {move.name: move.consistent for move in found.moves}
+    consistent = replace(
+        result,
+        parameters={
+            name: replace(each, value=float(value))
+            for (name, each), value in zip(result.parameters.items(), values, strict=True)
+        },
+        drive_gains={joint: replace(each, value=found.gains[joint][0]) for joint, each in result.drive_gains.items()},
+        friction={name: replace(each, value=moved[name]) for name, each in result.friction.items()},
+    )
+    signals = read_experiment(folder / "ur10e.yaml").signals
+    run = read_run([shared / "ur10e" / "ur-20_02_10-30sec_12harm.csv"], signals)
+    growth = [
+        after.rms / before.rms for before, after in zip(result.validate(run), consistent.validate(run), strict=True)
+    ]
+    assert max(growth) < 1.02
+    assert np.sqrt(np.mean(np.square(growth))) < 1.0
+
+
+def test_tx40_as_the_page_says(folder: Path) -> None:
+    """Torques are taken for what they are, and explained as well as said."""
+    result = identify(folder / "tx40.yaml")
+    assert (result.kind, result.method) == ("torque", "wls")
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.GIVEN}
+    assert [error.relative for error in result.residuals] == pytest.approx([4, 4, 7, 7, 14, 9], abs=0.6)

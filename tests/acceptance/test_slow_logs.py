@@ -1,0 +1,79 @@
+"""Slow motions logged at low rates: few rows after decimation, and hardly any motion in the currents' rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from orthoglide_logs import orthoglide
+
+from gtau.estimation.diagnostics.verdict import Outcome, lack_of_fit
+from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.estimators.newton import FLATTEST, curved
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.friction import Friction
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
+from gtau.simulation.orthoglide_truth import standard_parameters
+
+ROBOT = load_robot("orthoglide")
+GAIN, MASS = 2100.0, 1.983
+
+
+def logs(rate: float, slowest: float, seconds: float, noise: float) -> list[Run]:
+    """A free and a loaded run along the same five harmonics of ``slowest`` Hz, with white noise of the currents."""
+    rng, chi = np.random.default_rng(4), standard_parameters()
+    t = np.arange(round(seconds * rate))[:, None] / rate
+    q, qd, qdd = (np.zeros((len(t), 3)) for _ in range(3))
+    draw = np.random.default_rng(0)
+    for w in 2 * np.pi * slowest * np.arange(1, 6):
+        a, b = 0.008 * draw.normal(size=(2, 3))
+        q += a * np.sin(w * t) + b * (np.cos(w * t) - 1)
+        qd += w * (a * np.cos(w * t) - b * np.sin(w * t))
+        qdd -= w * w * (a * np.sin(w * t) + b * np.cos(w * t))
+    q += [ROBOT.joint(joint).home for joint in ROBOT.actuated]
+    runs = []
+    for mass in (0.0, MASS):
+        current = orthoglide().torques(q, qd, qdd, {**chi, "m_P": chi["m_P"] + mass}) / GAIN
+        current += noise * current.std(axis=0) * rng.standard_normal(current.shape)
+        payload = Payload(name="known", mass=mass) if mass else None
+        runs.append(Run(f"{mass:g} kg", ROBOT.actuated, t[:, 0], q, current, payload=payload))
+    return runs
+
+
+@pytest.mark.parametrize(
+    ("rate", "slowest", "seconds", "noise"),
+    [
+        (80.0, 0.3, 75.0, 1e-3),  # once "did not settle", as steps cannot be smaller than rounding
+        (30.0, 0.2, 100.0, 1e-3),
+        (50.0, 0.3, 120.0, 1e-2),
+        (40.0, 0.3, 120.0, 1e-2),  # once contradictory, by delays that a joint's own equations do not tell
+        (80.0, 0.3, 75.0, 1e-2),  # once not identifiable, as the rest of one stretch had no curvature in a delay
+    ],
+)
+def test_gains_of_slow_logs(rate: float, slowest: float, seconds: float, noise: float) -> None:
+    result = identify(ROBOT, logs(rate, slowest, seconds, noise))
+    for gain in result.drive_gains.values():
+        assert gain.verdict.outcome == Outcome.GOOD
+        assert abs((gain.value or 0.0) - GAIN) < 3.5 * (gain.std or 0.0)
+
+
+def test_leaving_a_stretch_out_keeps_the_curvature() -> None:
+    data = reduce_runs(ROBOT, logs(80.0, 0.3, 75.0, 1e-2))
+    problem = data.assembly(Friction(per_run=True)).problem
+    assert lack_of_fit(problem, ml(problem)) == pytest.approx(1.1, abs=0.4)
+
+
+def test_curvature_is_kept_where_there_is_enough_and_raised_where_not() -> None:
+    rng = np.random.default_rng(3)
+    A, v = rng.normal(size=(9, 4)), rng.normal(size=4)
+    gauss = A.T @ A
+    smallest = 1 / (v @ np.linalg.solve(gauss, v))  # of v v^T, that takes all curvature away in one direction
+    np.testing.assert_array_equal(
+        curved(gauss, -0.5 * smallest * np.outer(v, v)), gauss - 0.5 * smallest * np.outer(v, v)
+    )
+    for share in (1.0, 3.0):
+        raised = curved(gauss, -share * smallest * np.outer(v, v))
+        shares = np.linalg.eigvals(np.linalg.solve(gauss, raised)).real
+        np.testing.assert_allclose(np.sort(shares), [FLATTEST, 1, 1, 1], rtol=1e-9)

@@ -1,0 +1,435 @@
+"""The command line: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bad_input
+import click.testing
+import pytest
+from bad_input import Case
+from five_bar_logs import EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
+from typer.testing import CliRunner
+
+import gtau.estimation.identify
+from gtau.cli.commands import app
+from gtau.robots.load import CATALOG
+
+LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
+WEIGHING = EXPERIMENT.replace("loaded.csv, payload: {name: steel, mass: 1.2}", "unknown.csv, payload: {name: lead}")
+ESTIMATE = {"value", "std", "rel_std", "unit"}
+
+
+@pytest.fixture(scope="session")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A good experiment and the model identified from it."""
+    folder = tmp_path_factory.mktemp("good")
+    plant = Plant(delays=(1e-3, 1e-3), noise=0.01)
+    write_log(folder / "free.csv", plant.run("free", seed=1))
+    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
+    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3, seconds=6.0))
+    write_log(folder / "unknown.csv", plant.run("unknown", payload=LEAD, seed=4))
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    (folder / "weighing.yaml").write_text(WEIGHING)
+    result = CliRunner().invoke(app, ["identify", str(folder / "experiment.yaml"), "--out", str(folder)])
+    assert result.exit_code == 0, result.stderr
+    return folder
+
+
+@pytest.fixture
+def here(good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with the good experiment, its logs and its model."""
+    for file in good.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*arguments: str) -> click.testing.Result:
+    result = CliRunner().invoke(app, list(arguments))
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def document(*arguments: str) -> dict:
+    """What a command prints with --json: one document, and nothing else anywhere."""
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.stderr
+    assert result.stderr == ""
+    return json.loads(result.stdout)
+
+
+# Results
+
+
+def test_identify_writes_and_prints(here: Path) -> None:
+    result = run("identify", "experiment.yaml", "--out", "deep/out")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    assert {file.name for file in (here / "deep" / "out").iterdir()} == {"model.json", "singularities.parquet"}
+    assert "Drive gains" in result.stdout
+    assert "written: deep/out/model.json" in result.stdout
+    assert run("identify", "experiment.yaml").exit_code == 0
+
+
+def test_the_model_file_has_the_keys_that_are_promised(here: Path) -> None:
+    printed = document("identify", "experiment.yaml", "--out", "out")
+    written = json.loads((here / "out" / "model.json").read_text())
+    assert printed == written
+    assert written["schema"] == "gtau-model/1"
+    assert written["robot"] == "five-bar"
+    assert written["method"] == "ml"
+    assert [gain["joint"] for gain in written["drive_gains"]] == list(JOINTS)
+    for gain, true in zip(written["drive_gains"], GAINS, strict=True):
+        assert gain.keys() >= ESTIMATE | {"joint"}
+        assert gain["value"] == pytest.approx(true, rel=0.01)
+        assert gain["rel_std"] == pytest.approx(100 * gain["std"] / gain["value"])
+        assert gain["unit"] == "N m/A"
+    assert len(written["parameters"]) == 25
+    for parameter in [*written["parameters"], *written["essential"]]:
+        assert parameter.keys() >= ESTIMATE | {"name", "regrouping"}
+        assert parameter["unit"]
+    names = [parameter["name"] for parameter in written["parameters"]]
+    assert {parameter["name"] for parameter in written["essential"]} < set(names)
+    (payload,) = written["payloads"]
+    assert payload["name"] == "steel"
+    mass = payload["parameters"]["m"]
+    assert (mass["value"], mass["std"], mass["rel_std"], mass["known"]) == (1.2, None, None, True)
+    assert payload["parameters"]["mx"]["known"] is False
+    assert payload["parameters"]["mx"]["rel_std"] > 0
+
+
+@pytest.mark.parametrize("method", ["mixed", "tls", "wls", "ols"])
+def test_every_method(here: Path, method: str) -> None:
+    found = document("identify", "experiment.yaml", "--method", method)
+    assert found["method"] == method
+    given = method in ("wls", "ols")
+    for gain, true in zip(found["drive_gains"], GAINS, strict=True):
+        assert gain["value"] == pytest.approx(true, rel=0.02)
+        assert (gain["std"] is None) == (gain["rel_std"] is None) == (gain["freedom"] is None) == given
+
+
+def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
+    """Without a word of a method; a fleet, which compares gains, says that there are none."""
+    (here / "torques.yaml").write_text(EXPERIMENT.replace("current:", "torque:").replace(bad_input.PRIOR, ""))
+    found = document("identify", "torques.yaml", "--out", "torques")
+    assert (found["method"], found["kind"]) == ("wls", "torque")
+    assert {(gain["value"], gain["std"], gain["unit"]) for gain in found["drive_gains"]} == {(1.0, None, "1")}
+    assert "given gains (the logs hold torques, whose gain is 1)\n" in run("identify", "torques.yaml").stdout
+    fleet = run("fleet", "torques.yaml", "--out", "fleet")
+    assert fleet.exit_code == 3
+    assert "torques.yaml: the logs hold torques, so there are no drive gains to compare in a fleet" in fleet.stdout
+    assert "use 'gtau identify'" in fleet.stdout
+
+
+def test_validate(here: Path) -> None:
+    (run_,) = document("validate", "model.json", "experiment.yaml")["runs"]
+    assert run_["log"] == "check"
+    for error, gain in zip(run_["joints"], GAINS, strict=True):
+        # The noise that is left after decimation.
+        assert error["rms"] < 0.01 * gain
+        assert error["relative"] == pytest.approx(100 * error["rms"] / error["signal"])
+    assert "does not prove the gains" in run("validate", "model.json", "experiment.yaml").stdout
+
+
+def test_logs_of_one_name_in_two_folders_are_two_runs(here: Path) -> None:
+    (here / "again").mkdir()
+    (here / "again" / "check.csv").symlink_to(here / "free.csv")
+    (here / "two.yaml").write_text(EXPERIMENT + "  - {log: again/check.csv}\n")
+    assert len(document("validate", "model.json", "two.yaml")["runs"]) == 2
+
+
+@pytest.mark.parametrize("gains", ["identified", "prior"])
+def test_payload(here: Path, gains: str) -> None:
+    found = document("payload", "model.json", "weighing.yaml", "--gains", gains)
+    (payload,) = found["payloads"]
+    assert payload["name"] == "lead"
+    for kind, true in LEAD.items():
+        estimate = payload["parameters"][kind]
+        assert estimate["known"] is False
+        assert abs(estimate["value"] - true) < 4.5 * estimate["std"]
+    assert payload["parameters"]["m"]["value"] == pytest.approx(0.8, abs=0.01)
+    table = run("payload", "model.json", "weighing.yaml", "--gains", gains).stdout
+    assert "'lead'" in table
+    assert table.splitlines() == [line.rstrip() for line in table.splitlines()]
+    assert f"weighed with the {gains} drive gains" in table
+
+
+def test_wrong_prior_gains_weigh_wrong(here: Path) -> None:
+    (here / "wrong.yaml").write_text(WEIGHING.replace("left: 2.5, right: 4.0", "left: 2.25, right: 3.6"))
+    weighed = {}
+    for gains in ("identified", "prior"):
+        (payload,) = document("payload", "model.json", "wrong.yaml", "--gains", gains)["payloads"]
+        weighed[gains] = payload["parameters"]["m"]["value"]
+    assert weighed["prior"] / weighed["identified"] == pytest.approx(0.9, abs=0.005)
+
+
+@pytest.mark.parametrize("step", [2, 5, 20])
+def test_logs_of_another_rate_than_the_model_s(here: Path, step: int) -> None:
+    for name in ("free.csv", "unknown.csv", "check.csv"):
+        header, *rows = (here / name).read_text().splitlines()
+        (here / name).unlink()
+        (here / name).write_text("\n".join([header, *rows[::step]]))
+    (payload,) = document("payload", "model.json", "weighing.yaml")["payloads"]
+    mass = payload["parameters"]["m"]
+    assert mass["value"] == pytest.approx(0.8, abs=0.08)
+    (run_,) = document("validate", "model.json", "experiment.yaml")["runs"]
+    assert max(error["relative"] for error in run_["joints"]) < 10
+
+
+def test_robot(here: Path) -> None:
+    found = document("robot", "five-bar")
+    text = json.dumps(found)
+    assert "left_forearm" in text
+    assert "25" in text
+    assert "25" in run("robot", "five-bar").stdout
+
+
+def test_help_and_version() -> None:
+    assert run("--help").exit_code == 0
+    assert run("--version").stdout == f"gtau {gtau.__version__}\n"
+    for command in ("identify", "validate", "payload", "robot", "demo"):
+        assert run(command, "--help").exit_code == 0
+    for arguments in (["nonsense"], ["identify"], ["identify", "--nonsense"], ["identify", "x", "--ratio", "0.5"]):
+        result = run(*arguments)
+        assert result.exit_code == 2
+        assert "Traceback" not in result.stderr
+
+
+def test_an_unknown_method_is_told_the_known_ones(here: Path) -> None:
+    result = run("identify", "experiment.yaml", "--method", "magic", "--out", "out")
+    assert result.exit_code == 2
+    for name in ("magic", "ml", "mixed", "tls", "wls", "ols"):
+        assert name in result.stderr
+    assert not (here / "out").exists()
+
+
+# Logs as people have them
+
+
+@pytest.mark.parametrize(
+    "dress",
+    [
+        lambda text: text.replace("\n", "\r\n").encode(),
+        lambda text: b"\xef\xbb\xbf" + text.encode(),
+        lambda text: text.replace(",", ";").encode(),
+        lambda text: text.replace(",", ";").replace(".", ",").encode(),
+        lambda text: text.replace(",", "\t").encode(),
+        lambda text: text.replace("\n", " \n").encode(),
+    ],
+    ids=["Windows", "BOM", "semicolons", "decimal commas", "tabs", "trailing spaces"],
+)
+def test_the_dress_of_a_log_changes_nothing(here: Path, dress) -> None:
+    text = (here / "free.csv").read_text()
+    (here / "free.csv").unlink()
+    (here / "free.csv").write_bytes(dress(text))
+    assert document("identify", "experiment.yaml") == json.loads((here / "model.json").read_text())
+
+
+def test_an_experiment_file_from_windows(here: Path) -> None:
+    (here / "windows.yaml").write_bytes(b"\xef\xbb\xbf" + EXPERIMENT.replace("\n", "\r\n").encode())
+    assert document("identify", "windows.yaml") == json.loads((here / "model.json").read_text())
+
+
+# Refusals
+
+
+def place(here: Path, case: Case) -> None:
+    for name, content in case.files.items():
+        file = here / name
+        before = file.read_text() if file.exists() else ""
+        file.unlink(missing_ok=True)
+        file.parent.mkdir(exist_ok=True)
+        if callable(content):
+            content = content(before)
+            assert content != before
+        if content is not None:
+            file.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def files(folder: Path) -> dict[str, int]:
+    return {str(file): file.stat().st_mtime_ns for file in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("case", bad_input.ALL, ids=[case.name for case in bad_input.ALL])
+def test_bad_input_gets_one_sentence(here: Path, case: Case) -> None:
+    place(here, case)
+    before = files(here)
+    result = run(*case.command)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert case.says in result.stderr
+    assert result.stderr.startswith("gtau: ")
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.rstrip().endswith((".", "?"))
+    assert files(here) == before
+
+
+def test_the_cases_are_different() -> None:
+    assert len(bad_input.ALL) >= 40
+    assert len({case.name for case in bad_input.ALL}) == len(bad_input.ALL)
+
+
+@pytest.mark.parametrize("command", [("identify", "experiment.yaml"), ("robot", "orthoglid"), ("validate", "a", "b")])
+def test_a_refusal_is_a_document_too(here: Path, command: tuple[str, ...]) -> None:
+    (here / "free.csv").unlink()
+    result = run(*command, "--json")
+    assert result.exit_code == 2
+    assert result.stderr == f"gtau: {json.loads(result.stdout)['error']}\n"
+    assert run(*command).stdout == ""
+
+
+def test_no_gain_to_believe_is_an_exit_code_of_its_own(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import gtau.estimation.diagnostics.verdict
+
+    monkeypatch.setattr(gtau.estimation.diagnostics.verdict, "LOST_GAIN", 1e-6)  # every deviation is too large for it
+    result = run("identify", "experiment.yaml", "--out", "out")
+    assert result.exit_code == 3
+    assert result.stdout.count("not identifiable") >= len(JOINTS)
+    assert (here / "out" / "model.json").exists()
+
+
+def test_a_robot_is_not_written_over_what_it_was_read_from(here: Path) -> None:
+    text = (CATALOG / "five-bar.yaml").read_text()
+    (here / "mine.yaml").write_text(text)
+    result = run("robot", "mine.yaml", "--save", str(here / "mine.yaml"))
+    assert result.exit_code == 2
+    assert "give it another name" in result.stderr
+    assert (here / "mine.yaml").read_text() == text
+    for _ in range(2):  # any other file is replaced
+        assert run("robot", "mine.yaml", "--save", "other.yaml").exit_code == 0
+
+
+def test_the_loops_beside_a_urdf_are_not_replaced(here: Path, shared: Path) -> None:
+    for file in (shared / "parallel_models" / "5bar_linkage").iterdir():
+        (here / file.name).write_bytes(file.read_bytes())
+    before = (here / "robot.yaml").read_bytes()
+    result = run("robot", "robot.urdf", "--save", "robot.yaml")
+    assert (result.exit_code, (here / "robot.yaml").read_bytes()) == (2, before)
+
+
+def test_a_figure_of_another_kind_is_refused(here: Path) -> None:
+    result = run("robot", "five-bar", "--figure", "a.xyz")
+    assert (result.exit_code, (here / "a.xyz").exists()) == (2, False)
+    assert "let its name end in .png" in result.stderr
+
+
+def test_masses_follow_their_option_only(here: Path) -> None:
+    for words in (["3"], ["--payload-mass", "1", "2", "x"], ["--payload-mass", "1", "-2"]):
+        result = run("excite", "design.yaml", *words, "--out", "plan")
+        assert result.exit_code == 2
+        assert not (here / "plan").exists()
+    assert "more_masses" not in run("excite", "--help").stdout
+
+
+def test_figures_of_validation(here: Path) -> None:
+    pytest.importorskip("matplotlib")
+    (here / "again").mkdir()
+    (here / "again" / "check.csv").symlink_to(here / "free.csv")
+    (here / "two.yaml").write_text(EXPERIMENT + "  - {log: again/check.csv}\n")
+    stdout = run("validate", "model.json", "two.yaml", "--out", "figures").stdout
+    names = ["torques_check-2.png", "torques_check.png"]
+    assert sorted(path.name for path in (here / "figures").iterdir()) == names
+    assert all(f"written: figures/{name}" in stdout for name in names)
+
+
+def test_a_write_that_fails_leaves_the_old_model(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (here / "out").mkdir()
+    (here / "out" / "model.json").write_text("old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    result = run("identify", "experiment.yaml", "--out", "out")
+    assert result.exit_code == 2
+    assert "model.json cannot be written (No space left on device)" in result.stderr
+    assert [file.name for file in (here / "out").iterdir()] == ["model.json"]
+    assert (here / "out" / "model.json").read_text() == "old"
+
+
+def test_an_interruption_is_no_traceback(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gtau.estimation.identify, "reduce_runs", interrupted)
+    result = run("identify", "experiment.yaml", "--out", "out")
+    assert result.exit_code == 130
+    assert result.stderr.startswith("gtau: interrupted")
+    assert not (here / "out").exists()
+
+
+# The real thing
+
+
+def start(folder: Path, *arguments: str, first: str = "") -> subprocess.Popen:
+    """The program in a process of its own, after what is to be done ``first`` in it."""
+    code = f"{first}\nimport sys; from gtau.cli import main; sys.argv[0] = 'gtau'; main()"
+    command = [sys.executable, "-c", code, *arguments]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2] / "src")}
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
+def test_as_a_program(here: Path) -> None:
+    stdout, stderr = (process := start(here, "identify", "experiment.yaml", "--json", "--out", "out")).communicate()
+    assert (process.returncode, stderr) == (0, "")
+    assert json.loads(stdout) == json.loads((here / "out" / "model.json").read_text())
+    stdout, stderr = (process := start(here, "identify", "nowhere.yaml")).communicate()
+    assert (process.returncode, stdout) == (2, "")
+    assert stderr.startswith("gtau: nowhere.yaml cannot be read: no such file or directory; ")
+    stdout, stderr = (process := start(here, "identify", "experiment.yaml", "--method", "foo", "--json")).communicate()
+    assert process.returncode == 2
+    assert json.loads(stdout)["error"] in stderr
+    assert "Value error" not in stderr
+    assert stderr.endswith("'ols'. See 'gtau --help'.\n")
+
+
+SIGNS = """
+import pathlib, gtau.estimation.{module} as module
+def signing(*arguments, _original=module.{function}, **options):
+    pathlib.Path("begun").touch()
+    return _original(*arguments, **options)
+module.{function} = signing
+"""
+
+
+@pytest.mark.parametrize(("module", "function"), [("identify", "reduce_runs"), ("data", "prepare")])
+def test_interrupted_as_a_program(here: Path, module: str, function: str) -> None:
+    write_log(here / "long.csv", Plant().run("long", seconds=300.0, seed=1))
+    (here / "long.yaml").write_text(EXPERIMENT.replace("free.csv", "long.csv"))
+    first = SIGNS.format(module=module, function=function)
+    process = start(here, "identify", "long.yaml", "--out", "out", first=first)
+    while not (here / "begun").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert stderr == "gtau: interrupted; files that were not finished have not been written.\n"
+    assert process.returncode == 130
+    assert stdout == ""
+    assert not (here / "out").exists()
+
+
+def test_interrupted_while_importing(here: Path) -> None:
+    """Python's own imports may be what an impatient user interrupts."""
+    (here / "typer.py").write_text("raise KeyboardInterrupt")
+    process = start(here, "robot", "ur10e", first="import sys; sys.path.insert(0, '.')")
+    assert process.communicate(timeout=60) == ("", "gtau: interrupted; nothing has been written.\n")
+    assert process.returncode == 130
+
+
+def test_a_reader_that_goes_away(here: Path) -> None:
+    process = start(here, "robot", "ur10e")
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    process.wait(timeout=60)

@@ -1,0 +1,228 @@
+"""The documents: what they show runs, and they name every key."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
+from pydantic import BaseModel
+from typer.testing import CliRunner
+
+from gtau.cli.commands import app
+from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.experiment import Experiment, Payload, Prior
+from gtau.simulation.simulation_file import (
+    Fourier,
+    Friction,
+    JointHardware,
+    Motion,
+    Points,
+    RandomMotion,
+    SimulatedRun,
+    Simulation,
+)
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The code blocks of a page in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def run(*arguments: str) -> str:
+    result = CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+    assert result.exit_code == 0, result.stderr
+    return result.stdout
+
+
+@pytest.mark.parametrize(
+    ("page", "models"),
+    [
+        ("experiment-file.md", [Experiment, Signals, SampleRate, Units, Payload, Prior]),
+        (
+            "simulation-file.md",
+            [Simulation, JointHardware, RandomMotion, Points, Fourier, Motion, SimulatedRun, Friction],
+        ),
+    ],
+)
+def test_a_page_names_every_key(page: str, models: list[type[BaseModel]]) -> None:
+    (example,) = blocks(DOCS / page, "yaml")
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for model in models:
+        for key in model.model_fields:
+            assert re.search(rf"\b{key}:", example) or re.search(rf"`[^`\n]*\b{key}\b[^`\n]*`", text), key
+
+
+def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = Plant(noise=0.005)
+
+    def log(name: str, seed: int, payload: dict | None = None) -> None:
+        run_ = plant.run(name, payload=payload, seed=seed)
+        columns = [1e3 * run_.time, np.degrees(run_.position[:, 0]), run_.position[:, 1], *(1e3 * run_.command.T)]
+        names = ["t", "q1", "q2", "v1", "v2"]
+        parts = {f"{name}.csv": slice(0, 5)}
+        if name == "loaded":
+            parts = {"positions.csv": slice(0, 3), "currents.csv": slice(3, 5)}
+        for file, part in parts.items():
+            header = ";".join(names[part])
+            np.savetxt(tmp_path / file, np.column_stack(columns[part]), "%.9g", ";", header=header, comments="")
+
+    log("free_1", 1)
+    log("free_2", 2)
+    log("loaded", 3, STEEL)
+    log("unknown", 4, LEAD)
+    log("check", 5)
+    (text,) = blocks(DOCS / "experiment-file.md", "yaml")
+    monkeypatch.chdir(tmp_path)
+    Path("experiment.yaml").write_text(text)
+    found = json.loads(run("identify", "experiment.yaml", "--out", "result", "--json"))
+    assert found["runs"] == ["free_1", "free_2", "positions", "unknown"]
+    assert [gain["value"] for gain in found["drive_gains"]] == pytest.approx(plant.gains, rel=0.01)
+    weighed = {each["name"]: each["parameters"]["m"]["value"] for each in found["payloads"]}
+    assert weighed["lead"] == pytest.approx(LEAD["m"], rel=0.03)
+    (errors,) = json.loads(run("validate", "result/model.json", "experiment.yaml", "--json"))["runs"]
+    assert max(each["relative"] for each in errors["joints"]) < 1
+    priors = json.loads(run("identify", "experiment.yaml", "--method", "ridge", "--json"))
+    assert [gain["value"] for gain in priors["drive_gains"]] == pytest.approx(plant.gains, rel=0.01)
+
+
+def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (text,) = blocks(DOCS / "simulation-file.md", "yaml")
+    monkeypatch.chdir(tmp_path)
+    Path("simulation.yaml").write_text(text)
+    run("simulate", "simulation.yaml", "--out", "simulated")
+    truth = yaml.safe_load(text)
+    found = json.loads(run("identify", "simulated/experiment.yaml", "--json"))
+    for gain in found["drive_gains"]:
+        assert gain["value"] == pytest.approx(truth["drives"][gain["joint"]]["gain"], rel=0.01)
+    weighed = {each["name"]: each["parameters"]["m"]["value"] for each in found["payloads"]}
+    assert weighed["lead"] == pytest.approx(0.8, rel=0.03)
+    assert "control" not in Path("simulated/experiment.yaml").read_text()
+
+
+def test_what_is_designed_is_simulated_and_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = DOCS / "excitation.md"
+    _, design, simulation = blocks(page, "yaml")
+    (commands,) = blocks(page, "sh")
+    monkeypatch.chdir(tmp_path)
+    Path("design.yaml").write_text(design)
+    Path("simulation.yaml").write_text(simulation)
+    excite, simulate, check, identify = (line.split("#")[0].split()[1:] for line in commands.splitlines())
+    run(*excite, "--starts", "1")
+    run(*simulate)
+    run(*check)
+    found = json.loads(run(*identify, "--json"))
+    truth = yaml.safe_load(simulation)["drives"]
+    for gain in found["drive_gains"]:
+        assert abs(gain["value"] - truth[gain["joint"]]["gain"]) < 4 * gain["std"]
+        assert gain["rel_std"] < 6  # the design foretells 3 % and 0.2 %
+    for delay in found["delays"]:  # none was put in, and a current is held for one sample
+        assert abs(delay["value"] - 0.5 / 500) < 4 * delay["std"]
+
+
+def keys(heading: str) -> set[str]:
+    """The keys in the first table under a heading of the page on results."""
+    text = (DOCS / "results.md").read_text(encoding="utf-8")
+    section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
+    rows = re.search(r"(^\|.*\n)+", section, re.MULTILINE)
+    assert rows is not None
+    return set(re.findall(r"^\| `(\w+)` \|", rows[0], re.MULTILINE))
+
+
+def documented(heading: str, document: dict) -> None:
+    assert keys(heading) == set(document), heading
+
+
+def named(heading: str, key: str, document: dict) -> None:
+    """Every key of a part of a document stands in the line of the page that describes the part."""
+    text = (DOCS / "results.md").read_text(encoding="utf-8")
+    section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
+    line = re.search(rf"^\| `{key}` \|.*$", section, re.MULTILINE)
+    assert line is not None
+    assert set(document) <= set(re.findall(r"`(\w+)`", line[0])), (heading, key)
+
+
+@pytest.fixture(scope="module")
+def five_bar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an experiment, and one in which a payload is to be weighed."""
+    folder, plant = tmp_path_factory.mktemp("five-bar"), Plant(noise=0.01)
+    for seed, (name, payload) in enumerate([("free", None), ("loaded", STEEL), ("check", STEEL), ("unknown", LEAD)]):
+        write_log(folder / f"{name}.csv", plant.run(name, payload=payload, seed=seed + 1))
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    (folder / "weighing.yaml").write_text(
+        EXPERIMENT.replace("loaded.csv, payload: {name: steel, mass: 1.2}", "unknown.csv, payload: {name: lead}")
+    )
+    return folder
+
+
+def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(five_bar)
+    model = json.loads(run("identify", "experiment.yaml", "--out", "result", "--consistent", "--json"))
+    assert model == json.loads(Path("result/model.json").read_text())
+    assert sorted(path.name for path in Path("result").iterdir()) == ["model.json", "singularities.parquet"]
+    documented("model.json", model)
+    estimate = {key: each for key, each in model["drive_gains"][0].items() if key != "joint"}
+    documented("An estimate", estimate)
+    assert {"joint"} ^ set(model["delays"][0]) == set(estimate)
+    for parameter in (model["parameters"][0], model["essential"][0]):
+        assert keys("An estimate") | keys("A parameter") == set(parameter)
+    documented("A payload", model["payloads"][0])
+    assert set(model["payloads"][0]["parameters"]["mx"]) == {*estimate, "name", "known", "regrouping"}
+    documented("A torque error", model["residuals"][0])
+    documented("standard", model["standard"])
+    for key in ("preparation", "covariance"):
+        named("model.json", key, model[key])
+    named("model.json", "singularities", model["singularities"][0])
+    for key in ("parameters", "drive_gains", "moves"):
+        named("standard", key, model["standard"][key][0])
+    named("standard", "payloads", model["standard"]["payloads"][0])
+    gain = model["drive_gains"][0]
+    assert gain["rel_std"] == pytest.approx(100 * gain["std"] / gain["value"])
+
+    (validated,) = json.loads(run("validate", "result/model.json", "experiment.yaml", "--json"))["runs"]
+    named("gtau validate", "runs", validated)
+    assert set(validated["joints"][0]) == keys("A torque error")
+    documented("gtau payload", json.loads(run("payload", "result/model.json", "weighing.yaml", "--json")))
+    compared = json.loads(run("compare", "experiment.yaml", "--json"))
+    documented("gtau compare", compared)
+    named("gtau compare", "estimators", compared["estimators"][0])
+    checked = json.loads(run("check", "experiment.yaml", "--json"))
+    documented("gtau check", checked)
+    named("gtau check", "logs", checked["logs"][0])
+    documented("gtau robot", json.loads(run("robot", "five-bar", "--json")))
+
+
+def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from gtau.estimation.check_logs import check_logs
+    from gtau.report.log_page import describe_logs, log_figure, log_page
+
+    checked = check_logs(five_bar / "weighing.yaml")
+    said = log_page(describe_logs(checked))
+    assert "unknown (identification, payload 'lead' of unknown mass): " in said
+    assert "free (identification, no payload): " in said
+    figure = log_figure(checked.logs[0], checked.robot)
+    (key,) = figure.legends  # beside the curves, not on them
+    assert [text.get_text() for text in key.get_texts()] == ["joint left", "joint right"]
+    assert figure.axes[0].get_title(loc="left") == "free"
+
+
+def test_a_figure_of_torques_is_titled_with_its_run() -> None:
+    pytest.importorskip("matplotlib")
+    from gtau.estimation.results.estimate import Prediction
+    from gtau.report.figures import torques_figure
+
+    time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
+    predicted = torques * [1.1, 1.01]
+    prediction = Prediction(("left", "elbow_joint"), time, torques, predicted, np.ones((50, 2), dtype=bool))
+    figure = torques_figure(prediction, ["N m", "N m"], 0.0, 1.0, "loaded")
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["loaded: joint left", "", "elbow_joint", ""]
+    assert [axes.get_ylim()[1] for axes in figure.axes[1::2]] == pytest.approx([0.115, 0.0115])  # each its own

@@ -1,0 +1,130 @@
+"""What a person meets first in Python and on the page: names, short representations, sentences, links, tables."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
+
+import gtau
+from gtau.cli.console import progress_bar
+from gtau.estimation.compare import Comparison, Row, table
+from gtau.estimation.diagnostics.verdict import Outcome
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> gtau.Result:
+    folder, plant = tmp_path_factory.mktemp("face"), Plant(noise=0.01)
+    write_log(folder / "free.csv", plant.run("free", seed=1))
+    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
+    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3))
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    return gtau.identify(folder / "experiment.yaml")
+
+
+def test_the_package_shows_its_names_and_nothing_else() -> None:
+    assert dir(gtau) == sorted(gtau.__all__)
+    for name in gtau.__all__:
+        assert getattr(gtau, name).__doc__, name
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        gtau.nonsense  # noqa: B018
+    loaded = "import sys, gtau; print(sorted({'casadi', 'numpy', 'polars', 'numba'} & set(sys.modules)))"
+    environment = {"PYTHONPATH": str(ROOT / "src")}
+    assert subprocess.check_output([sys.executable, "-c", loaded], env=environment, text=True) == "[]\n"
+
+
+def test_representations_are_short_and_say_something(result: gtau.Result) -> None:
+    robot = gtau.load_robot("orthoglide")
+    model = gtau.InverseDynamics(robot)
+    run = Plant().run("free")
+    for each in (robot, model, run, result, result.drive_gains["left"]):
+        assert len(repr(each)) < 400
+    assert "'orthoglide', 15 joints" in repr(robot)
+    assert "220 standard parameters" in repr(model)
+    assert "'free'" in repr(run)
+    assert str(result.drive_gains["left"]) in repr(result)
+    assert re.fullmatch(r"2\.\d+ \+- 0\.\d+ N m/A", str(result.drive_gains["left"]))
+    assert str(replace(result.drive_gains["left"], value=None)) == "cannot be told"
+
+
+def test_a_name_that_is_not_there_is_answered_with_those_that_are(result: gtau.Result) -> None:
+    for estimates in (result.drive_gains, result.parameters, result.essential):
+        with pytest.raises(gtau.GtauError, match=r"there is no 'middle' here; choose from .*left"):
+            estimates["middle"]
+        assert estimates.get("middle") is None
+    model = gtau.InverseDynamics(gtau.load_robot("orthoglide"))
+    with pytest.raises(gtau.GtauError, match=r"no standard parameter 'm_p'; did you mean 'm_P'\?"):
+        model.torques(*np.zeros((3, 1, 3)), {"m_p": 1.0})
+    with pytest.raises(gtau.GtauError, match="robot 'orthoglide' has no joint '99'; choose from 11, "):
+        model.robot.joint("99")
+    with pytest.raises(gtau.GtauError, match="write 'all' or 'inertial'"):
+        gtau.InverseDynamics(gtau.load_robot("five-bar"), "some")
+
+
+def test_what_is_known_only_in_sums_is_marked(result: gtau.Result) -> None:
+    lost = replace(next(iter(result.essential.values())), value=0.1, std=0.2)
+    marked = replace(result, essential={**result.essential, lost.name: lost}).summary()
+    assert re.search(rf"{lost.name} .*200\.00   kg m2   \*\n", marked)
+    assert "* known only in sums" in marked
+    assert "*" not in replace(result, essential={lost.name: replace(lost, std=0.01)}).summary()
+    untold = replace(result, essential={**result.essential, lost.name: replace(lost, std=2.0)}).summary()
+    assert lost.name not in untold
+    assert "  and 1 more, known only in sums with others: deviations over 1000 %\n" in untold
+
+
+def test_legs_that_are_not_built_alike_get_one_note(result: gtau.Result) -> None:
+    (note,) = [note for note in result.notes if "same geometry" in note]
+    assert re.search(r"differ, most in \w+ of leg '\w+' \(\d+ % off the mean of the others\)", note)
+    assert "fv_" not in note
+    assert "fs_" not in note
+
+
+@pytest.mark.parametrize(("loss", "said"), [(-4e-12, "errors do not grow;"), (1.25, "errors grow by 1.2 %;")])
+def test_the_price_of_the_reduction(result: gtau.Result, loss: float, said: str) -> None:
+    assert said in replace(result, statistics={**result.statistics, "reduction_loss": loss}).summary()
+
+
+def test_columns_of_a_comparison_do_not_touch() -> None:
+    gains, std = np.array([20009.0, 149920.0, 1.5]), np.array([7.0, 165.0, 0.1])
+    rows = (Row("ml", gains, std, np.ones(3), 1.0, Outcome.GOOD), Row("wls", gains, None, np.ones(3), 1.0))
+    head, _, ml, wls, _ = table(Comparison(("a", "a_joint_with_a_long_name", "c"), rows)).splitlines()
+    assert re.split(r"\s{2,}", ml)[1:4] == ["20009 +- 0.035 %", "1.4992e+05 +- 0.11 %", "1.5 +- 6.7 %"]
+    assert re.split(r"\s{2,}", wls)[1:4] == ["20009 given", "1.4992e+05 given", "1.5 given"]
+    for name, entry in zip(head.split(), re.split(r"\s{2,}", ml)[1:4], strict=False):
+        assert head.index(name + " ") + len(name) == ml.index(entry) + len(entry)
+
+
+def test_stages_are_told_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    for lines, told in ((True, "gtau: simulating ...\ngtau: drawing ...\n"), (False, "")):
+        with progress_bar(lines=lines) as progress:
+            for what in ("simulating", "drawing"):
+                for done in range(3):
+                    progress(what, done, 2)
+        assert capsys.readouterr().err == told
+
+
+def test_the_pages_link_to_what_is_there() -> None:
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)\s]+)\)", text):
+            path, _, anchor = target.partition("#")
+            if "://" in path:
+                continue
+            other = page if not path else page.parent / path
+            assert other.exists(), f"{page.name}: {target}"
+            if anchor:
+                headings = re.findall(r"^#+ (.+)$", other.read_text(encoding="utf-8"), re.MULTILINE)
+                anchors = {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+                assert anchor in anchors, f"{page.name}: {target}"
+    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name == "README.md" or f"({page.name})" in index, page.name

@@ -1,0 +1,61 @@
+"""Logs that cannot be of the robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from five_bar_logs import Plant
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.dataset import prepare_runs
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Limits, Robot
+from gtau.signals.preparation import Prepared, choose_preparation
+from gtau.signals.run import Run
+
+
+def limited(limits: Limits) -> Robot:
+    """A five-bar, the first motor of which has these limits."""
+    robot = load_robot("five-bar")
+    joints = tuple(
+        replace(joint, limits=limits if joint.name == robot.actuated[0] else Limits()) for joint in robot.joints
+    )
+    return replace(robot, joints=joints)
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return Plant().run("free", seconds=8.0, seed=1)
+
+
+def prepared(robot: Robot, run: Run) -> Prepared:
+    model = InverseDynamics(robot)
+    (found,) = prepare_runs(model, [run], choose_preparation([run]))
+    return found
+
+
+def test_within_limits_nothing_is_said(run: Run) -> None:
+    low, high = run.position[:, 0].min(), run.position[:, 0].max()
+    speed = float(np.sqrt(prepared(limited(Limits()), run).speeds[0, 0]))
+    assert prepared(limited(Limits(position=(low, high), velocity=speed)), run).notes == ()
+
+
+def test_a_little_outside_is_a_note(run: Run) -> None:
+    low, high = run.position[:, 0].min(), run.position[:, 0].max()
+    (note,) = prepared(limited(Limits(position=(low + 0.1 * (high - low), high))), run).notes
+    assert note.startswith(f"joint '{run.joints[0]}' goes from {low:.4g} to {high:.4g} rad, outside its limits")
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (Limits(position=(0.0, 0.01)), "far outside its limits 0 to 0.01 rad; if the log is in deg say so"),
+        (Limits(velocity=0.01), "times its limit of 0.01 rad/s; if the log is in deg say so"),
+    ],
+)
+def test_another_unit_is_refused(run: Run, limits: Limits, words: str) -> None:
+    with pytest.raises(GtauError, match=words):
+        prepared(limited(limits), run)

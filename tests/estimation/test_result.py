@@ -1,0 +1,173 @@
+"""The result: what it says of itself, and that it survives being written and read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant, five_bar, path
+
+from gtau.errors import GtauError
+from gtau.estimation.identify import identify
+from gtau.estimation.results.model_file import to_document
+from gtau.estimation.results.result import Result
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload
+
+PLANT = Plant(delays=(1e-3, 2e-3), noise=0.01)
+KNOWN = Payload(name="steel", mass=STEEL["m"])
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    runs = [PLANT.run("free", seed=1), PLANT.run("loaded", payload=STEEL, seed=2)]
+    return identify(load_robot("five-bar"), [runs[0], replace(runs[1], payload=KNOWN)])
+
+
+@pytest.fixture(scope="module")
+def again(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    file = tmp_path_factory.mktemp("model") / "model.json"
+    result.save(file)
+    return Result.load(file)
+
+
+def test_a_model_survives_writing_and_reading(result: Result, again: Result) -> None:
+    assert to_document(again) == to_document(result)
+    assert again.robot == result.robot
+    assert again.preparation == result.preparation
+    assert again.params == result.params
+    assert again.payloads == result.payloads
+    assert again.residuals == result.residuals
+    assert again.summary() == result.summary()
+    np.testing.assert_array_equal(again.covariance, result.covariance)
+
+
+def test_a_model_that_was_read_predicts_the_same(result: Result, again: Result) -> None:
+    run = PLANT.run("check", seed=7, seconds=5.0)
+    one, other = result.predict(run), again.predict(run)
+    for name in ("time", "predicted", "measured", "keep"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert result.validate(run) == again.validate(run)
+
+
+def test_nothing_in_a_model_is_not_json(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "model.json")
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    assert json.loads((tmp_path / "model.json").read_text(), parse_constant=refuse) == json.loads(
+        json.dumps(to_document(result))
+    )
+    assert [file.name for file in tmp_path.iterdir()] == ["model.json"]
+
+
+def test_predictions_are_the_plant_s_torques(result: Result) -> None:
+    for payload, values in ((None, {}), (KNOWN, STEEL)):
+        run = replace(PLANT.run("check", seed=7, payload=values), payload=payload)
+        found = result.predict(run)
+        assert found.joints == JOINTS
+        assert found.predicted.shape == found.measured.shape == found.keep.shape == (len(found.time), 2)
+        loaded = dict(CHI)
+        for kind, value in values.items():
+            loaded[f"{kind}_{TOOL}"] += value
+        true = five_bar().torques(*path(found.time, seed=7), loaded)
+        rms = np.sqrt(np.mean(true**2))
+        for j in range(2):
+            kept = found.keep[:, j]
+            assert 0.5 < kept.mean() < 1.0
+            # The decimation filter takes off a little of the fastest motion, in the same way from both.
+            assert np.abs(found.predicted[kept, j] - true[kept, j]).max() < 0.1 * rms
+            error = (found.predicted - found.measured)[kept, j]
+            assert np.sqrt(np.mean(error**2)) < 0.004 * rms
+        for error, residual in zip(result.validate(run), result.residuals, strict=True):
+            assert error.rms == pytest.approx(residual.rms, rel=0.3)
+            assert error.unit == "N m"
+            assert error.relative == 100 * error.rms / error.signal
+
+
+def test_a_payload_that_the_model_knows_needs_no_more_than_its_name(result: Result) -> None:
+    run = PLANT.run("check", seed=7, payload=STEEL)
+    named, described = (replace(run, payload=Payload(name="steel", mass=mass)) for mass in (None, STEEL["m"]))
+    np.testing.assert_array_equal(result.predict(named).predicted, result.predict(described).predicted)
+    with pytest.raises(GtauError, match="carries the payload 'lead', whose mass neither the run nor the model knows"):
+        result.predict(replace(run, payload=Payload(name="lead")))
+
+
+def test_a_run_that_does_not_suit(result: Result) -> None:
+    run = PLANT.run("check", seed=7, seconds=4.0)
+    with pytest.raises(GtauError, match="has the joints a, b, but the robot's actuated joints are left, right"):
+        result.predict(replace(run, joints=("a", "b")))
+    with pytest.raises(GtauError, match="holds torques, but the model was identified from currents"):
+        result.predict(replace(run, kind="torque"))
+    short = {name: getattr(run, name)[:150] for name in ("time", "position", "command", "valid")}
+    with pytest.raises(GtauError, match="give a longer"):
+        result.validate(replace(run, **short))
+
+
+def test_numbers_have_units_and_deviations(result: Result) -> None:
+    assert [(e.name, e.unit) for e in result.drive_gains.values()] == [(joint, "N m/A") for joint in JOINTS]
+    units = {"zz": "kg m2", "ia": "kg m2", "mx": "kg m", "my": "kg m", "fv": "N m s/rad", "fs": "N m", "off": "N m"}
+    for name, estimate in result.parameters.items():
+        assert estimate.unit == units[name.split("_")[0]]
+        assert estimate.std > 0
+        assert estimate.rel_std == pytest.approx(100 * estimate.std / abs(estimate.value))
+        assert estimate.regrouping.startswith(name.removesuffix("R"))
+        assert (estimate.regrouping != name) == name.endswith("R")
+    assert set(result.essential) <= set(result.parameters)
+    prismatic = load_robot("orthoglide")
+    assert prismatic.joint("11").kind == "prismatic"
+
+
+def test_covariance_and_deviations_are_one_thing(result: Result) -> None:
+    std = dict(zip(result.covariance_names, np.sqrt(np.diag(result.covariance)), strict=True))
+    for joint, gain in result.drive_gains.items():
+        assert gain.std == std[f"gain_{joint}"]
+        assert result.delays[joint].std == std[f"delay_{joint}"]
+    for name, estimate in result.parameters.items():
+        assert estimate.std == std[name]
+    assert np.linalg.eigvalsh(result.covariance).min() > -1e-12 * np.linalg.eigvalsh(result.covariance).max()
+
+
+def test_summary_holds_what_a_person_looks_for(result: Result) -> None:
+    text = result.summary()
+    assert max(map(len, text.splitlines())) <= 100
+    for expected in ("five-bar", "maximum likelihood", "free, loaded", "N m/A", "steel", "known", "Torque fit"):
+        assert expected in text
+    for joint, gain in result.drive_gains.items():
+        row = next(line for line in text.splitlines() if line.split()[:1] == [joint])
+        assert float(row.split()[1]) == pytest.approx(gain.value, rel=1e-3)
+    assert "nan" not in text
+    assert "None" not in text
+
+
+def test_gains_that_are_given_are_not_estimates() -> None:
+    prior = dict(zip(JOINTS, GAINS, strict=True))
+    found = identify(load_robot("five-bar"), [PLANT.run("free", seed=1)], "wls", prior_gains=prior)
+    for joint, gain in found.drive_gains.items():
+        assert (gain.value, gain.std, gain.rel_std) == (prior[joint], None, None)
+    assert found.payloads == ()
+    assert "singular_ratio" not in found.statistics
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"method": "magic"}, "there is no method 'magic'; choose from ml, "),
+        ({"runs": []}, "a robot alone cannot be identified; give its runs too"),
+        ({"runs": None}, "a robot alone cannot be identified; give its runs too"),
+    ],
+)
+def test_what_cannot_be_asked_for(arguments: dict, sentence: str) -> None:
+    with pytest.raises(GtauError) as refused:
+        identify(load_robot("five-bar"), **({"runs": [PLANT.run("free", seconds=1.0)]} | arguments))
+    assert sentence in str(refused.value)
+
+
+def test_currents_and_torques_do_not_mix() -> None:
+    runs = [PLANT.run("free", seconds=2.0), PLANT.run("torques", seconds=2.0, kind="torque")]
+    with pytest.raises(GtauError, match="some runs hold currents and others torques"):
+        identify(load_robot("five-bar"), runs, "wls", prior_gains=dict(zip(JOINTS, GAINS, strict=True)))

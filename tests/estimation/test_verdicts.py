@@ -1,0 +1,191 @@
+"""Intervals, and verdicts on what is known to be right or wrong."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.drift import worst_drifts
+from gtau.estimation.diagnostics.verdict import INFLATED, Outcome, known_verdict, parameter_verdict, worst
+from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.factors import STRETCHES
+from gtau.estimation.regression.friction import Friction
+from gtau.estimation.results.result import Estimate, Result
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
+
+FIVE_BAR = load_robot("five-bar")
+
+
+def logs(plant: Plant) -> list[Run]:
+    known = Payload(name="steel", mass=STEEL["m"])
+    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, STEEL, seed=2)
+    return [free, replace(loaded, payload=known)]
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    return logs(Plant(noise=0.02))
+
+
+@pytest.fixture(scope="module")
+def result(runs: list[Run]) -> Result:
+    return identify(FIVE_BAR, runs)
+
+
+# Intervals
+
+
+@pytest.mark.parametrize("freedom", [5, 39, None])
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
+def test_intervals_are_those_of_the_t_distribution(freedom: int | None, level: float) -> None:
+    estimate = Estimate("k", 3.0, 0.2, "N m", freedom=freedom)
+    law = scipy.stats.norm(3.0, 0.2) if freedom is None else scipy.stats.t(freedom, 3.0, 0.2)
+    assert estimate.interval(level) == pytest.approx(law.interval(level))
+
+
+def test_what_is_known_or_unknown_has_no_interval() -> None:
+    assert Estimate("k", 3.0, None, "kg").interval() is None
+    assert Estimate("k", None, None, "kg").interval() is None
+
+
+def test_intervals_rest_on_the_blocks_and_are_saved(result: Result, tmp_path: Path) -> None:
+    for each in (*result.drive_gains.values(), *result.parameters.values()):
+        assert each.freedom is not None
+        assert 1 <= each.freedom <= 2 * STRETCHES - 1
+    result.save(tmp_path / "model.json")
+    document = json.loads((tmp_path / "model.json").read_text())
+    for entry in (*document["drive_gains"], *document["parameters"], *document["delays"]):
+        low, high = entry["interval"]
+        half = scipy.stats.t(entry["freedom"]).ppf(0.975) * entry["std"]
+        assert (low, high) == pytest.approx((entry["value"] - half, entry["value"] + half))
+    loaded = Result.load(tmp_path / "model.json")
+    assert loaded.drive_gains["left"].interval(0.9) == result.drive_gains["left"].interval(0.9)
+
+
+def test_the_paper_s_deviations_rest_on_all_rows(runs: list[Run]) -> None:
+    result = identify(FIVE_BAR, runs, as_paper=True)
+    assert result.method == "tls"
+    assert result.drive_gains["left"].freedom is None
+    with pytest.raises(GtauError, match=r"the paper has no method 'ml'.*choose from tls, ols, wls"):
+        identify(FIVE_BAR, runs, "ml", as_paper=True)
+
+
+# Delays
+
+
+def test_a_delay_that_noise_hides_is_not_identifiable_and_has_no_deviation(result: Result) -> None:
+    assert {each.verdict.outcome for each in result.delays.values()} == {Outcome.GOOD}
+    plant, known = Plant(noise=0.02), Payload(name="steel", mass=STEEL["m"])
+    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, STEEL, seed=2)
+    noisy = np.random.default_rng(3)
+    drowned = [
+        replace(run, command=run.command + noisy.standard_normal(run.command.shape) * [0.0, 30.0])
+        for run in (free, replace(loaded, payload=known))
+    ]
+    left, right = identify(FIVE_BAR, drowned).delays.values()
+    assert left.verdict.outcome == Outcome.GOOD
+    assert left.std is not None
+    assert right.verdict.outcome == Outcome.NOT_IDENTIFIABLE
+    assert right.std is None
+
+
+# Verdicts
+
+
+def test_verdicts_of_parameters() -> None:
+    assert parameter_verdict(None, None).outcome == Outcome.NOT_IDENTIFIABLE
+    assert parameter_verdict(1.0, None).outcome == Outcome.GOOD
+    assert parameter_verdict(1.0, 0.05).outcome == Outcome.GOOD
+    assert parameter_verdict(-1.0, 0.3).outcome == Outcome.WEAK
+    assert parameter_verdict(1.0, 0.6).outcome == Outcome.NOT_IDENTIFIABLE
+
+
+def test_verdicts_of_masses() -> None:
+    assert known_verdict("m", 2.0, 2.02, 0.01, "kg").outcome == Outcome.GOOD
+    wrong = known_verdict("m", 2.0, 2.05, 0.01, "kg")
+    assert wrong.outcome == Outcome.CONTRADICTORY
+    assert "2.05" in wrong.sentence
+    assert "weigh the payloads again" in wrong.sentence
+
+
+def test_the_worst_of_several() -> None:
+    good, weak, lost = parameter_verdict(1.0, 0.0), parameter_verdict(1.0, 0.3), parameter_verdict(None, None)
+    assert worst([]) == worst([good]) == Outcome.GOOD
+    assert worst([good, weak]) == worst({"a": weak, "b": good}) == Outcome.WEAK
+    assert worst([lost, weak]) == Outcome.NOT_IDENTIFIABLE
+
+
+def test_every_number_has_a_verdict_and_good_ones_say_nothing(result: Result) -> None:
+    for gain in result.drive_gains.values():
+        assert gain.verdict.outcome == Outcome.GOOD
+        assert gain.verdict.sentence == "good"
+    for each in result.parameters.values():
+        assert each.verdict == parameter_verdict(each.value, each.std)
+        assert bool(each.verdict.advice) == (each.verdict.outcome != Outcome.GOOD)
+
+
+def test_a_light_payload_is_weak_or_lost() -> None:
+    light = Payload(name="light", mass=0.02)
+    plant = Plant(noise=0.05)
+    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, {"m": 0.02}, seed=2)
+    result = identify(FIVE_BAR, [free, replace(loaded, payload=light)])
+    verdicts = [gain.verdict for gain in result.drive_gains.values()]
+    assert worst(verdicts) in (Outcome.WEAK, Outcome.NOT_IDENTIFIABLE, Outcome.CONTRADICTORY)
+    assert any("use a heavier payload" in verdict.advice for verdict in verdicts)
+
+
+@pytest.mark.parametrize(("noise", "good"), [(0.005, True), (0.05, False), (0.2, False)])
+def test_deviations_and_not_singular_values_condemn_total_least_squares(noise: float, good: bool) -> None:
+    """The ratio of the two smallest singular values is 2.7 with the right gains, and 3.4 and 3.6 with absurd ones."""
+    result = identify(FIVE_BAR, logs(Plant(noise=noise)), method="tls")
+    assert (result.statistics["singular_ratio"] < 3) == good
+    gains = result.drive_gains.values()
+    errors = np.array([gain.value / truth - 1 for gain, truth in zip(gains, GAINS, strict=True)])
+    assert (np.abs(errors).max() < 0.005) == good
+    for gain, error in zip(gains, errors, strict=True):
+        assert (gain.verdict.outcome == Outcome.GOOD) == good or abs(error) < 0.03
+        assert abs(error * gain.value) < 4 * gain.std
+
+
+# Drift and lack of fit
+
+
+def test_drift_is_the_growth_of_the_current_along_its_run(runs: list[Run]) -> None:
+    growing = [
+        runs[0],
+        replace(runs[1], command=runs[1].command * (1 + 0.06 * np.linspace(-0.5, 0.5, len(runs[1].time))[:, None])),
+    ]
+    assembly = reduce_runs(FIVE_BAR, growing).assembly(Friction(per_run=True))
+    assert assembly.places.shape == (2 * STRETCHES, 2)
+    for drift in worst_drifts(assembly.problem, ml(assembly.problem), assembly.places):
+        assert drift.run == 1
+        assert drift.change == pytest.approx(0.06, rel=0.25)
+        assert drift.t > 6
+    assembly = reduce_runs(FIVE_BAR, runs).assembly(Friction(per_run=True))
+    for drift in worst_drifts(assembly.problem, ml(assembly.problem), assembly.places):
+        assert abs(drift.t) < 5
+
+
+def test_errors_that_hang_together_are_a_lack_of_fit(result: Result, runs: list[Run]) -> None:
+    assert result.statistics["lack_of_fit"] < INFLATED
+    slow = []
+    for k, run in enumerate(runs):
+        phase = np.linspace(0, 2 * np.pi * 13, len(run.time))[:, None] * [1.0, 1.3] + k
+        slow.append(replace(run, command=run.command + 0.1 * np.sin(phase)))
+    lacking = identify(FIVE_BAR, slow)
+    assert lacking.statistics["lack_of_fit"] > INFLATED
+    assert "the model lacks something" in " ".join(lacking.summary().split())
+    assert "the model lacks something" not in " ".join(result.summary().split())
+    for joint in JOINTS:
+        assert (lacking.drive_gains[joint].std or 0.0) > (result.drive_gains[joint].std or 0.0)

@@ -1,0 +1,258 @@
+"""Designs keep their limits, tell more than other motions, and keep what they promise."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from repetitions import repeated_gains
+from threadpoolctl import threadpool_limits
+from typer.testing import CliRunner
+
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.excitation.criteria import relative_deviations
+from gtau.excitation.design import Design, check, design
+from gtau.excitation.design_file import read_design
+from gtau.excitation.evaluation import design_grid, evaluate, information
+from gtau.excitation.forecast import forecast, sampled_motions
+from gtau.excitation.initial_guesses import random_start
+from gtau.excitation.nlp import Programme
+from gtau.excitation.weak_parameters import Weak, weak_unknowns
+from gtau.report.excite_page import describe_design, design_page
+from gtau.signals.log_file import read_log
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+FIVE_BAR = """
+robot: five-bar
+rate: 500
+period: 4
+harmonics: 4
+runs:
+  - payload: none
+  - payload: {name: disc, mass: 1.0}
+prior:
+  gains: {left: 1.5, right: 1.5}
+limits:
+  velocity: {left: 4, right: 4}
+  jerk: {left: 2000, right: 2000}
+  workspace: {x: [0.11, 0.31], z: [0.14, 0.245]}
+  away_from_reversals: 0.6
+"""
+
+
+ORTHOGLIDE = """
+robot: orthoglide
+rate: 500
+period: 3
+harmonics: 5
+runs:
+  - payload: none
+  - payload: {name: disc, mass: 1.983}
+limits:
+  workspace: {x: [-0.09, 0.09], y: [-0.09, 0.09], z: [0.25, 0.43]}
+prior:
+  gains: {"11": 2170, "12": 2100, "13": 2070}
+  noise: {"11": 0.0003, "12": 0.0003, "13": 0.0003}
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "design.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory) -> Design:
+    task, _ = read_design(write(tmp_path_factory.mktemp("design"), FIVE_BAR))
+    return design(task, starts=2)
+
+
+def test_all_limits_hold_on_a_grid_ten_times_finer(found: Design) -> None:
+    every = check(found.task, found.x, 10)
+    assert {load.what: load.excess for load in every if load.excess > 1} == {}
+    assert max(load.excess for load in every) > 0.95  # and some are used
+    kinds = {load.what.split()[0] for load in every}
+    assert {"position", "velocity", "acceleration", "jerk", "current", "x", "z", "condition", "time"} <= kinds
+    # counted once more, without the design's own code, at the rate of the controller
+    ((time, joints),) = sampled_motions(found.task, found.x)
+    limits = found.task.limits
+    assert np.all(joints[0] >= limits.position[:, :1])
+    assert np.all(joints[0] <= limits.position[:, 1:])
+    assert np.all(np.abs(np.gradient(joints[0], time, axis=1)) <= limits.velocity[:, None] * 1.001)
+    assert np.abs(joints[1:3][:, :, [0, -1]]).max() < 1e-9
+    home = [found.task.model.robot.joint(name).home for name in found.task.model.actuated]
+    assert joints[0][:, 0] == pytest.approx(home)
+    assert joints[0][:, -1] == pytest.approx(home, abs=1e-6)
+
+
+def test_deviations_expected_are_those_of_100_simulated_experiments(found: Design, rng: np.random.Generator) -> None:
+    gains = repeated_gains(found.task, found.x, 100, rng)
+    gains = gains[np.isfinite(gains).all(axis=1)]
+    assert len(gains) >= 95
+    expected = np.array([each.std for each in forecast(found.task, found.x).gains])
+    assert gains.std(axis=0, ddof=1) / expected == pytest.approx(1.0, abs=0.2)
+    assert np.abs(gains.mean(axis=0) - found.task.gains).max() < 4 * expected.max() / 10
+
+
+@pytest.mark.parametrize("robot", ["orthoglide", "delta", "ur10e"])
+def test_forecasts_hold_for_three_motors_and_six_axes(robot: str, rng: np.random.Generator) -> None:
+    task, _ = read_design(BENCHMARKS / f"excitation_{robot}.yaml")
+    task = replace(task, repetitions=1)
+    x = random_start(task, rng, 0.9)
+    assert x is not None
+    gains = repeated_gains(task, x, 100, rng)
+    gains = gains[np.isfinite(gains).all(axis=1)]
+    assert len(gains) >= 90
+    expected = np.array([each.std for each in forecast(task, x).gains])
+    # the standard deviation of 100 repetitions is itself known to 7 %
+    assert gains.std(axis=0, ddof=1) / expected == pytest.approx(1.0, abs=0.2)
+
+
+def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path) -> None:
+    task, assumed = read_design(write(tmp_path, FIVE_BAR.replace("gains: {left: 1.5, right: 1.5}", "noise: {left: 9}")))
+    assert set(assumed) == {"parameters", "gains", "noise"}
+    x = random_start(task, np.random.default_rng(1), 0.9)
+    assert x is not None
+    start = Design(task, "gains", x, 1.0, (), 0)
+    document = describe_design(start, assumed, [])
+    gain = document["gains"][0]
+    assert gain["assumed"]
+    (row,) = (line for line in design_page(document).splitlines() if line.startswith("  left  "))
+    assert row.split() == ["left", "(assumed)", "-", f"{gain['rel_std']:.3g}", "N", "m/A"]
+    parameter = next(each for each in document["parameters"] if each["rel_std"])
+    for rel_std, shown in ((2200.0, "-"), (990.0, "990")):
+        (row,) = (
+            line
+            for line in design_page(document | {"parameters": [parameter | {"rel_std": rel_std}]}).splitlines()
+            if line.startswith(f"  {parameter['name']} ")
+        )
+        assert row.split()[3] == shown
+    known = read_design(write(tmp_path, FIVE_BAR))[1]
+    assert not any(each["assumed"] for each in describe_design(start, known, [])["gains"])
+
+
+def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
+    path, out = write(tmp_path, FIVE_BAR + "motions: each run\n"), tmp_path / "out"
+    done = CliRunner().invoke(app, ["excite", str(path), "--out", str(out), "--starts", "1"])
+    assert done.exit_code == 0, done.output
+    assert "2 motions" in done.output
+    logs = [read_log(out / f"trajectory_{run}.csv", ("t", "q_left", "q_right")).columns for run in (1, 2)]
+    assert np.abs(logs[0]["q_left"][:2000] - logs[1]["q_left"][:2000]).max() > 0.1
+    assert (out / "trajectory_2.png").exists()
+    document = json.loads((out / "design.json").read_text())
+    used = {each["limit"]: each["used"] for each in document["limits"]}
+    assert max(used.values()) <= 1.0
+    assert {f"z of the tool's frame in run {run}" for run in (1, 2)} <= set(used)
+    assert "current of joint 'left' with payload 'disc' in run 1" not in used
+    task, _ = read_design(path)
+    one = replace(task, one_motion=True)
+    shared = np.array(document["x"][: one.size])
+    # the same motion written twice tells what one motion of both runs tells
+    apart, together = (forecast(each, x) for each, x in ((task, np.tile(shared, 2)), (one, shared)))
+    assert [each.std for each in apart.gains] == pytest.approx([each.std for each in together.gains], rel=1e-9)
+
+
+def test_the_design_criterion_agrees_with_the_forecast(found: Design) -> None:
+    names = [f"gain_{joint}" for joint in found.task.model.actuated]
+    R = information(evaluate(found.task, found.x, design_grid(found.task)))
+    expected = np.array([each.relative for each in forecast(found.task, found.x).gains]) / 100
+    assert relative_deviations(R, found.task.unknowns, names) == pytest.approx(expected, rel=0.3)
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def test_a_design_tells_twice_as_much_as_the_best_of_200_random_motions(tmp_path: Path) -> None:
+    task, _ = read_design(write(tmp_path, ORTHOGLIDE))
+    found = design(task, starts=1)
+    programme, values = Programme(task, "gains", {load.what: 1.0 for load in found.loads}), []
+    rng = np.random.default_rng(0)
+    while len(values) < 200:
+        x = random_start(task, rng, 0.99)  # as far as the same limits let it
+        assert x is not None
+        if programme.excess(x) <= 1.0:
+            values.append(np.exp(programme.value(x)[0]))
+    assert found.value < min(values) / 2
+
+
+def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
+    low = FIVE_BAR.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
+    task, _ = read_design(write(tmp_path, low))
+    with pytest.raises(GtauError, match=r"the current of joint '(left|right)'.* must be at most 0.01 A") as refusal:
+        design(task, starts=1)
+    assert "no motion holds the limits" in str(refusal.value)
+
+
+def test_a_stopped_design_returns_the_best_so_far(tmp_path: Path) -> None:
+    task, _ = read_design(write(tmp_path, FIVE_BAR))
+    seen: list[Design | None] = []
+
+    def progress(best: Design | None, done: int, total: int) -> None:
+        seen.append(best)
+
+    stopped = design(task, starts=50, progress=progress, stop=lambda: any(each is not None for each in seen))
+    assert stopped.start == 0
+    assert len(seen) < 5
+    with pytest.raises(GtauError, match="stopped before a motion"):
+        design(task, starts=3, stop=lambda: True)
+
+
+def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None:
+    weak = weak_unknowns(found)
+    assert weak
+    for each in weak:
+        assert each.relative > 0.3
+        assert each.joint is None or each.then < 0.7 * each.relative
+
+
+def test_a_motion_that_tells_next_to_nothing_is_no_advice(found: Design, monkeypatch: pytest.MonkeyPatch) -> None:
+    weak = (Weak("fv_left", 400.0, "left", "slowly", 250.0), Weak("fs_left", 4.0, "left", "slowly", 2.5))
+    monkeypatch.setattr("gtau.report.excite_page.weak_unknowns", lambda design: weak)
+    nothing, something = (each["advice"] for each in describe_design(found, {}, [])["weak"])
+    assert nothing.startswith("no motion of one joint within the limits helps")
+    assert something.startswith("a run of joint 'left' alone, slowly, would bring it to 250 %")
+
+
+def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
+    path = write(tmp_path, FIVE_BAR)
+    command = [
+        "excite",
+        str(path),
+        "--out",
+        str(tmp_path / "out"),
+        "--starts",
+        "1",
+        "--payload-mass",
+        "0.5",
+        "2",
+        "--json",
+    ]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    document = json.loads((tmp_path / "out" / "design.json").read_text())
+    assert [each["mass"] for each in document["payload_masses"]] == [0.5, 2.0]
+    light, heavy = (each["rms"] for each in document["payload_masses"])
+    assert heavy < light
+    log = read_log(tmp_path / "out" / "trajectory.csv", ("t", "q_left", "qd_left", "qdd_right"))
+    assert np.diff(log.columns["t"]) == pytest.approx(1 / 500)
+    assert np.gradient(log.columns["q_left"], 1 / 500) == pytest.approx(log.columns["qd_left"], abs=0.02)
+    assert (tmp_path / "out" / "trajectory.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("harmonics: 4", "harmonic: 4", "did you mean 'harmonics'"),
+        ("  - payload: {name: disc, mass: 1.0}\n", "", "payload of known mass"),
+        ("velocity: {left: 4, right: 4}", "velocity: {lift: 4}", "limits.velocity names 'lift'"),
+        ("harmonics: 4", "harmonics: 400", "highest harmonic"),
+        ("period: 4", "period: 4\nrest: {left: 0}", "outside its limits"),
+        ("period: 4", "period: 4\nspace: platform", "no platforms"),
+    ],
+)  # fmt: skip
+def test_design_files_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(GtauError, match=message):
+        read_design(write(tmp_path, FIVE_BAR.replace(old, new)))

@@ -1,0 +1,205 @@
+"""Derivatives of motions, weights and criteria against differences, and the platform's motion against the joints'."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robots_for_tests import CLOSED, four_bar, hexapod, palletizer, random_samples
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.excitation.closure_gradients import Slopes, in_platform_space, pullback
+from gtau.excitation.constraints import loads
+from gtau.excitation.criteria import NAMED, criterion
+from gtau.excitation.evaluation import design_grid, evaluate, objective
+from gtau.excitation.information import Window, derivative
+from gtau.excitation.regressor import smooth_regressor
+from gtau.excitation.task import Limits, Task
+from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Robot
+from gtau.signals.experiment import Payload
+
+DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
+
+
+def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> Task:
+    """Two runs of a robot of arbitrary parameters, every kind of limit given."""
+    model = InverseDynamics(robot)
+    base, n = base_parameters(model), len(model.actuated)
+    rng = np.random.default_rng(3)
+    limits = Limits(
+        position=np.array([robot.joint(name).limits.position for name in model.actuated]),
+        velocity=np.full(n, 1.0),
+        acceleration=np.full(n, 5.0),
+        jerk=np.full(n, 50.0),
+        current=np.full(n, 20.0),
+        workspace={"x": (-2.0, 2.0), "z": (-2.0, 2.0)},
+        condition=200.0,
+        away=0.2,
+    )
+    half = 0.05 if robot.closures else 2.0
+    center = np.zeros(3) if platform else limits.position.mean(axis=1)
+    series = FourierSeries(center, np.full(len(center), half), 0.2, 4)
+    chi = base.matrix @ rng.uniform(0.2, 1.0, len(model.parameter_names))
+    return Task(
+        model,
+        base,
+        series,
+        platform,
+        500.0,
+        1,
+        None,
+        (None, DISC),
+        one_motion,
+        limits,
+        chi,
+        np.full(n, 9.0),
+        np.full(n, 0.02),
+    )
+
+
+def slope(function, x: np.ndarray, way: np.ndarray, h: float = 1e-5) -> float:
+    """Derivative along ``way`` by differences of fourth order."""
+    near, far = ((function(x + k * h * way) - function(x - k * h * way)) / (2 * k * h) for k in (1, 2))
+    return float((4 * near - far) / 3)
+
+
+def random_x(task: Task, rng: np.random.Generator) -> np.ndarray:
+    return np.concatenate([task.series.random(rng) for _ in task.motions])
+
+
+@pytest.fixture(scope="module", params=["orthoglide", "orthoglide platform", "ur10e", "orthoglide each"])
+def task(request) -> Task:
+    return make_task(load_robot(request.param.split()[0]), "platform" in request.param, "each" not in request.param)
+
+
+@pytest.mark.parametrize("name", [*NAMED, "gain"])
+def test_gradients_of_criteria_agree_with_differences(task: Task, name: str, rng: np.random.Generator) -> None:
+    called = f"gain_{task.model.actuated[0]}" if name == "gain" else name
+    chosen, grid = criterion(called, task.unknowns), design_grid(task)
+    x = 0.3 * random_x(task, rng)
+    points = evaluate(task, x, grid)
+    gradient = objective(points, chosen, name == "condition")[1]
+    for _ in range(3):
+        way = rng.normal(size=x.size)
+        found = slope(lambda x: objective(evaluate(task, x, grid, points), chosen, name == "condition")[0], x, way)
+        # the condition number of the Orthoglide's 61 columns is 1e9, and its logarithm known to 1e-6 of a unit
+        precision = 1e-2 if name == "condition" and task.pullback else 1e-6
+        assert gradient @ way == pytest.approx(found, rel=precision, abs=precision * np.linalg.norm(gradient))
+
+
+def test_slopes_of_loads_agree_with_differences(task: Task, rng: np.random.Generator) -> None:
+    grid, x = design_grid(task), 0.3 * random_x(task, rng)
+    points, way, h = evaluate(task, x, grid), rng.normal(size=task.size), 1e-6
+    ahead, behind = (list(loads(evaluate(task, x + s * h * way, grid, points))) for s in (1, -1))
+    kinds = set()
+    for load, after, before in zip(loads(points), ahead, behind, strict=True):
+        expected = (after.values - before.values) / (2 * h)
+        found = load.rows() @ way
+        assert np.abs(found - expected).max() <= 3e-5 * (np.abs(expected).max() + 1e-3), load.what
+        kinds.add(load.what.split()[0])
+    assert {"position", "velocity", "acceleration", "jerk", "current", "x", "z", "time"} <= kinds
+
+
+@pytest.mark.parametrize("robot", [four_bar(), hexapod(), palletizer()], ids=lambda robot: robot.name)
+def test_slopes_through_closures_agree_with_differences(robot: Robot, rng: np.random.Generator) -> None:
+    model = InverseDynamics(robot)
+    back = pullback(model)
+    assert back is not None
+    regressor = smooth_regressor(model, model.parameter_names, np.full(len(robot.joints), 0.3))
+    samples = 8
+    states = [each.T.copy() for each in random_samples(robot, rng, samples)]
+    weights = rng.normal(size=(len(model.actuated), samples, len(model.parameter_names)))
+
+    def value(states: list[np.ndarray]) -> np.ndarray:
+        motion = model.motion(*states)
+        return np.einsum("jsk,jsk->s", weights, regressor(motion)) + 3 * back.condition(motion)[0]
+
+    motion = model.motion(*states)
+    assert np.exp(back.condition(motion)[0]) == pytest.approx(motion.condition, rel=1e-6)
+    of_W, of_condition = regressor.slopes(motion, weights), back.condition(motion)[1]
+    found = back(motion, Slopes(of_W.c + 3 * of_condition.c, of_W.yd, of_W.ydd, of_W.J))
+    for order in range(3):
+        for j in range(len(model.actuated)):
+            moved = [[each.copy() for each in states] for _ in range(2)]
+            moved[0][order][j] += 1e-5
+            moved[1][order][j] -= 1e-5
+            expected = (value(moved[0]) - value(moved[1])) / 2e-5
+            assert np.abs(found[order][j] - expected).max() < 1e-6 * max(1.0, np.abs(expected).max())
+
+
+def test_smooth_regressor_is_the_regressor_away_from_reversals(rng: np.random.Generator) -> None:
+    model = InverseDynamics(load_robot("orthoglide"))
+    q, qd, qdd = random_samples(model.robot, rng, 20)
+    motion = model.motion(q.T.copy(), qd.T.copy(), qdd.T.copy())
+    smooth = smooth_regressor(model, model.parameter_names, np.full(len(model.robot.joints), 1e-9))
+    assert smooth(motion).transpose(1, 0, 2) == pytest.approx(model.regressor(q, qd, qdd), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "robot", [robot for robot in CLOSED if len(robot.platforms) == 1], ids=lambda robot: robot.name
+)
+def test_platform_space_is_the_inverse_of_joint_space(robot: Robot, rng: np.random.Generator) -> None:
+    model, driven = InverseDynamics(robot), InverseDynamics(in_platform_space(robot))
+    n, chain = len(model.actuated), driven.layout.actuated
+    p, pd, pdd = 0.03 * rng.normal(size=(3, n, 10))
+    motion = driven.motion(p, pd, pdd)
+    motors = [[joint.name for joint in driven.robot.joints].index(name) for name in model.actuated]
+    back = model.motion(motion.c[motors], motion.yd[motors], motion.ydd[motors])
+    slots = model.layout.platforms[0]
+    turns = [name for name in slots.platform.dof if name.startswith("r")]
+    if len(turns) < 3:  # rates of three turns are those of angles one after another, not of a twist
+        order = [sorted(slots.platform.dof).index(dof) for dof in slots.platform.dof]
+        assert sorted(np.abs(back.yd[slots.rates]).ravel()) == pytest.approx(sorted(np.abs(pd).ravel()), abs=1e-9), (
+            order
+        )
+        assert sorted(np.abs(back.ydd[slots.rates]).ravel()) == pytest.approx(sorted(np.abs(pdd).ravel()), abs=1e-8)
+    home = np.array(robot.platforms[0].home.position)
+    moved = dict(zip((driven.layout.names[k] for k in chain), p, strict=True))
+    for k, axis in enumerate("xyz"):
+        along = [row for name, row in moved.items() if name.startswith(f"{axis} of")]
+        if along:
+            assert back.c[slots.position][k] == pytest.approx(home[k] + along[0], abs=1e-9)
+
+
+def test_weights_fall_at_reversals_and_their_slopes_agree_with_differences(rng: np.random.Generator) -> None:
+    window = Window(step=0.05, reach=0.12, fraction=0.05, floor=np.array([0.0, 0.3]))
+    time = 0.05 * np.arange(80)
+    qd = np.stack([np.sin(2 * np.pi * (time + 0.01) / 4), np.cos(2 * np.pi * 3 * time / 4) + 0.3])
+    weights = window.weights(qd)
+    crossing = np.sign(qd) != np.sign(np.roll(qd, -1, axis=1))
+    assert weights[crossing].max() < 0.3
+    assert weights[0, 20] == pytest.approx(1.0, abs=0.02)
+    # what hardly moves beside its approach and return is lost, as identification loses it
+    assert window.weights(0.01 * qd).mean(axis=1)[1] < 0.1 < window.weights(0.01 * qd).mean(axis=1)[0]
+    seed, way = rng.normal(size=(2, *qd.shape))
+    found = np.sum(window.back(qd, seed) * way)
+    assert found == pytest.approx(slope(lambda x: np.sum(seed * window.weights(x)), qd, way), rel=1e-6)
+
+
+def test_trajectories_begin_at_rest_and_are_their_own_derivatives(rng: np.random.Generator) -> None:
+    series = FourierSeries(np.array([0.3, -1.0]), np.array([0.5, 2.0]), 0.25, 4)
+    x = series.random(rng)
+    time = np.linspace(0, 4, 4001)
+    q, qd, qdd, jerk = series(x, time)
+    assert np.abs([qd[:, 0], qd[:, -1], qdd[:, 0], qdd[:, -1]]).max() < 1e-12 * np.abs(qdd).max()
+    for value, rate in ((q, qd), (qd, qdd), (qdd, jerk)):
+        periodic = derivative(value[:, :-1], time[1])
+        assert periodic == pytest.approx(rate[:, :-1], abs=1e-6 * np.abs(rate).max())
+    limits = np.array([0.7, 0.4]), np.array([2.0, 3.0]), np.array([9.0, 20.0])
+    start, end = np.array([0.0, 0.5]), np.array([1.5, -0.4])
+    span = move_duration(end - start, *limits)
+    moves = quintic(start, end, span, np.linspace(0, span, 2001))
+    used = [np.abs(each).max(axis=1) / limit for each, limit in zip(moves[1:], limits, strict=True)]
+    assert np.max(used) == pytest.approx(1.0, abs=1e-3)
+    assert moves[0][:, -1] == pytest.approx(end)
+
+
+def test_names_that_are_no_parameters_are_refused() -> None:
+    task = make_task(load_robot("ur10e"))
+    with pytest.raises(GtauError, match="no criterion or parameter 'gian_elbow'"):
+        criterion("gian_elbow", task.unknowns)
+    with pytest.raises(GtauError, match="no platforms"):
+        in_platform_space(task.model.robot)

@@ -1,0 +1,262 @@
+"""Fleets: thirty robots, two of which are off; names, fleet files, failures, and going on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from five_bar_logs import EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
+from typer.testing import CliRunner
+
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.estimation.identify import identify
+from gtau.estimation.results.result import Result
+from gtau.fleet import fleet
+from gtau.fleet.fleet import Member, Report, identify_fleet, read_fleet
+from gtau.fleet.gains import fleet_table
+from gtau.parallel.executor import here
+from gtau.report.fleet_page import fleet_page
+
+ONE = EXPERIMENT.split("validation")[0]
+ROBOTS, SECONDS = 30, 4.0
+OFF = {7: 0, 21: 1}  # robot to its joint that is 5 % off
+
+
+@pytest.fixture(scope="module")
+def cells(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Logs of thirty robots whose gains differ by 0.2 %, but for two."""
+    folder, rng = tmp_path_factory.mktemp("cells"), np.random.default_rng(5)
+    for k in range(ROBOTS):
+        gains = np.array(GAINS) * (1 + 0.002 * rng.standard_normal(2))
+        if k in OFF:
+            gains[OFF[k]] *= 1.05
+        plant = Plant(gains=tuple(gains), noise=0.003)
+        cell = folder / f"robot_{k}"
+        cell.mkdir()
+        write_log(cell / "free.csv", plant.run("free", SECONDS, seed=2 * k))
+        write_log(cell / "loaded.csv", plant.run("loaded", SECONDS, payload=STEEL, seed=2 * k + 1))
+        (cell / "experiment.yaml").write_text(ONE)
+    return folder
+
+
+def run(*arguments: str):
+    result = CliRunner().invoke(app, ["fleet", *arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def test_a_member_is_found_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    member = Member("one", Path("e.yaml"), Path("logs")).anywhere
+    assert (member.name, member.experiment, member.logs) == ("one", tmp_path / "e.yaml", tmp_path / "logs")
+
+
+def test_the_two_that_are_off_are_found(cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    arguments = (str(cells / "*" / "experiment.yaml"), "--out", str(out))
+    result = run(*arguments, "--jobs", "1")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "30 robots identified, 0 refused" in result.stdout
+    table = pl.read_parquet(out / "gains.parquet")
+    assert table.drop("why").equals(pl.read_csv(out / "gains.csv", schema=table.schema).drop("why"))
+    assert table["robot"].unique(maintain_order=True).to_list() == [f"robot_{k}" for k in range(ROBOTS)]
+    outliers = table.filter("outlier")
+    assert set(zip(outliers["robot"], outliers["joint"], strict=True)) == {
+        (f"robot_{k}", JOINTS[joint]) for k, joint in OFF.items()
+    }
+    assert outliers["difference_percent"].to_list() == pytest.approx([5, 5], abs=1)
+    assert (out / "gains.png").stat().st_size > 10000
+    # the models are those of 'gtau identify'
+    model = Result.load(out / "models" / "robot_3.json")
+    alone = identify(cells / "robot_3" / "experiment.yaml")
+    assert [g.value for g in model.drive_gains.values()] == pytest.approx([g.value for g in alone.drive_gains.values()])
+
+    # once more: nothing is computed again, and the document says the same
+    monkeypatch.setattr(fleet, "model_text", None)
+    found = json.loads(run(*arguments, "--jobs", "1", "--json").stdout)
+    assert [g["gain"] for g in found["gains"]] == table["gain"].to_list()
+    assert [each["robots"] for each in found["joints"]] == [30, 30]
+    for joint, gain in zip(found["joints"], GAINS, strict=True):
+        assert joint["median"] == pytest.approx(gain, abs=5 * joint["median_std"])
+
+
+def some(cells: Path, *robots: int) -> tuple[Member, ...]:
+    return read_fleet([cells / f"robot_{k}" / "experiment.yaml" for k in robots])
+
+
+def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path, monkeypatch) -> None:
+    bad = tmp_path / "bad" / "experiment.yaml"
+    bad.parent.mkdir()
+    bad.write_text(ONE)
+    members = (*some(cells, 1, 2), Member("bad", bad))
+    reports = identify_fleet(members, tmp_path, here)
+    assert [report.model is None for report in reports] == [False, False, True]
+    assert "there is no file" in reports[2].sentence
+    page = fleet_page(fleet_table(reports))
+    assert "2 robots identified, 1 refused" in page
+    assert f"bad: {bad}, line 5, runs.1.log: there is no file" in page
+    assert "too few robots to tell outliers" in page
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("oops")
+
+    monkeypatch.setattr("gtau.estimation.identify.identify", broken)
+    (report,) = identify_fleet(some(cells, 3), tmp_path, here)
+    assert "this should not have happened (ZeroDivisionError: oops); please report it" in report.sentence
+    assert fleet_table([report]).refused[0][0] == report.member.name
+
+
+def test_lost_robots_are_told(cells: Path, tmp_path: Path) -> None:
+    def losing(function, items):
+        yield 1, GtauError("its worker died.")
+        yield 0, function(items[0])
+
+    reports = identify_fleet(some(cells, 1, 2), tmp_path, losing)
+    assert [report.sentence for report in reports] == ["", "its worker died."]
+
+
+def test_going_on_after_an_interruption(cells: Path, tmp_path: Path) -> None:
+    def interrupted(function, items):
+        yield 0, function(items[0])
+        raise KeyboardInterrupt
+
+    members = some(cells, 1, 2)
+    with pytest.raises(KeyboardInterrupt):
+        identify_fleet(members, tmp_path, interrupted)
+    name = members[0].name
+    assert {path.name for path in (tmp_path / "models").iterdir()} == {f"{name}.json", f"{name}.key"}
+    reports = identify_fleet(members, tmp_path, here)
+    assert [report.seconds > 0 for report in reports] == [False, True]
+
+
+@pytest.mark.parametrize("change", ["log", "experiment", "method", "robot"])
+def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change: str) -> None:
+    for name in ("free.csv", "loaded.csv"):
+        (tmp_path / name).write_bytes((cells / "robot_1" / name).read_bytes())
+    (tmp_path / "e.yaml").write_text(ONE)
+    member = Member("one", tmp_path / "e.yaml")
+    (first,) = identify_fleet([member], tmp_path, here)
+    (again,) = identify_fleet([member], tmp_path, here)
+    assert again.model == first.model
+    assert again.seconds == 0
+    method = "ml"
+    if change == "log":
+        lines = (tmp_path / "free.csv").read_text().splitlines()
+        (tmp_path / "free.csv").write_text("\n".join(lines[:-200]) + "\n")
+    elif change == "experiment":
+        (tmp_path / "e.yaml").write_text(ONE.replace("mass: 1.2", "mass: 1.3"))
+    elif change == "method":
+        method = "mixed"
+    else:
+        from gtau.robots.load import load_robot
+        from gtau.robots.readers.native_text import native_text
+
+        (tmp_path / "five-bar").write_text(native_text(load_robot("five-bar")).replace("0.35", "0.36"))
+        (tmp_path / "five-bar").rename(tmp_path / "other.yaml")
+        (tmp_path / "e.yaml").write_text(ONE.replace("robot: five-bar", "robot: other.yaml"))
+    (other,) = identify_fleet([member], tmp_path, here, method)
+    assert other.seconds > 0
+    assert other.model != first.model
+
+
+# Which robots
+
+
+def test_names_are_what_tells_paths_apart(tmp_path: Path) -> None:
+    def names(*paths: str) -> list[str]:
+        for path in paths:
+            (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / path).write_text(ONE)
+        return [member.name for member in read_fleet([tmp_path / path for path in paths])]
+
+    assert names("a/e.yaml", "b/e.yaml", "b/e.yaml") == ["a", "b"]
+    assert names("c/x_10.yaml", "c/x_9.yaml") == ["x_9", "x_10"]
+    assert names("d/e.yaml", "d/f/e.yaml") == ["e", "f/e"]
+    assert names("g/h/1/i/e.yaml", "g/h/2/j/e.yaml") == ["1/i", "2/j"]
+    assert names("k/only.yaml") == ["only"]
+    assert names("l/e.yaml", "l/e.yml") == ["e.yaml", "e.yml"]
+
+
+def test_a_fleet_file(cells: Path, tmp_path: Path) -> None:
+    (tmp_path / "fleet.yaml").write_text(f"experiments: [{cells}/robot_1*/experiment.yaml, {cells}/robot_2/*.yaml]\n")
+    names = [member.name for member in read_fleet([tmp_path / "fleet.yaml"])]
+    assert names == ["robot_1", "robot_2", *(f"robot_1{k}" for k in range(10))]
+    (tmp_path / "one.yaml").write_text(ONE)
+    (tmp_path / "fleet.yaml").write_text(f"experiment: one.yaml\nfolders: {cells}/robot_[12]\n")
+    members = read_fleet([tmp_path / "fleet.yaml"])
+    assert [(m.name, m.logs) for m in members] == [(f"robot_{k}", cells / f"robot_{k}") for k in (1, 2)]
+    reports = identify_fleet(members, tmp_path, here)
+    alone = identify(cells / "robot_2" / "experiment.yaml")
+    assert reports[1].model is not None
+    assert reports[1].model["drive_gains"][0]["value"] == alone.drive_gains["left"].value
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("experiments: nowhere/*.yaml", "no file matches"),
+        ("experiment: one.yaml", "give 'experiments', one file for each robot; or 'experiment' and 'folders'"),
+        ("experiment: one.yaml\nfolders: fleet.yaml", "'folders' matches no folder"),
+        ("experiments: a.yaml\nexperimens: b.yaml", "unknown key 'experimens'; did you mean"),
+        ("experiments: []", "0 values are written; write at least 1"),
+    ],
+)
+def test_wrong_fleet_files(tmp_path: Path, text: str, says: str) -> None:
+    (tmp_path / "fleet.yaml").write_text(text + "\n")
+    result = run(str(tmp_path / "fleet.yaml"), "--out", str(tmp_path / "out"))
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_that_do_not_go_together(cells: Path, tmp_path: Path) -> None:
+    one = str(cells / "robot_1" / "experiment.yaml")
+    wrong = {("--method", "wls"): "takes the drive gains as given", ("--jobs", "2", "--dask", "local"): "give one of"}
+    for options, says in wrong.items():
+        result = run(one, "--out", str(tmp_path), *options)
+        assert result.exit_code == 2
+        assert says in result.stderr
+
+
+# The table
+
+
+def report(name: str, gains: tuple[float, ...], std: float = 0.01) -> Report:
+    estimates = [
+        {"joint": joint, "value": g, "std": std, "unit": "N m/A", "freedom": 39, "outcome": "good", "why": ""}
+        for joint, g in zip("ab", gains, strict=True)
+    ]
+    return Report(Member(name, Path(name)), {"robot": "arm", "drive_gains": estimates})
+
+
+def test_gains_that_are_all_off_alike_point_to_the_payload() -> None:
+    reports = [report(f"r{k}", (2 + 0.001 * k, 3 + 0.001 * k)) for k in range(10)]
+    page = fleet_page(fleet_table([*reports, report("heavy", (2.2, 3.3))]))
+    assert "robot 'heavy': all its gains are too large alike; check the payload's mass" in page
+    page = fleet_page(fleet_table([*reports, report("motor", (2.2, 3.0))]))
+    assert "check the payload" not in page
+
+
+def test_gains_that_are_not_known_are_compared_with_nothing() -> None:
+    unknown = report("unknown", (2.0, 3.0))
+    assert unknown.model is not None
+    unknown.model["drive_gains"][0] |= {"value": None, "std": None, "outcome": "not identifiable", "why": "no motion"}
+    table = fleet_table([*(report(f"r{k}", (2 + 0.001 * k, 3.0)) for k in range(10)), unknown])
+    (gain,) = [g for g in table.gains if g.robot == "unknown" and g.joint == "a"]
+    assert (gain.z, gain.outlier, gain.why) == (None, False, "no motion")
+    assert [joint.robots for joint in table.joints] == [10, 11]
+
+
+def test_nothing_identified_is_still_a_table(tmp_path: Path) -> None:
+    (tmp_path / "e.yaml").write_text(ONE)
+    result = run(str(tmp_path / "e.yaml"), "--out", str(tmp_path / "out"))
+    assert result.exit_code == 3
+    assert "0 robots identified, 1 refused" in result.stdout
+    assert pl.read_parquet(tmp_path / "out" / "gains.parquet")["outcome"].to_list() == ["refused"]
+    assert not (tmp_path / "out" / "gains.png").exists()

@@ -1,0 +1,69 @@
+"""Work spread over processes, some of which die."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from spread_work import fragile, limits, square
+
+from gtau.errors import GtauError
+from gtau.parallel.executor import here, in_turn
+from gtau.parallel.process_executor import in_processes
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_item_once(jobs: int) -> None:
+    assert sorted(in_processes(square, range(12), jobs)) == [(k, k * k) for k in range(12)]
+
+
+def test_an_item_that_kills_its_process_is_told_and_the_others_are_done() -> None:
+    found = dict(in_processes(fragile, range(8), 2))
+    assert "died" in str(found.pop(3))
+    assert found == {k: k * k for k in range(8) if k != 3}
+
+
+def test_a_process_has_one_thread() -> None:
+    assert dict(in_processes(limits, range(2), 2)) == {0: "1", 1: "1"}
+
+
+def test_results_in_turn() -> None:
+    def backwards(function, items):
+        return [(k, function(items[k])) for k in reversed(range(len(items)))]
+
+    assert list(in_turn(backwards)(square, range(5))) == [0, 1, 4, 9, 16]
+    assert list(in_turn(here)(square, range(5))) == [0, 1, 4, 9, 16]
+
+
+def test_an_error_in_its_turn_is_raised() -> None:
+    with pytest.raises(GtauError, match="no two"):
+        list(in_turn(lambda function, items: [(0, 1), (1, GtauError("no two."))])(square, range(2)))
+
+
+def test_ctrl_c_ends_all_processes_at_once_and_without_a_word(tmp_path: Path) -> None:
+    code = """
+import sys, pathlib
+sys.path.insert(0, sys.argv[1])
+from gtau.parallel.process_executor import in_processes
+from spread_work import slow
+if __name__ == "__main__":
+    try:
+        list(in_processes(slow, [pathlib.Path(sys.argv[2]) / str(k) for k in range(4)], 2))
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+    (tmp_path / "main.py").write_text(code)
+    command = [sys.executable, "main.py", str(Path(__file__).parent), str(tmp_path)]
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+    while len(list(tmp_path.glob("[0-9]"))) < 2:
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: all of them
+    assert process.communicate(timeout=20) == ("", "")
+    assert process.returncode == 130

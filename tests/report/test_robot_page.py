@@ -1,0 +1,216 @@
+"""What a user is shown of a robot before it is identified: the payload's body, limits, gravity, oddities, a picture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import CHI, GAINS, STEEL, Plant
+
+from gtau import identify
+from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.report.robot_figure import robot_figure
+from gtau.report.robot_page import describe, robot_page
+from gtau.robots.load import catalog_names, load_robot
+from gtau.robots.plausibility import oddities, tool_note
+from gtau.robots.readers.native import parse_native
+from gtau.robots.readers.native_text import native_text
+from gtau.robots.robot import GROUND, Joint, Limits, Mdh, Robot
+from gtau.signals.experiment import Payload
+
+# A coupling bar stands last in the file, so the payload is taken to sit on it.
+BAR_ARM = """\
+robot: bar-arm
+joints:
+  shoulder: {antecedent: ground, alpha: pi/2, theta: q, actuated: true, home: deg(60)}
+  forearm: {antecedent: shoulder, d: 0.3, theta: q, home: deg(-80)}
+  crank: {antecedent: ground, alpha: pi/2, theta: q, actuated: true, home: deg(160)}
+  bar: {antecedent: crank, d: 0.15, theta: q, home: deg(-100)}
+closures:
+  - connect: [{body: bar, d: 0.3}, {body: forearm, d: -0.15}]
+"""
+
+
+def slide(**more) -> Robot:
+    return Robot("slide", (Joint("1", GROUND, "prismatic", **more),))
+
+
+def turn(**more) -> Robot:
+    return Robot("turn", (Joint("1", GROUND, "revolute", **more),))
+
+
+# The body that carries the payload
+
+
+def test_the_payload_is_where_the_robot_file_says() -> None:
+    five_bar = load_robot("five-bar")
+    steel_on_left = CHI | {
+        f"{kind}_left_forearm": CHI.get(f"{kind}_left_forearm", 0.0) + value for kind, value in STEEL.items()
+    }
+    loaded = replace(Plant(chi=steel_on_left).run("loaded", seed=1), payload=Payload(name="steel", mass=STEEL["m"]))
+    runs = [Plant().run("free"), loaded]
+    gains = {}
+    for tool in ("left_forearm", "right_forearm"):
+        result = identify(replace(five_bar, named_tool=tool), runs)
+        gains[tool] = np.array([gain.value for gain in result.drive_gains.values()])
+        assert f"Payload   on '{tool}'" in result.summary()
+    np.testing.assert_allclose(gains["left_forearm"], GAINS, rtol=2e-3)
+    assert np.abs(gains["right_forearm"] / GAINS - 1).max() > 0.05
+
+
+def test_a_tool_that_nobody_named_is_said() -> None:
+    robot = parse_native(BAR_ARM, "bar.yaml")
+    assert robot.tool == "bar"
+    (note,) = tool_note(robot)
+    assert note.startswith("a payload is assumed to sit on 'bar'")
+    assert "tool: BODY" in note
+    assert note in " ".join(robot_page(describe(robot)).replace("note: ", "").split())
+    named = parse_native(BAR_ARM + "tool: forearm\n", "bar.yaml")
+    assert (named.tool, tool_note(named)) == ("forearm", ())
+    assert parse_native(native_text(named), "again.yaml") == named != robot
+    # two fingers, of which only one can carry it
+    hand = Robot("hand", tuple(Joint(name, "ground", "prismatic") for name in ("left", "right")))
+    assert len(tool_note(hand)) == 1
+
+
+@pytest.mark.parametrize("name", catalog_names())
+def test_nothing_is_odd_in_the_catalog(name: str) -> None:
+    robot = load_robot(name)
+    assert oddities(robot) == tool_note(robot) == ()
+
+
+# Oddities
+
+
+@pytest.mark.parametrize(
+    ("robot", "note"),
+    [
+        (turn(limits=Limits((-130.0, 130.0))), "position limits of many turns: joint '1' (-130 to 130 rad);"),
+        (turn(placement=Mdh(d=350.0)), "joint '1' is placed 350 m away: lengths are in m, so check whether"),
+        (slide(limits=Limits((-100.0, 66.0))), "the position limits of joint '1' are -100 to 66 m: lengths are in m"),
+        (
+            turn(limits=Limits((-3.0, -0.1))),
+            "home lies outside the position limits of joint '1' (0 rad, limits -3 to -0.1 rad); write a 'home' within",
+        ),
+    ],
+    ids=["degrees", "mm", "travel in mm", "home outside"],
+)  # fmt: skip
+def test_what_is_hardly_meant_is_noted(robot: Robot, note: str) -> None:
+    (found,) = oddities(robot)
+    assert found.startswith(note)
+    assert found in describe(robot)["notes"]
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        turn(limits=Limits((-4 * np.pi, 4 * np.pi))),
+        turn(limits=Limits((0.0, 1.0))),  # home on a limit
+        turn(limits=Limits((-300.0, 300.0)), parameters="drive"),  # a shaft before its gear
+        slide(placement=Mdh(r=19.0), limits=Limits((-10.0, 10.0))),  # a crane
+    ],
+)
+def test_what_may_well_be_meant_is_not_noted(robot: Robot) -> None:
+    assert oddities(robot) == ()
+
+
+def test_identification_says_what_is_odd_in_the_robot() -> None:
+    five_bar = load_robot("five-bar")
+    forearm = replace(five_bar.joints[1], limits=Limits((-130.0, 130.0)))
+    robot = replace(five_bar, joints=(five_bar.joints[0], forearm, *five_bar.joints[2:]), named_tool="")
+    loaded = replace(Plant().run("loaded", payload=STEEL, seed=1), payload=Payload(name="steel", mass=STEEL["m"]))
+    notes = identify(robot, [Plant().run("free"), loaded]).notes
+    assert any(note.startswith("robot 'five-bar': position limits of many turns") for note in notes)
+    assert any(note.startswith("robot 'five-bar': a payload is assumed to sit on 'right_forearm'") for note in notes)
+
+
+# The page
+
+
+def test_page_shows_gravity_limits_and_the_payload() -> None:
+    found = describe(load_robot("five-bar"))
+    assert json.loads(json.dumps(found))["payload_on"] == "right_forearm"
+    assert found["gravity"] == [0.0, 0.0, -9.80665]
+    limits = found["joints"][0]["limits"]
+    assert limits == {"position": (np.pi / 2, np.deg2rad(150)), "velocity": 6, "acceleration": 100, "effort": 30}
+    page = robot_page(found)
+    assert "gravity: [0, 0, -9.80665] m/s2 in base axes" in page
+    assert "payload on: right_forearm" in page
+    assert "mx_left_forearmR [kg m] = mx_left_forearm + mx_right_forearm\n" in page
+    assert found["base_parameters"]["units"]["fv_left"] == "N m s/rad"
+    assert "1.571 to 2.618 rad, 6 rad/s, 100 rad/s2, 30 N m" in page
+    assert "-0.066 to 0.1 m, 1.2 m/s, 20 m/s2, 500 N\n" in robot_page(describe(load_robot("orthoglide")))
+
+
+def test_a_motor_keeps_its_own_base_parameters() -> None:
+    base = base_parameters(InverseDynamics(parse_native(BAR_ARM, "bar.yaml")))
+    kept = {kind: [name for name in base.standard if name.startswith(kind)] for kind in ("off_", "zz_", "fv_")}
+    assert kept["off_"] == ["off_shoulder", "off_crank"]
+    assert kept["zz_"] == ["zz_shoulder", "zz_crank"]
+    assert {"fv_shoulder", "fv_crank"} < set(base.names)
+    for motor, other in (("shoulder", "crank"), ("crank", "shoulder")):
+        assert f"off_{other}" not in base.regroupings[f"off_{motor}R"]
+
+
+# The picture
+
+
+def texts(robot: Robot) -> list[str]:
+    figure = robot_figure(robot)
+    drawn = [text.get_text() for axes in figure.findobj(match=lambda a: hasattr(a, "texts")) for text in axes.texts]
+    legend = [text.get_text() for axes in figure.findobj(match=lambda a: hasattr(a, "get_legend"))
+              if axes.get_legend() for text in axes.get_legend().get_texts()]  # fmt: skip
+    return drawn + legend
+
+
+def test_picture_names_motors_payload_and_gravity() -> None:
+    said = texts(load_robot("ur10e"))
+    assert {"gravity", "base", "link", "motor, turns", "payload on wrist_3_joint", "elbow_joint"} < set(said)
+    assert "gravity" not in texts(replace(load_robot("ur10e"), gravity=(0.0, 0.0, 0.0)))
+    said = texts(load_robot("orthoglide"))
+    assert {"travel", "closes a loop", "payload on P", "11", "12", "13"} < set(said)
+
+
+def test_picture_explains_only_what_it_shows() -> None:
+    assert "link" not in texts(load_robot("emps"))  # a carriage on a rail
+
+
+@pytest.mark.parametrize("name", ["gough-stewart", "ur10e", "palletiser", "orthoglide"])
+def test_picture_hides_no_name_under_a_joint_or_another_name(name: str) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Annotation
+
+    robot = load_robot(name)
+    figure = robot_figure(robot)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    names = [
+        text
+        for text in figure.findobj(Annotation)
+        if text.get_bbox_patch() is not None and set(text.get_text().split(", ")) <= robot.driven
+    ]
+    assert sorted(", ".join(text.get_text() for text in names).split(", ")) == sorted(robot.driven)
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in names]
+    marks = [
+        line.get_transform().transform(line.get_xydata())
+        for line in names[0].axes.get_lines()
+        if line.get_marker() in ("o", "s", "D")
+    ]
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+        assert not any(box.contains(*point) for mark in marks for point in mark)
+
+
+@pytest.mark.parametrize("length", [3e-4, 0.03, 1.0, 350.0])
+def test_picture_has_a_scale_in_any_size(length: float, tmp_path: Path) -> None:
+    from gtau.report.style import save_figure
+
+    robot = Robot("r", (Joint("1", GROUND, "revolute"), Joint("2", "1", "revolute", Mdh(d=length))))
+    (scale,) = [text for text in texts(robot) if text.endswith((" m", " mm"))]
+    number, unit = scale.split()
+    assert 0.05 * length < float(number) * {"m": 1.0, "mm": 1e-3}[unit] < 0.5 * length
+    save_figure(robot_figure(robot), tmp_path / "r.png")

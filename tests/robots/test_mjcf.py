@@ -1,0 +1,301 @@
+"""MJCF files: geometry and loops against MuJoCo itself, and the same robot in three formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engines import closed_torques, random_parameters
+
+from gtau.errors import GtauError
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.geometry import Configuration, frames, home_configuration, loop_errors
+from gtau.robots.load import load_robot
+from gtau.robots.readers.native import read_native
+from gtau.robots.readers.native_text import write_native
+from gtau.robots.robot import GROUND, INERTIAL, Coupling, Robot
+
+mujoco = pytest.importorskip("mujoco")
+
+ARM = """<mujoco model="arm"><compiler angle="radian"/><option gravity="0 -9 1"/><worldbody>
+<body name="stand" pos="0 0 1" euler="0 0.3 0">
+  <body name="a" pos="0.1 0 0" euler="0.2 0.1 0"><joint name="j1" axis="0 1 0" pos="0.01 0 0.02" ref="0.3"/>
+    <geom size="0.1"/>
+    <body name="b" pos="0.3 0 0"><joint name="j2" axis="0 1 1" range="-1 2"/>
+      <joint name="j3" type="slide" axis="1 0 2" ref="0.05"/><geom size="0.1"/>
+      <body name="fixed" pos="0 0.1 0" euler="0 0 1">
+        <body name="c" pos="0.2 0.1 0"><joint name="j4" type="ball" pos="0 0.1 0"/><geom size="0.1"/>
+          <site name="s" pos="0 0.2 0.1" euler="0.5 0.1 0"/></body></body></body></body></body>
+<body name="P" pos="0.5 0.2 0.8" euler="0.1 0 0.3"><freejoint/><geom size="0.1"/>
+  <site name="p" pos="0.1 0 0" euler="0 0 0.7"/></body>
+</worldbody>
+<equality>%s</equality>
+<actuator><motor joint="j1" gear="30"/><motor joint="j2"/><motor joint="j3"/></actuator></mujoco>"""
+
+
+def load(text: str, tmp_path: Path) -> Robot:
+    (tmp_path / "robot.xml").write_text(text)
+    return load_robot(tmp_path / "robot.xml")
+
+
+def read(text: str, tmp_path: Path) -> Robot:
+    """Without assembly, which would refuse what can still move."""
+    from gtau.robots.readers.mjcf import _compiled, _robot
+
+    (tmp_path / "robot.xml").write_text(text)
+    return _robot(_compiled(tmp_path / "robot.xml"), tmp_path / "robot.xml")
+
+
+@pytest.mark.parametrize(
+    "equality",
+    [
+        '<weld body1="c" body2="P" anchor="0.1 0.2 0.3"/>',
+        '<weld body1="c" body2="P" relpose="0.1 0.2 0.3 0.6 0 0.8 0"/>',
+        '<weld body1="fixed" body2="P" anchor="0.1 0.2 0.3"/>',
+        '<connect body1="c" body2="P" anchor="0.1 0.2 0.3"/>',
+        '<connect body1="P" body2="world" anchor="0.1 0.2 0.3"/>',
+        '<connect site1="s" site2="p"/>',
+        '<weld site1="s" site2="p"/>',
+    ],
+)
+def test_frames_and_closures_are_mujoco_s(equality: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    text = ARM % equality
+    robot = read(text, tmp_path)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    assert robot.actuated == ("j1", "j2", "j3")
+    assert robot.gravity == (0.0, -9.0, 1.0)
+    assert [joint.parameters for joint in robot.joints] == ["all", "drive", "all", "none", "none", "inertial"]
+    assert robot.joint("j2").limits.position == (-1.0, 2.0)
+    assert any("gear of 30" in note for note in robot.notes)
+    for _ in range(3):
+        q = rng.uniform(-1, 1, 6)
+        data.qpos[:3] = q[:3]
+        turns = [(np.eye(3)[k], angle) for k, angle in enumerate(q[3:])]
+        quat, part = np.array([1.0, 0, 0, 0]), np.zeros(4)
+        for axis, angle in turns:
+            mujoco.mju_axisAngle2Quat(part, axis, angle)
+            product = np.zeros(4)
+            mujoco.mju_mulQuat(product, quat, part)
+            quat = product
+        data.qpos[3:7] = quat
+        data.qpos[7:10] = rng.normal(size=3)
+        data.qpos[10:14] = rng.normal(size=4)
+        mujoco.mj_normalizeQuat(model, data.qpos)
+        mujoco.mj_forward(model, data)
+        body = {name: model.body(name).id for name in ("a", "b", "c", "P")}
+        pose = {name: (data.xmat[k].reshape(3, 3), data.xpos[k]) for name, k in body.items()}
+        at = Configuration(q, (pose["P"],))
+        found = frames(robot, at)
+        for joint, name, anchor in (("j1", "a", [0.01, 0, 0.02]), ("j3", "b", np.zeros(3)), ("j4", "c", [0, 0.1, 0])):
+            R, p = found[joint]
+            np.testing.assert_allclose(R, pose[name][0], atol=1e-9)
+            np.testing.assert_allclose(p - R @ anchor, pose[name][1], atol=1e-9)
+        error, _ = loop_errors(robot, at, 1.0)
+        np.testing.assert_allclose(error[:3], data.efc_pos[:3], atol=1e-9)
+        if error.size == 6:  # MuJoCo's orientation error is the sine of half the angle, about the same axis
+            angle = np.linalg.norm(error[3:])
+            assert np.sin(angle / 2) == pytest.approx(np.linalg.norm(data.efc_pos[3:6]), abs=1e-9)
+
+
+def test_home_and_couplings(tmp_path: Path) -> None:
+    text = """<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="x" ref="0.1"/>
+      <body name="b" pos="1 0 0"><joint name="y" type="slide" ref="0.2"/></body></body></worldbody>
+      <equality><joint joint1="y" joint2="x" polycoef="0.3 2 0 0 0"/></equality>
+      <keyframe><key name="home" qpos="0.5 1.3"/></keyframe></mujoco>"""
+    robot = load(text, tmp_path)
+    # y - 0.2 = 0.3 + 2 (x - 0.1), and 'y' follows as no actuator says otherwise
+    assert robot.couplings == (Coupling("y", (("x", 2.0),), pytest.approx(0.3)),)
+    assert robot.actuated == ("x",)
+    assert [joint.home for joint in robot.joints] == pytest.approx([0.5, 1.3])
+    assert robot.notes == ()
+
+
+def test_meshes_are_not_needed(tmp_path: Path) -> None:
+    text = """<mujoco><asset><mesh name="m" file="nowhere.stl"/><texture name="t" type="2d" file="no.png"/></asset>
+      <worldbody><body><joint name="j"/><geom type="mesh" mesh="m"/></body></worldbody>
+      <sensor><jointpos joint="j"/></sensor></mujoco>"""
+    assert [joint.name for joint in load(text, tmp_path).joints] == ["j"]
+
+
+# One robot in three formats: a five-bar in a tilted plane, closed by a point
+
+PLANE = "0.4 -0.7 0.3"
+
+
+def as_mjcf() -> str:
+    """MuJoCo's Euler angles are told to be about fixed axes, as a URDF's, and its gravity is 9.81 unless stated."""
+
+    def leg(side: str, x: float) -> str:
+        return f"""<body pos="{x} 0 0"><joint name="{side}" axis="0 0 1"/>
+          <body pos="0.25 0 0.02"><joint name="{side}_2" axis="0 0 1"/><site name="{side}" pos="0.35 0 0"/></body>
+          </body>"""
+
+    return f"""<mujoco model="same"><compiler angle="radian" eulerseq="XYZ"/><option gravity="0 0 -9.80665"/>
+      <worldbody><body pos="0 0 1" euler="{PLANE}">{leg("left", -0.1)}{leg("right", 0.1)}</body></worldbody>
+      <equality><connect site1="left" site2="right"/></equality>
+      <actuator><position joint="left"/><position joint="right"/></actuator></mujoco>"""
+
+
+def as_urdf(tmp_path: Path) -> Path:
+    def joint(name: str, kind: str, parent: str, child: str, xyz: str, rpy: str = "0 0 0") -> str:
+        return (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="0 0 1"/></joint>'
+        )
+
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "plate", "l1", "l2", "r1", "r2", "l", "r"))
+    joints = [
+        joint("stand", "fixed", "base", "plate", "0 0 1", PLANE),
+        joint("left", "continuous", "plate", "l1", "-0.1 0 0"),
+        joint("left_2", "continuous", "l1", "l2", "0.25 0 0.02"),
+        joint("right", "continuous", "plate", "r1", "0.1 0 0"),
+        joint("right_2", "continuous", "r1", "r2", "0.25 0 0.02"),
+        joint("l_end", "fixed", "l2", "l", "0.35 0 0"),
+        joint("r_end", "fixed", "r2", "r", "0.35 0 0"),
+    ]
+    (tmp_path / "same.urdf").write_text(f'<robot name="same">{links}{"".join(joints)}</robot>')
+    (tmp_path / "same.yaml").write_text("closed_loop: [[l, r]]\ntype: [3d]\nname_mot: [left, right]\n")
+    return tmp_path / "same.urdf"
+
+
+def test_the_same_robot_in_three_formats(tmp_path: Path, rng: np.random.Generator) -> None:
+    urdf = load_robot(as_urdf(tmp_path))
+    mjcf = load(as_mjcf(), tmp_path)
+    write_native(urdf, tmp_path / "native.yaml")
+    native = read_native(tmp_path / "native.yaml")
+    assert urdf.actuated == mjcf.actuated == native.actuated == ("left", "right")
+    chi = random_parameters(native, rng)
+    home = home_configuration(native).q[[joint.actuated for joint in native.joints]]
+    q, (qd, qdd) = home + 0.1 * rng.uniform(-1, 1, (20, 2)), rng.normal(size=(2, 20, 2))
+    expected = InverseDynamics(native).torques(q, qd, qdd, chi)
+    for robot in (urdf, mjcf):
+        found = InverseDynamics(robot).torques(q, qd, qdd, chi)
+        assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+    assert closed_torques(native, chi, q[:3], qd[:3], qdd[:3]) == pytest.approx(expected[:3], rel=1e-9)
+
+
+# What is refused
+
+BODY = '<mujoco><worldbody><body name="a"><joint name="j"/></body>%s</worldbody>%s</mujoco>'
+FLOATING = '<body name="f"><freejoint/><body name="g"><joint name="k"/></body></body>'
+TWO = '<body name="b"><joint name="k"/></body>'
+BAD: list[tuple[str, str, str]] = [
+    ("not XML", "mujoco", ": this is not valid XML"),
+    ("XML bomb", '<!DOCTYPE m [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><mujoco model="&b;"/>', ": the file declares"),
+    ("a URDF", '<robot name="r"/>', ": the outermost element is <robot>, not <mujoco>; give an MJCF file."),
+    ("unknown element", BODY % ("<bodi/>", ""), ": MuJoCo refuses the file ("),
+    ("unknown attribute", BODY % ('<body posn="0 0 0"/>', ""), ": MuJoCo refuses the file ("),
+    ("short vector", BODY % ('<body pos="0 0"/>', ""), ": MuJoCo refuses the file ("),
+    ("not a number", BODY % ('<body pos="0 0 x"/>', ""), ": MuJoCo refuses the file ("),
+    ("zero axis", BODY % ('<body><joint axis="0 0 0"/></body>', ""), ": MuJoCo refuses the file ("),
+    ("two joints of a name", BODY % ('<body name="b"><joint name="j"/></body>', ""), ": MuJoCo refuses the file ("),
+    ("no joints", "<mujoco/>", ": robot 'robot': it has no joints;"),
+    ("floating base", BODY % (FLOATING, ""), ": body 'g' hangs by a joint on 'f', which floats;"),
+    ("loose body", BODY % ('<body name="f"><freejoint/></body>', ""), ": robot 'robot': no closure holds platform 'f'"),
+    ("unknown body", BODY % ("", '<equality><weld body1="z"/></equality>'), ": MuJoCo refuses the file ("),
+    (
+        "polynomial coupling",
+        BODY % (TWO, '<equality><joint joint1="j" joint2="k" polycoef="0 1 1 0 0"/></equality>'),
+        ": equality 'equality 1' is none of connect, weld and a linear joint coupling of two joints;",
+    ),
+    (
+        "locked joint",
+        BODY % (TWO, '<equality><joint name="lock" joint1="j"/></equality>'),
+        ": equality 'lock' is none of connect, weld and a linear joint coupling",
+    ),
+    (
+        "tendon",
+        BODY % ("", '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
+                    '<actuator><motor name="m" tendon="t"/></actuator>'),
+        ": actuator 'm' does not drive a joint;",
+    ),
+    ("no motor", BODY % (TWO, '<equality><joint joint1="j" joint2="k" polycoef="0 0 0 0 0"/></equality>'), "ratio of"),
+    ("missing include", BODY % ('<include file="nowhere.xml"/>', ""), ": MuJoCo refuses the file ("),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "sentence"), [case[1:] for case in BAD], ids=[case[0] for case in BAD])
+def test_bad_mjcf(text: str, sentence: str, tmp_path: Path) -> None:
+    with pytest.raises(GtauError) as refused:
+        load(text, tmp_path)
+    said = str(refused.value)
+    assert said.startswith(str(tmp_path / "robot.xml"))
+    assert sentence in said
+    assert "\n" not in said
+
+
+def test_inactive_equalities_are_left_out_and_said(tmp_path: Path) -> None:
+    text = BODY % ("", '<equality><weld name="w" body1="a" active="false"/></equality>')
+    robot = load(text, tmp_path)
+    assert robot.closures == ()
+    assert robot.notes == ("equality 'w' is not active in the file and was left out",)
+    assert robot.joints[0].antecedent == GROUND
+
+
+def test_without_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(
+        GtauError, match=r"MJCF file needs the package mujoco.*pip install 'gtau\[mujoco\]' \(in a clone: pip install"
+    ):
+        load(BODY % ("", ""), tmp_path)
+
+
+def four_bar(joint: str, turned: float, tip: str) -> str:
+    return f"""<mujoco><compiler angle="radian"/><worldbody>
+      <body name="crank"><joint name="crank" axis="0 1 0"/><geom size="0.1"/>
+        <body name="rod" pos="0 0 0.2" euler="0 {1.1902899497 + turned} 0"><joint name="rod" {joint}/><geom size="0.1"/>
+          <site name="a" pos="{tip}"/></body></body>
+      <body name="rocker" pos="0.5 0 0"><joint name="rocker" axis="0 1 0"/><geom size="0.1"/>
+        <site name="b" pos="0 0 0.4"/></body></worldbody>
+      <equality><connect site1="a" site2="b"/></equality><actuator><motor joint="crank"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("turned", "tip"),
+    [(0.0, "0 0 0.5385164807"), (-np.pi / 2, "0.5385164807 0 0"), (-0.7, "0.3469228389 0 0.4118788645")],
+)
+def test_a_rod_on_a_ball_keeps_its_mass(turned: float, tip: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """It spins idly about its axis, however drawn: one pin is locked. In a plane, the ball does what a hinge does."""
+    hinged, balled = (load(four_bar(joint, turned, tip), tmp_path) for joint in ('axis="0 1 0"', 'type="ball"'))
+    assert [note for note in balled.notes if "idle" in note]
+    (rod,) = (joint.name for joint in balled.joints if joint.has_mass and joint.name not in ("crank", "rocker"))
+    chi = random_parameters(hinged, rng)
+    q, qd, qdd = rng.uniform(-0.3, 0.3, (3, 50, 1))
+    expected = InverseDynamics(hinged, "inertial").torques(q, qd, qdd, inertial(chi))
+    renamed = {key.replace("_rod", f"_{rod}"): value for key, value in inertial(chi).items()}
+    found = InverseDynamics(balled, "inertial").torques(q, qd, qdd, renamed)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("axis", ["0 0 1", "1 0 0"])
+def test_a_leg_that_slides_between_two_balls(axis: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """It spins idly too, whichever axis of its frame it lies along; compared with a leg on a hinge."""
+
+    def leg(joint: str) -> str:
+        tip = axis.replace("1", "0.4")
+        turned = 1.1071487178 - (0.0 if axis == "0 0 1" else np.pi / 2)  # towards the rocker's tip
+        return f"""<mujoco><compiler angle="radian"/><worldbody>
+          <body name="leg" euler="0 {turned} 0"><joint name="leg" {joint}/><geom size="0.1"/>
+            <body name="rod" pos="{axis.replace("1", "0.4944271910")}"><joint name="rod" type="slide" axis="{axis}"/>
+              <geom size="0.1"/><site name="a" pos="{tip}"/></body></body>
+          <body name="rocker" pos="0.8 0 0"><joint name="rocker" axis="0 1 0"/><geom size="0.1"/>
+            <site name="b" pos="0 0 0.4"/></body></worldbody>
+          <equality><connect site1="a" site2="b"/></equality><actuator><motor joint="rod"/></actuator></mujoco>"""
+
+    hinged, balled = (load(leg(joint), tmp_path) for joint in ('axis="0 1 0"', 'type="ball"'))
+    (lower,) = (joint.name for joint in balled.joints if joint.has_mass and joint.name not in ("rod", "rocker"))
+    chi = inertial(random_parameters(hinged, rng))
+    q, qd, qdd = rng.uniform(-0.1, 0.1, (3, 50, 1))
+    expected = InverseDynamics(hinged, "inertial").torques(q, qd, qdd, chi)
+    renamed = {key.replace("_leg", f"_{lower}"): value for key, value in chi.items()}
+    found = InverseDynamics(balled, "inertial").torques(q, qd, qdd, renamed)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def inertial(chi: dict[str, float]) -> dict[str, float]:
+    """Those of the links alone: a ball has no friction."""
+    return {key: value for key, value in chi.items() if key.split("_")[0] in INERTIAL}

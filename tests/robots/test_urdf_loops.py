@@ -1,0 +1,288 @@
+"""URDF with loops in a YAML file beside it, mimic joints, idle pins, and solving for home."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engines import Mujoco, Pinocchio, closed_torques, random_parameters, tree_torques
+
+from gtau.errors import GtauError
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.assembly import assemble
+from gtau.robots.geometry import characteristic_length, home_configuration, loop_errors
+from gtau.robots.load import load_robot
+from gtau.robots.readers.idle_joints import without_idle_pins
+from gtau.robots.readers.native import read_native
+from gtau.robots.readers.native_text import write_native
+from gtau.robots.robot import Attachment, Closure, Joint, Mdh, Pose, Robot
+
+MODELS = ("5bar_linkage", "robot_delta")
+
+
+def gap(robot: Robot) -> float:
+    error, _ = loop_errors(robot, home_configuration(robot), characteristic_length(robot))
+    return float(np.abs(error).max())
+
+
+# The models as published
+
+
+@pytest.mark.parametrize("folder", MODELS)
+def test_models_load_as_they_are(folder: str, shared: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+    path = shared / "parallel_models" / folder
+    robot = load_robot(path)
+    assert load_robot(path / "robot.yaml") == robot
+    assert load_robot(path / "robot.urdf") == robot
+    idm = InverseDynamics(robot)
+    assert len(idm.actuated) == 2
+    assert gap(robot) < 1e-12
+    write_native(robot, tmp_path / "copy.yaml")
+    copy = read_native(tmp_path / "copy.yaml")
+    assert (copy, copy.notes) == (robot, robot.notes)
+    chi = random_parameters(robot, rng)
+    home = np.array([joint.home for joint in robot.joints if joint.actuated])
+    q, (qd, qdd) = home + 0.05 * rng.uniform(-1, 1, (5, 2)), rng.normal(size=(2, 5, 2))
+    expected = closed_torques(robot, chi, q, qd, qdd)
+    assert closed_torques(robot, chi, q, qd, qdd, Mujoco) == pytest.approx(expected, rel=1e-9)
+    for each in (robot, copy):
+        assert InverseDynamics(each).torques(q, qd, qdd, chi) == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_the_models_notes_say(shared: Path) -> None:
+    five_bar, delta = (load_robot(shared / "parallel_models" / folder) for folder in MODELS)
+    assert five_bar.actuated == ("mot1", "mot2")
+    heavy = [note for note in five_bar.notes if "654,498 kg" in note]
+    idle = [note for note in five_bar.notes + delta.notes if "is idle" in note]
+    home = [note for note in five_bar.notes + delta.notes if "home was solved" in note]
+    assert (len(heavy), len(idle), len(home)) == (2, 4, 2)
+    assert len(five_bar.notes + delta.notes) == 8
+    # which of the better poses is found depends on the processor's rounding
+    conditions = re.search(r"is closer to a singularity: condition number 220 instead of (\S+)\)", home[1])
+    assert conditions is not None
+    assert float(conditions[1]) < 100
+    assert "singularity" not in home[0]
+    assert [len(five_bar.joints), len(delta.joints)] == [5, 11]
+
+
+def test_as_drawn_the_models_have_idle_pins(shared: Path) -> None:
+    """Mobility before the pins are locked, from the null space of the closures at a generic closed pose."""
+    from gtau.robots.readers.urdf_loops import read_urdf_tree
+
+    names = {"5bar_linkage": [("A", "B")], "robot_delta": [("A", "B"), ("B", "A"), ("A", "B")]}
+    mobility = {}
+    for folder, pairs in names.items():
+        tree = read_urdf_tree(shared / "parallel_models" / folder / "robot.urdf", {})
+        closures = tuple(
+            Closure("weld", *(tree.frames[f"closedloop{k}_{side}"] for side in pair))
+            for k, pair in enumerate(pairs, start=1)
+        )
+        drawn = assemble(Robot("drawn", tree.joints, closures=closures))
+        _, J = loop_errors(drawn, home_configuration(drawn), characteristic_length(drawn))
+        mobility[folder] = J.shape[1] - np.linalg.matrix_rank(J, tol=1e-7)
+    assert mobility == {"5bar_linkage": 3, "robot_delta": 5}
+
+
+# A five-bar in a tilted plane, as a drawing program writes it
+
+
+def hinge(name: str, parent: str, child: str, xyz: str, rpy: str = "0 0 0", axis: str = "0 0 1") -> str:
+    return (
+        f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/></joint>'
+    )
+
+
+URDF = (
+    '<robot name="tilted">'
+    + "".join(f'<link name="{name}"/>' for name in ("base", "plate", "l1", "l2", "r1", "r2", "pin_a", "pin_b", "tip"))
+    + hinge("stand", "base", "plate", "0 0 1", "0.4 -0.7 0.3").replace("continuous", "fixed")
+    + hinge("left", "plate", "l1", "-0.1 0 0")
+    + hinge("left_2", "l1", "l2", "0.25 0 0.02")
+    + hinge("right", "plate", "r1", "0.1 0 0", axis="0 0 -1")
+    + hinge("right_2", "r1", "r2", "0.25 0 0")
+    + hinge("end_a", "l2", "pin_a", "0.35 0 0", "0 0 0.4")
+    + hinge("end_b", "r2", "pin_b", "0.35 0 0.02", axis="0 0 -1")
+    + hinge("tip_joint", "r2", "tip", "0.35 0 0.02").replace("continuous", "fixed")
+    + "</robot>"
+)
+LOOPS = "closed_loop: [[end_a, end_b]]\ntype: ['6d']\nname_mot: [left, right]\n"
+
+
+def written(tmp_path: Path, urdf: str = URDF, loops: str = LOOPS) -> Path:
+    (tmp_path / "robot.urdf").write_text(urdf)
+    (tmp_path / "robot.yaml").write_text(loops)
+    return tmp_path
+
+
+def test_3d_and_6d_are_the_same_mechanism(tmp_path: Path, rng: np.random.Generator) -> None:
+    """The weld with its pin, and a connect of the links that the pins join."""
+    welded = load_robot(written(tmp_path))
+    tied = load_robot(written(tmp_path, loops=LOOPS.replace("6d", "3D")))
+    # both pins pass through the point of the connect, so both are idle there
+    assert [len(robot.joints) for robot in (welded, tied)] == [5, 4]
+    chi = random_parameters(tied, rng)
+    heavy = {f"{kind}_end_a": 0.0 for kind in ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")}
+    # the pin counts in the choice of home, so both start from that of one
+    tied = replace(tied, joints=tuple(replace(joint, home=welded.joint(joint.name).home) for joint in tied.joints))
+    home = np.array([joint.home for joint in tied.joints if joint.actuated])
+    q, (qd, qdd) = home + 0.05 * rng.uniform(-1, 1, (5, 2)), rng.normal(size=(2, 5, 2))
+    expected = InverseDynamics(tied).torques(q, qd, qdd, chi)
+    assert InverseDynamics(welded).torques(q, qd, qdd, chi | heavy) == pytest.approx(expected, rel=1e-9)
+
+
+def test_joint_types_of_the_side_file(tmp_path: Path) -> None:
+    loops = LOOPS + "joint_name: [end_a, right_2, end_b]\njoint_type: [SPHERICAL, CARDAN, FIXED]\n"
+    found = load_robot(written(tmp_path, loops=loops))
+    names = [joint.name for joint in found.joints]
+    assert names == ["left", "left_2", "end_a_x", "end_a_y", "end_a", "right", "right_2_x", "right_2"]
+    assert [found.joint(name).parameters for name in ("end_a_x", "end_a", "right_2_x")] == ["none", "inertial", "none"]
+    assert gap(found) < 1e-12
+
+
+def test_a_robot_file_beside_a_urdf_is_no_loops_file(tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_text(URDF)
+    write_native(load_robot("ur10e"), tmp_path / "robot.yaml")
+    assert len(load_robot(tmp_path / "robot.urdf").joints) == 6
+    assert load_robot(tmp_path / "robot.yaml") == load_robot("ur10e")
+
+
+BAD_LOOPS = [
+    ("unknown frame", LOOPS.replace("end_b", "end_c"), "closed_loop.1.2: unknown frame 'end_c'; did you mean 'end_"),
+    ("one frame", LOOPS.replace(", end_b", ""), "closed_loop.1: 1 value is written; write 2."),
+    (
+        "frame twice",
+        LOOPS.replace("end_b", "end_a"),
+        "closure 1 ties 'end_a' to itself; attach its ends to two bodies.",
+    ),
+    ("unknown motor", LOOPS.replace("right]", "rihgt]"), "name_mot.2: unknown joint 'rihgt'; did you mean 'right'?"),
+    ("no motor", LOOPS.replace("[left, right]", "[]"), "no joint is actuated;"),
+    ("motors missing", LOOPS.replace("name_mot: [left, right]", ""), "the key 'name_mot' is missing; add it."),
+    ("unknown type", LOOPS.replace("6d", "5d"), "type.1: write '3d' or '6d', not '5d'."),
+    ("a type too many", LOOPS.replace("['6d']", "['6d', '6d']"), "type: 2 types are written for 1 entries of closed_l"),
+    (
+        "types of no joints",
+        LOOPS + "joint_type: [FIXED]\n",
+        "joint_type: 1 types are written for 0 entries of joint_na",
+    ),
+    ("unknown joint", LOOPS + "joint_name: [x]\njoint_type: [FIXED]\n", "joint_name.1: unknown joint 'x'; choose from"),
+    ("unknown joint type", LOOPS + "joint_name: [left]\njoint_type: [BALL]\n", "joint_type.1: write 'SPHERICAL', 'CAR"),
+    ("unknown key", LOOPS + "closed_loops: []\n", "unknown key 'closed_loops'; did you mean 'closed_loop'?"),
+    ("object tag", LOOPS + "x: !!python/object/apply:os.system [ls]\n", "is not read; write the value without it."),
+    ("YAML bomb", LOOPS + "x: &a [1]\ny: [*a, *a]\n", "anchors (&) and aliases (*) are not read;"),
+]
+
+
+@pytest.mark.parametrize(("text", "sentence"), [case[1:] for case in BAD_LOOPS], ids=[case[0] for case in BAD_LOOPS])
+def test_bad_loops(text: str, sentence: str, tmp_path: Path) -> None:
+    with pytest.raises(GtauError) as refused:
+        load_robot(written(tmp_path, loops=text))
+    said = str(refused.value)
+    assert said.startswith(str(tmp_path / "robot.yaml"))
+    assert sentence in said
+    assert "\n" not in said
+
+
+def test_a_loop_that_closes_nowhere(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match="its loops do not close in any pose that was tried; check the placements"):
+        load_robot(written(tmp_path, urdf=URDF.replace("0.35 0 0.02", "3.5 0 0.02")))
+
+
+def test_a_side_file_without_its_urdf(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(LOOPS)
+    with pytest.raises(GtauError, match=r"robot.urdf: the file cannot be read \(no such file or directory\)"):
+        load_robot(tmp_path / "robot.yaml")
+
+
+# Mimic joints
+
+
+def test_mimic_joints_are_coupled(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A gripper whose second finger follows the first: torques by the principle of virtual power."""
+    text = """<robot name="gripper"><link name="palm"/><link name="a"/><link name="b"/><link name="arm"/>
+      <joint name="lift" type="prismatic"><parent link="arm"/><child link="palm"/><axis xyz="0 0 1"/></joint>
+      <joint name="one" type="prismatic"><parent link="palm"/><child link="a"/><axis xyz="1 0 0"/></joint>
+      <joint name="two" type="revolute"><parent link="palm"/><child link="b"/><axis xyz="0 1 0"/>
+        <mimic joint="one" multiplier="-2.5" offset="0.3"/></joint></robot>"""
+    (tmp_path / "gripper.urdf").write_text(text)
+    robot = load_robot(tmp_path / "gripper.urdf")
+    assert robot.actuated == ("lift", "one")
+    chi = random_parameters(robot, rng)
+    q, qd, qdd = rng.normal(size=(3, 10, 2))
+    ratio = np.array([[1.0, 0, 0], [0, 1.0, -2.5]])
+    whole = tree_torques(robot, chi, q @ ratio + [0, 0, 0.3], qd @ ratio, qdd @ ratio, Pinocchio)
+    assert InverseDynamics(robot).torques(q, qd, qdd, chi) == pytest.approx(whole @ ratio.T, rel=1e-9)
+
+
+# Idle pins and assembly
+
+
+def test_pins_that_are_not_coaxial_stay() -> None:
+    def robot(b: Pose) -> Robot:
+        return Robot(
+            "pins",
+            (
+                Joint("m", "ground", "revolute"),
+                Joint("a", "m", "revolute", Mdh(d=0.4), actuated=False),
+                Joint("b", "ground", "revolute", b, actuated=False),
+            ),
+            closures=(Closure("weld", Attachment("a"), Attachment("b")),),
+        )
+
+    assert len(without_idle_pins(robot(Pose((0.4, 0.0, 0.0)))).joints) == 2
+    tied = robot(Pose((0.4, 0.0, 0.0)))
+    shifted = Robot("s", tied.joints, closures=(Closure("weld", Attachment("a", Mdh(d=0.1)), Attachment("b")),))
+    assert without_idle_pins(shifted) == shifted
+    turned = Robot("t", tied.joints, closures=(Closure("weld", Attachment("a", Mdh(alpha=0.1)), Attachment("b")),))
+    assert without_idle_pins(turned) == turned
+
+
+def test_the_jacobian_of_the_loops_is_a_derivative(rng: np.random.Generator) -> None:
+    """Where weld and connect, platforms and couplings are nearly closed, against differences."""
+    from gtau.robots.assembly import _stepped
+
+    for name in ("gough-stewart", "3-rrr", "orthoglide", "staubli-tx40", "palletiser"):
+        robot = load_robot(name)
+        length = characteristic_length(robot)
+        at = home_configuration(robot)
+        _, J = loop_errors(robot, at, length)
+        step = rng.normal(size=J.shape[1]) * np.any(J, axis=0)
+        ahead, behind = (loop_errors(robot, _stepped(robot, at, h * step, length), length)[0] for h in (1e-5, -1e-5))
+        assert J @ step == pytest.approx((ahead - behind) / 2e-5, abs=1e-6)
+
+
+def test_assembly_leaves_a_good_home_alone() -> None:
+    for name in ("orthoglide", "gough-stewart", "palletiser", "3-rrr", "ur10e"):
+        robot = load_robot(name)
+        found = assemble(robot)
+        assert found.notes == ()
+        assert [joint.home for joint in found.joints] == pytest.approx([joint.home for joint in robot.joints], abs=1e-9)
+
+
+def test_assembly_of_a_platform_from_afar(rng: np.random.Generator) -> None:
+    robot = load_robot("gough-stewart")
+    joints = tuple(Joint(**{**vars(joint), "home": joint.home + 0.15 * rng.uniform(-1, 1)}) for joint in robot.joints)
+    platform = robot.platforms[0]
+    moved = type(platform)(platform.name, platform.dof, Pose((0.1, 0.1, 0.5), (0.3, -0.2, 0.4)))
+    found = assemble(Robot("g", joints, (moved,), robot.closures))
+    assert gap(found) < 1e-12
+    assert "home was solved" in found.notes[0]
+
+
+def test_assembly_avoids_flat_parallelograms() -> None:
+    """At zero all bars lie in one line, which closes, but cannot be moved from by a motor."""
+    bars = (
+        Joint("1", "ground", "revolute"),
+        Joint("2", "1", "revolute", Mdh(d=0.3), actuated=False),
+        Joint("3", "ground", "revolute", Mdh(d=0.5), actuated=False),
+    )
+    flat = Robot("flat", bars, closures=(Closure("connect", Attachment("2", Mdh(d=0.5)), Attachment("3", Mdh(d=0.3))),))
+    found = assemble(flat)
+    assert gap(found) < 1e-12
+    assert abs(np.sin(found.joints[0].home)) > 0.05
+    assert InverseDynamics(found).loops is not None
+    assert abs(found.joints[0].home) < pi

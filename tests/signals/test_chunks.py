@@ -1,0 +1,311 @@
+"""Logs that go by in blocks: what is found does not depend on where they are cut, and memory not on their length."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from five_bar_logs import JOINTS, Plant, five_bar
+
+import gtau.estimation.regression.dataset
+import gtau.signals.log_file
+import gtau.signals.storage
+from gtau.errors import GtauError
+from gtau.estimation.regression.dataset import cut, joined, reduce_part, reduce_runs
+from gtau.estimation.regression.factors import STRETCHES, Weigh
+from gtau.signals.filters import SEGMENT, joint_bandwidths, position_filter
+from gtau.signals.preparation import Preparation, choose_preparation, prepare
+from gtau.signals.quantiles import Quantiles, medians
+from gtau.signals.run import Run, arrange, read_run
+from gtau.signals.storage import Store, block, store
+
+SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
+N, RATE = 6000, 500.0
+
+
+def columns(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    time = np.arange(N) / RATE
+    w = 2 * np.pi * 0.7 * time
+    values = {"qa": np.sin(w), "qb": 0.3 * np.cos(1.3 * w), "va": np.cos(w), "vb": 2 * np.sin(1.1 * w)}
+    return {"t": time} | {name: np.round(x + 1e-5 * rng.standard_normal(N), 7) for name, x in values.items()}
+
+
+def irregular(table: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    time = 300 + np.cumsum(rng.choice([0.0020, 0.0024], N))
+    return table | {"t": time}
+
+
+def bad_rows(table: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    va = table["va"].copy()
+    va[rng.choice(N, 60, replace=False)] = np.nan
+    return table | {"va": va}
+
+
+def repeated(table: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    twice = np.sort(np.r_[np.arange(N), rng.choice(N, 20, replace=False)])
+    return {name: each[twice] for name, each in table.items()}
+
+
+def wrapped(table: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    return table | {"qa": (5 * table["qa"] + np.pi) % (2 * np.pi) - np.pi}
+
+
+def limited(table: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    return table | {"vb": np.clip(table["vb"], -1.99, np.inf)}
+
+
+CHANGES = [lambda table, rng: table, irregular, bad_rows, repeated, wrapped, limited]
+
+
+@pytest.mark.parametrize("size", [7, 1000])
+@pytest.mark.parametrize("change", CHANGES, ids=["clean", *(each.__name__ for each in CHANGES[1:])])
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_log_read_in_blocks_is_the_log(
+    tmp_path: Path, change: Callable, kind: str, size: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = pl.DataFrame(change(columns(rng), rng))
+    path = tmp_path / f"log.{kind}"
+    table.fill_nan(None).write_csv(path) if kind == "csv" else table.write_parquet(path)
+    whole = read_run(path, SIGNALS)
+    monkeypatch.setattr(gtau.signals.storage, "BLOCK", 10 * size)
+    monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", 1000)
+    monkeypatch.setattr(gtau.signals.log_file, "ROWS", 13 * size)
+    monkeypatch.setattr(gtau.signals.log_file, "BYTES", 500 * size)
+    seen: list[float] = []
+    run = read_run(path, SIGNALS, progress=seen.append)
+    assert run.notes == whole.notes
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+    assert len(seen) > N // (50 * size)
+    np.testing.assert_array_equal(run.valid, whole.valid)
+    for name in ("time", "position", "command"):
+        np.testing.assert_allclose(getattr(run, name), getattr(whole, name), rtol=1e-13, atol=1e-13)
+
+
+def test_only_the_joint_that_is_clipped_loses_its_samples(tmp_path: Path, rng: np.random.Generator) -> None:
+    table = limited(columns(rng), rng)
+    pl.DataFrame(table).write_csv(tmp_path / "log.csv")
+    run = read_run(tmp_path / "log.csv", SIGNALS)
+    np.testing.assert_array_equal(~run.valid, np.column_stack([np.zeros(N, dtype=bool), table["vb"] == -1.99]))
+    assert run.notes == (
+        f"the command of joint 'b' is clipped at -1.99: masked {(table['vb'] == -1.99).sum()} samples",
+    )
+    of = prepare(run, choose_preparation([run])).samples()
+    clean = replace(run, valid=np.ones_like(run.valid))
+    assert (of.usable[:, 0] == prepare(clean, choose_preparation([run])).samples().usable[:, 0]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"t": 1e3}, r"by its 't' it is sampled at 0.5 Hz \(steps of 2 s\).*units: \{time: ms\}"),
+        ({"t": 1e-3}, r"by its 't' it is sampled at 5e\+05 Hz"),
+        ({"qa": 1e5}, r"joint 'a' moves at .*e\+03 \(rad or m\)/s, which no joint does; give the units"),
+        ({"vb": 1e200}, r"column 'vb' reaches -2e\+200, which no joint or drive does; correct the column"),
+    ],
+)
+def test_values_that_cannot_be_right(
+    tmp_path: Path, change: dict[str, float], sentence: str, rng: np.random.Generator
+) -> None:
+    table = columns(rng)
+    pl.DataFrame(table | {name: table[name] * scale for name, scale in change.items()}).write_csv(tmp_path / "log.csv")
+    with pytest.raises(GtauError, match=sentence):
+        read_run(tmp_path / "log.csv", SIGNALS)
+
+
+@pytest.mark.parametrize("cutoff", [None, 5.0, 40.0])
+@pytest.mark.parametrize("size", [50, 997])
+def test_samples_of_a_block_are_those_of_the_whole(cutoff: float | None, size: int, rng: np.random.Generator) -> None:
+    table = columns(rng)
+    position, command = (np.column_stack([table[f"{kind}{joint}"] for joint in "ab"]) for kind in "qv")
+    valid = rng.uniform(size=position.shape) > 0.001
+    run = Run("r", ("a", "b"), table["t"], position, command, valid=valid)
+    decimator = choose_preparation([run]).decimator
+    prepared = prepare(run, Preparation(1.0, cutoff, decimator))
+    whole = prepared.samples()
+    filtered = position_filter(position, RATE, cutoff)
+    kept = slice(prepared.kept.start, prepared.kept.stop)
+    rms = np.sqrt(np.mean(filtered[1][kept] ** 2, axis=0))
+    np.testing.assert_allclose(np.sqrt(np.diag(prepared.speeds)), rms, rtol=1e-12)
+    # second differences of what is rounded: a few units in the last place of q, times the rate squared
+    rounding = {"qdd": 8 * np.finfo(float).eps * RATE**2}
+    for name, of_log in zip(("q", "qd", "qdd"), filtered, strict=True):
+        atol = 1e-12 * np.abs(of_log).max() + rounding.get(name, 0.0)
+        np.testing.assert_allclose(getattr(whole, name), of_log[kept], rtol=0, atol=atol)
+    for start in range(0, len(prepared), size):
+        part, same = prepared.samples(start, start + size), whole[start : start + size]
+        np.testing.assert_array_equal(part.usable, same.usable)
+        for name in ("time", "q", "qd", "qdd", "command", "command_d", "command_dd"):
+            one, other = getattr(part, name), getattr(same, name)
+            atol = 1e-12 * np.abs(getattr(whole, name)).max() + rounding.get(name, 0.0)
+            np.testing.assert_allclose(one, other, rtol=0, atol=atol)
+
+
+def test_bandwidth_of_a_long_log_is_that_of_its_parts(rng: np.random.Generator) -> None:
+    time = np.arange(3 * SEGMENT + 1234) / 1000.0
+    position = np.sin(2 * np.pi * 1.1 * time) + 0.2 * np.sin(2 * np.pi * 3.7 * time) + 1e-5 * rng.normal(size=time.size)
+    assert joint_bandwidths(position[:, None], 1000.0) == pytest.approx(
+        joint_bandwidths(position[: SEGMENT // 2, None], 1000.0), abs=0.02
+    )
+    assert np.isnan(joint_bandwidths(1e-5 * rng.normal(size=(time.size, 1)), 1000.0))
+
+
+def test_quantiles_of_what_goes_by(rng: np.random.Generator) -> None:
+    values = np.abs(rng.standard_normal((5000, 2))) * [1.0, 1e-9]
+    values[:3000, 1] = 0.0
+    found = Quantiles(2)
+    for part in np.array_split(values, 7):
+        found.add(part)
+    for share in (0.5, 0.9, 0.999):
+        np.testing.assert_allclose(found.quantile(share), np.quantile(values, share, axis=0), rtol=0.02)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4999, 5000])
+def test_medians_of_what_goes_by_are_exact(count: int, rng: np.random.Generator) -> None:
+    values = np.abs(rng.standard_normal((count, 4))) * [1.0, 1e-9, 0.0, 1.0]
+    values[:: 3 if count > 2 else count, 1] = np.nan
+    values[:, 3] = np.round(values[:, 3])  # many alike
+    expected = np.nanmedian(values[:, [0, 2, 3]], axis=0)
+    np.testing.assert_array_equal(medians(lambda: np.array_split(values, 7))[[0, 2, 3]], expected)
+    if count > 1:
+        assert medians(lambda: [values])[1] == np.nanmedian(values[:, 1])
+    else:
+        assert np.isnan(medians(lambda: [values])[1])
+
+
+def test_a_stored_array_is_what_was_written(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = rng.normal(size=(1000, 3))
+    for limit in (100, 10**9):
+        monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", limit)
+        stored = store(np.array_split(values, 13), (3,))
+        np.testing.assert_array_equal(stored, values)
+        np.testing.assert_array_equal(block(stored[:, 1:], 10, 500), values[10:500, 1:])
+        np.testing.assert_array_equal(stored, values)  # after its pages were let go
+    assert Store((2,), bool).array().shape == (0, 2)
+
+
+def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", 10)
+
+    def full(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(gtau.signals.storage.tempfile, "TemporaryFile", full)
+    with pytest.raises(GtauError, match=r"no space left on device\); make room there, or set TMPDIR"):
+        store([np.ones(100)])
+
+
+def test_a_run_from_a_log_travels_as_its_log(tmp_path: Path, rng: np.random.Generator) -> None:
+    pl.DataFrame(columns(rng)).write_csv(tmp_path / "log.csv")
+    run = arrange(read_run(tmp_path / "log.csv", SIGNALS, {"name": "L", "mass": 2.0}), ("b", "a"))
+    sent = pickle.dumps(run)
+    assert len(sent) < 3000
+    back = pickle.loads(sent)
+    assert (back.name, back.joints, back.payload, back.notes) == ("log", ("b", "a"), run.payload, run.notes)
+    np.testing.assert_array_equal(back.position, run.position)
+    changed = pickle.loads(pickle.dumps(replace(run, position=run.position + 1)))
+    np.testing.assert_array_equal(changed.position, run.position + 1)
+
+
+@pytest.mark.parametrize("kind", ["fir", "chebyshev"])
+def test_parts_of_a_run_give_the_factors_of_the_whole(kind: str) -> None:
+    run = Plant(noise=0.01).run("r", seconds=40.0)
+    data = reduce_runs(five_bar().robot, [run], decimator=kind)
+    (((part,),), (whole,)) = data.parts(), data.factors
+    assert part.stretches == range(STRETCHES)
+    weigh = Weigh(np.random.default_rng(1).normal(size=(len(JOINTS), whole.R.shape[-1])), np.full(len(JOINTS), 0.5))
+    weighed = reduce_part(replace(part, weigh=weigh))
+    for parts in (2, 7, STRETCHES):
+        edges = np.linspace(0, STRETCHES, parts + 1).astype(int)
+        pieces = [replace(part, stretches=range(a, b)) for a, b in pairwise(edges.tolist())]
+        for expected, pieces_of in (
+            (whole, pieces),
+            (weighed, [replace(piece, weigh=weigh) for piece in pieces]),
+        ):
+            found = joined([reduce_part(piece) for piece in pieces_of])
+            np.testing.assert_array_equal(found.rows, expected.rows)
+            np.testing.assert_allclose(found.distances, expected.distances, rtol=1e-6)
+            np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-8, atol=1e-9)
+            a, b = (each.R.swapaxes(-1, -2) @ each.R for each in (found, expected))
+            size = np.sqrt(np.einsum("...ii->...i", b))
+            size = np.maximum(size, 1e-9 * size.max())
+            assert (np.abs(a - b) <= 1e-10 * size[..., :, None] * size[..., None, :]).all()
+
+
+def test_long_runs_are_cut_and_their_parts_mapped(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cut(100) == [range(STRETCHES)]
+    assert [len(cut(k << 19)) for k in (1, 2, 19, 20, 1000)] == [1, 2, 19, 20, 20]
+    assert [s for part in cut(7 << 19) for s in part] == list(range(STRETCHES))
+    run = Plant(noise=0.01).run("r")
+    whole = reduce_runs(five_bar().robot, [run])
+    monkeypatch.setattr(gtau.estimation.regression.dataset, "PART", 1000)
+    seen: list[tuple[str, int, int]] = []
+    data = reduce_runs(five_bar().robot, [run], progress=lambda *what: seen.append(what), mapper=sent)
+    done = [(now, total) for what, now, total in seen if what == "model along the runs"]
+    assert len(done) == 1 + 4  # and 900 or more samples in each part
+    assert done[-1][0] == done[-1][1]
+    np.testing.assert_array_equal(data.factors[0].rows, whole.factors[0].rows)
+    a, b = data.assembly().problem, whole.assembly().problem
+    for one, other in zip(a.triangles, b.triangles, strict=True):
+        np.testing.assert_allclose(one.T @ one, other.T @ other, rtol=1e-9, atol=1e-9)
+
+
+def sent(function: Callable, parts: list) -> list:
+    """As another process would get the parts and give the factors back."""
+    return [pickle.loads(pickle.dumps(function(pickle.loads(pickle.dumps(part))))) for part in parts]
+
+
+ROBOT = """
+robot: pendulum
+joints:
+  a: {antecedent: ground, alpha: pi/2, theta: q, actuated: true}
+"""
+EXPERIMENT = """
+robot: robot.yaml
+signals: {time: t, position: {a: qa}, torque: {a: va}}
+runs:
+  - log: log
+"""
+PART = 250_000
+
+
+def peak_mib(folder: Path, parts: int) -> float:
+    """Peak memory, MiB, of ``gtau identify`` as a program with a log of a pendulum in so many files."""
+    (folder / "log").mkdir(parents=True)
+    rng = np.random.default_rng(1)
+    for k in range(parts):
+        time = np.arange(k * PART, (k + 1) * PART) / 1000.0
+        q, qd, qdd = np.sin(2 * time), 2 * np.cos(2 * time), -4 * np.sin(2 * time)
+        tau = 0.7 * qdd + 0.3 * qd + 0.5 * np.sign(qd) + 4.0 * np.cos(q) + 0.05 * rng.standard_normal(PART)
+        pl.DataFrame({"t": time, "qa": q, "va": tau}).write_parquet(folder / "log" / f"part_{k}.parquet")
+    (folder / "robot.yaml").write_text(ROBOT)
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    code = "import sys; from gtau.cli import main; sys.argv[0] = 'gtau'; main()"
+    arguments = [sys.executable, "-c", code, "identify", str(folder / "experiment.yaml"), "--method", "wls"]
+    arguments += ["--no-cache", "--out", str(folder)]
+    source = str(Path(__file__).parents[2] / "src")
+    child = os.posix_spawn(sys.executable, arguments, os.environ | {"PYTHONPATH": source}, file_actions=[
+        (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
+    ])  # fmt: skip
+    _, status, usage = os.wait4(child, 0)
+    assert status == 0
+    found = {each["name"]: each["value"] for each in json.loads((folder / "model.json").read_text())["parameters"]}
+    assert found["fv_a"] == pytest.approx(0.3, rel=0.02)
+    return usage.ru_maxrss / 1024
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's count of resident memory is in KiB on Linux")
+def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
+    short, long = (peak_mib(tmp_path / str(parts), parts) for parts in (1, 8))
+    arrays = 7 * PART * (4 * 8 + 1) / 2**20  # of the samples that the long log has more
+    assert arrays > 50
+    assert long - short < 0.25 * arrays
