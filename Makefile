@@ -4,14 +4,17 @@ READY := .venv/.gtau-installed
 PYTHONS := python3.13 python3.12 python3.11 python3.14 python3
 SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))
 
-.PHONY: demo test lint clean
+.PHONY: demo test slow lint clean
 
 demo: $(READY)
 	$(BIN)/gtau demo --out demo
 	@echo "(gtau is in $(BIN): '. $(BIN)/activate' puts it on the path)"
 
 test: lint
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto -m "not slow"
+
+slow: $(READY)
+	$(BIN)/pytest -n auto -m slow
 
 lint: $(READY)
 	$(BIN)/ruff check

@@ -25,16 +25,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.estimation.diagnostics.delays import delay_verdicts
-from gtau.estimation.diagnostics.position_ripple import Locked, position_locked
+from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, gain_verdicts
 from gtau.estimation.estimators.current_domain import ml
 from gtau.estimation.estimators.degrees_of_freedom import freedom
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data, reduce_runs
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, STRETCHES, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
@@ -162,7 +162,7 @@ class Fixed:
     rate: float
 
 
-def fix(data: Data, k: int) -> Fixed:
+def fix(data: Dataset, k: int) -> Fixed:
     """The regressor of run k, which errors of the currents leave as it is."""
     prepared, decimator = data.prepared[k], data.preparation.decimator
     regressor = data.model.columns(data.base.standard)
@@ -184,7 +184,7 @@ def fix(data: Data, k: int) -> Fixed:
     return Fixed(rows, slice(begin, begin + len(prepared.time)), prepared.run.rate)
 
 
-def refactor(data: Data, fixed: Fixed, run: Run) -> Factors:
+def refactor(data: Dataset, fixed: Fixed, run: Run) -> Factors:
     """Factors of a run from its fixed regressor and new currents."""
     decimator, n = data.preparation.decimator, len(run.joints)
     d, dd = differentiate(run.command, fixed.rate)
@@ -235,16 +235,16 @@ def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
                 now = reduce_runs(case.model.robot, runs, data.preparation)
             else:
                 now = replace(data, factors=tuple(map(refactor, [data] * len(runs), fixed, runs)))
-            assembly = now.assembly(Friction(per_run=True))
-            solution = ml(assembly.problem)
+            system = now.system(Friction(per_run=True))
+            solution = ml(system.problem)
             # what repeats at the same positions is looked for along the runs, which the quick way does not have
-            locked = position_locked(now, assembly, solution, True) if slow else None
-            found.append(judge(case, assembly, solution, locked))
+            locked = position_ripple(now, system, solution, True) if slow else None
+            found.append(judge(case, system, solution, locked))
     return found
 
 
-def judge(case: Case, assembly: Assembly, solution: Solution, locked: Locked | None) -> Repetition:
-    problem, base = assembly.problem, assembly.base
+def judge(case: Case, system: System, solution: Solution, locked: PositionRipple | None) -> Repetition:
+    problem, base = system.problem, system.base
     repeating, added = (False, 0.0) if locked is None else (locked.found, locked.covariance)
     std = np.sqrt(np.diag(solution.jackknife + added))
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])
@@ -259,7 +259,7 @@ def judge(case: Case, assembly: Assembly, solution: Solution, locked: Locked | N
     )
     which = np.concatenate([np.array(index, dtype=int), gains, gains + n])
     names_of_runs = [f"run {k + 1}" for k in range(len(LOADED))]
-    verdicts = gain_verdicts(problem, solution, std[gains], assembly.places, names_of_runs, repeating)
+    verdicts = gain_verdicts(problem, solution, std[gains], system.block_positions, names_of_runs, repeating)
     worst = max((v.outcome for v in verdicts), key=list(Outcome).index)
     return Repetition(
         names,

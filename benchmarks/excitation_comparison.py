@@ -24,7 +24,7 @@ from gtau.excitation.design_file import read_design
 from gtau.excitation.forecast import forecast
 from gtau.excitation.initial_guesses import random_start
 from gtau.excitation.nlp import Programme
-from gtau.excitation.task import Task
+from gtau.excitation.task import DesignProblem
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from repetitions import repeated_gains
@@ -32,11 +32,11 @@ from repetitions import repeated_gains
 RANDOM, REPETITIONS = 200, 100
 
 
-def rms(task: Task, x: np.ndarray) -> float:
+def rms(task: DesignProblem, x: np.ndarray) -> float:
     return float(np.sqrt(np.mean([each.relative**2 for each in forecast(task, x).gains])))
 
 
-def random_motion(task: Task, rng: np.random.Generator) -> np.ndarray | None:
+def random_motion(task: DesignProblem, rng: np.random.Generator) -> np.ndarray | None:
     """A random motion that goes as far as the limits let it; None where they do not hold."""
     x = random_start(task, rng, 0.99)
     try:

@@ -29,7 +29,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.load import load_robot
 from gtau.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, standard_parameters
 
-PERIOD, RATE, PART = 20_000, 1000.0, 1_000_000  # samples of the motion, Hz, samples of a file
+PERIOD, RATE, SHARD = 20_000, 1000.0, 1_000_000  # samples of the motion, Hz, samples of a file
 NOISE, COUNT = 3e-4, 2.5e-6  # A, m
 JOINTS = tuple(DRIVE_GAINS)
 EXPERIMENT = """
@@ -64,8 +64,8 @@ def write_log(folder: Path, samples: int, mass: float, kind: str) -> str:
     name = f"log_{round(1000 * mass)}" + ("" if kind == "parquet" else ".csv")
     if kind == "parquet":
         (folder / name).mkdir()
-    for start in range(0, samples, PART):
-        at = np.arange(start, min(start + PART, samples))
+    for start in range(0, samples, SHARD):
+        at = np.arange(start, min(start + SHARD, samples))
         v = np.round(current[at % PERIOD] + NOISE * rng.standard_normal((len(at), 3)), 6)
         table = pl.DataFrame(
             {"t": at / RATE}
@@ -73,7 +73,7 @@ def write_log(folder: Path, samples: int, mass: float, kind: str) -> str:
             | {f"v{joint}": v[:, j] for j, joint in enumerate(JOINTS)}
         )
         if kind == "parquet":
-            table.write_parquet(folder / name / f"part_{start // PART}.parquet", compression="lz4")
+            table.write_parquet(folder / name / f"part_{start // SHARD}.parquet", compression="lz4")
         else:
             with (folder / name).open("ab") as file:
                 table.write_csv(file, include_header=start == 0)

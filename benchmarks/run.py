@@ -43,7 +43,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.load import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import Held, Sampled
+from gtau.signals.preparation import InMemoryRun, Sampled
 from gtau.signals.run import Run
 
 
@@ -125,14 +125,14 @@ def threads(robot: Robot, samples: int) -> Row:
     )
 
 
-def prepared(robot: Robot, samples: int) -> Held:
+def prepared(robot: Robot, samples: int) -> InMemoryRun:
     """A run as it comes from the filters, with currents that are noise."""
     path = motion(robot, samples)
     command = np.random.default_rng(2).normal(size=path[0].shape)
     time = np.arange(samples) / 1000.0
     run = Run.__new__(Run)
     object.__setattr__(run, "name", "made up")
-    return Held(run, Sampled(time, *path, command, command, command, np.ones(path[0].shape, dtype=bool)))
+    return InMemoryRun(run, Sampled(time, *path, command, command, command, np.ones(path[0].shape, dtype=bool)))
 
 
 def reduction(robot: Robot, samples: int, few: int) -> list[Row]:

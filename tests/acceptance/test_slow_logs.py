@@ -61,7 +61,7 @@ def test_gains_of_slow_logs(rate: float, slowest: float, seconds: float, noise: 
 
 def test_leaving_a_stretch_out_keeps_the_curvature() -> None:
     data = reduce_runs(ROBOT, logs(80.0, 0.3, 75.0, 1e-2))
-    problem = data.assembly(Friction(per_run=True)).problem
+    problem = data.system(Friction(per_run=True)).problem
     assert lack_of_fit(problem, ml(problem)) == pytest.approx(1.1, abs=0.4)
 
 

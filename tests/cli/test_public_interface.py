@@ -14,7 +14,7 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 import gtau
 from gtau.cli.console import progress_bar
-from gtau.estimation.compare import Comparison, Row, table
+from gtau.estimation.compare import EstimatorComparison, Row, table
 from gtau.estimation.diagnostics.verdict import Outcome
 
 ROOT = Path(__file__).parents[2]
@@ -95,7 +95,7 @@ def test_the_price_of_the_reduction(result: gtau.Result, loss: float, said: str)
 def test_columns_of_a_comparison_do_not_touch() -> None:
     gains, std = np.array([20009.0, 149920.0, 1.5]), np.array([7.0, 165.0, 0.1])
     rows = (Row("ml", gains, std, np.ones(3), 1.0, Outcome.GOOD), Row("wls", gains, None, np.ones(3), 1.0))
-    head, _, ml, wls, _ = table(Comparison(("a", "a_joint_with_a_long_name", "c"), rows)).splitlines()
+    head, _, ml, wls, _ = table(EstimatorComparison(("a", "a_joint_with_a_long_name", "c"), rows)).splitlines()
     assert re.split(r"\s{2,}", ml)[1:4] == ["20009 +- 0.035 %", "1.4992e+05 +- 0.11 %", "1.5 +- 6.7 %"]
     assert re.split(r"\s{2,}", wls)[1:4] == ["20009 given", "1.4992e+05 given", "1.5 given"]
     for name, entry in zip(head.split(), re.split(r"\s{2,}", ml)[1:4], strict=False):

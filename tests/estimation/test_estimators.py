@@ -68,7 +68,7 @@ def problem_of(units: np.ndarray) -> Problem:
 
 def reduced(problem: Problem) -> Problem:
     """The same problem from triangular factors."""
-    return replace(problem, units=np.stack([[triangle(block) for block in unit] for unit in problem.units]))
+    return replace(problem, blocks=np.stack([[triangle(block) for block in unit] for unit in problem.blocks]))
 
 
 def assert_same(a: Solution, b: Solution, rtol: float) -> None:
@@ -115,7 +115,7 @@ def test_a_reversed_current_reverses_its_gain_alone(method: str, rng: np.random.
 
 def rows(problem: Problem, j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """W, known, v, v' of joint j."""
-    A = problem.units[:, j].reshape(-1, problem.n_theta + 4)
+    A = problem.blocks[:, j].reshape(-1, problem.n_theta + 4)
     return A[:, : problem.n_theta], A[:, problem.n_theta], A[:, -3], A[:, -2]
 
 
@@ -319,7 +319,7 @@ def test_one_step_replaces_estimating_again(method: str, rng: np.random.Generato
     solution = METHODS[method](problem)
     again = []
     for u in range(UNITS):
-        rest = replace(problem, units=np.delete(problem.units, u, 0), rows=np.delete(problem.rows, u, 0))
+        rest = replace(problem, blocks=np.delete(problem.blocks, u, 0), rows=np.delete(problem.rows, u, 0))
         again.append(METHODS[method](rest).stacked - solution.stacked)
     std = np.sqrt(np.diag(solution.jackknife))
     some = std > 0
@@ -396,9 +396,9 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
         whole = np.column_stack([W, known, v, *differentiate(v, rate)])
         units += [whole[part][None] for part in np.array_split(np.arange(samples), 10)]
     problem = Problem(("a", "b", "c"), ("j",), np.array(units), np.full((20, 1), samples // 10), 0.5)
-    far = newton.State(theta, np.array([1 / gain]), np.array([0.05]))
+    far = newton.Iterate(theta, np.array([1 / gain]), np.array([0.05]))
 
-    def weights(state: newton.State, errors: np.ndarray) -> np.ndarray:
+    def weights(state: newton.Iterate, errors: np.ndarray) -> np.ndarray:
         return 1 / np.sqrt(errors / problem.total_rows)
 
     monkeypatch.setattr(newton, "STEPS", 25)

@@ -15,7 +15,7 @@ from gtau.estimation.estimators.current_domain import ml, ols, wls
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.estimators.total_least_squares import mixed, tls
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import Data, reduce_runs
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import STRETCHES, Factors
 from gtau.estimation.regression.friction import Friction, all_terms
 from gtau.estimation.regression.problem import Problem
@@ -50,7 +50,7 @@ def runs() -> list[Run]:
 
 
 @pytest.fixture(scope="module")
-def data(runs: list[Run]) -> Data:
+def data(runs: list[Run]) -> Dataset:
     return reduce_runs(FIVE_BAR, runs)
 
 
@@ -59,7 +59,7 @@ def result(runs: list[Run]) -> Result:
     return identify(FIVE_BAR, runs)
 
 
-def all_rows(data: Data, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def all_rows(data: Dataset, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Every decimated row [W terms v v' v''] of a run (n, K, p), which are kept (n, K), and their stretches (K,).
 
     Evaluated, filtered and decimated as one block, standard column by standard column.
@@ -76,7 +76,7 @@ def all_rows(data: Data, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rows, decimator.keep(prepared.usable).T, np.arange(instants) * STRETCHES // instants
 
 
-def unreduced(data: Data, run: Run) -> Factors:
+def unreduced(data: Dataset, run: Run) -> Factors:
     """The rows themselves in the place of their factors, masked ones zero."""
     rows, keep, stretch = all_rows(data, run)
     blocks = np.zeros((STRETCHES, len(rows), 50, rows.shape[-1]))
@@ -97,10 +97,10 @@ METHODS: dict[str, Callable[[Problem], Solution]] = {
 
 @pytest.mark.parametrize("friction", [Friction(), Friction(all_terms(JOINTS), per_run=True)], ids=["paper's", "more"])
 @pytest.mark.parametrize("method", METHODS)
-def test_factors_of_streamed_blocks_say_what_all_rows_say(data: Data, method: str, friction: Friction) -> None:
-    full = replace(data, factors=tuple(unreduced(data, run) for run in data.runs)).assembly(friction).problem
-    problem = data.assembly(friction).problem
-    assert full.units.shape[2] != problem.units.shape[2]
+def test_factors_of_streamed_blocks_say_what_all_rows_say(data: Dataset, method: str, friction: Friction) -> None:
+    full = replace(data, factors=tuple(unreduced(data, run) for run in data.runs)).system(friction).problem
+    problem = data.system(friction).problem
+    assert full.blocks.shape[2] != problem.blocks.shape[2]
     np.testing.assert_array_equal(full.rows, problem.rows)
     few, many = METHODS[method](problem), METHODS[method](full)
     np.testing.assert_allclose(few.gains, many.gains, rtol=1e-9)
@@ -118,7 +118,7 @@ def gram(R: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("samples", [173, 10**6])
 def test_blocks_of_any_size_give_the_same_factors(
-    data: Data, runs: list[Run], samples: int, monkeypatch: pytest.MonkeyPatch
+    data: Dataset, runs: list[Run], samples: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gtau.estimation.regression.rows, "FAST_SAMPLES", samples)
     for one, other in zip(reduce_runs(FIVE_BAR, runs).factors, data.factors, strict=True):
@@ -128,22 +128,22 @@ def test_blocks_of_any_size_give_the_same_factors(
         assert (np.abs(a - b) <= 1e-11 * (size[..., :, None] * size[..., None, :] + 1e-300)).all()
 
 
-def test_stretches_merge_to_the_factor_of_all_rows(data: Data) -> None:
+def test_stretches_merge_to_the_factor_of_all_rows(data: Dataset) -> None:
     for run, factors in zip(data.runs, data.factors, strict=True):
         rows, keep, _ = all_rows(data, run)
         assert factors.rows.sum(axis=0).tolist() == keep.sum(axis=1).tolist()
         assert (factors.rows[1:-1] > 0).all()
         for j in range(len(JOINTS)):
-            together = gram(factors.R[:, j]).sum(axis=0)
+            stack = gram(factors.R[:, j]).sum(axis=0)
             direct = gram(rows[j, keep[j]])
             size = np.sqrt(np.diag(direct))
-            assert (np.abs(together - direct) <= 1e-11 * np.outer(size, size)).all()
+            assert (np.abs(stack - direct) <= 1e-11 * np.outer(size, size)).all()
             assert not np.tril(factors.R[0, j], -1).any()
 
 
-def test_payload_columns_are_those_of_a_body_on_the_tool(data: Data) -> None:
+def test_payload_columns_are_those_of_a_body_on_the_tool(data: Dataset) -> None:
     """The unknown payload's columns and the known column against the regressor of the tool's own parameters."""
-    assembly, n_b = data.assembly(), data.base.count
+    system, n_b = data.system(), data.base.count
     rows, keep, _ = all_rows(data, data.runs[1])
     names = [f"{kind}_{TOOL}" for kind in ("m", "zz", "mx", "my")]
     prepared = prepare(data.runs[1], data.preparation).samples()
@@ -151,11 +151,11 @@ def test_payload_columns_are_those_of_a_body_on_the_tool(data: Data) -> None:
         ..., [data.model.parameter_names.index(name) for name in names]
     ]
     W = data.preparation.decimator.apply(np.ascontiguousarray(np.moveaxis(W, 0, -1))).swapaxes(1, 2)
-    problem = assembly.problem
+    problem = system.problem
     unknown = [problem.parameters.index(f"{kind}_L2") for kind in ("zz", "mx", "my")]
     mine = slice(STRETCHES, 2 * STRETCHES)
     for j in range(len(JOINTS)):
-        ours = problem.units[mine, j].reshape(-1, problem.units.shape[-1])
+        ours = problem.blocks[mine, j].reshape(-1, problem.blocks.shape[-1])
         expected = np.column_stack([rows[j, keep[j], :n_b], W[j, keep[j], 1:], KNOWN.mass * W[j, keep[j], 0]])
         a, b = gram(ours[:, [*range(n_b), *unknown, problem.n_theta]]), gram(expected)
         size = np.sqrt(np.diag(b)) + 1e-300
@@ -287,7 +287,7 @@ def test_the_paper_s_way(runs: list[Run]) -> None:
 # What cannot be told
 
 
-def test_without_scale_the_gains_are_refused(runs: list[Run], data: Data) -> None:
+def test_without_scale_the_gains_are_refused(runs: list[Run], data: Dataset) -> None:
     with pytest.raises(GtauError, match=r"needs a run with a payload of known mass.*--method wls with prior_gains"):
         identify(FIVE_BAR, runs[:1])
     with pytest.raises(GtauError, match=r"two different loads.*--method wls with prior_gains"):
@@ -305,7 +305,7 @@ def test_a_payload_that_acts_on_nothing_is_refused() -> None:
     run = Run("free", ("1",), time, q, -20 * q + 0.1 * np.random.default_rng(1).normal(size=q.shape))
     loaded = replace(run, name="loaded", payload=KNOWN)
     with pytest.raises(GtauError, match=r"no effect of their own on any actuated joint.*--method wls"):
-        require_scale(table, reduce_runs(table, [run, loaded]).assembly(), [None, KNOWN], "ml")
+        require_scale(table, reduce_runs(table, [run, loaded]).system(), [None, KNOWN], "ml")
 
 
 def test_a_joint_that_stands_still_has_no_rows(runs: list[Run]) -> None:

@@ -70,8 +70,8 @@ def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run])
 
 
 def test_the_difference_is_measured(runs: list[Run]) -> None:
-    assembly = reduce_runs(ARM, scaled(runs, 2, 1.03)).assembly(Friction(per_run=True))
-    for each in worst_differences(assembly.problem, ml(assembly.problem), assembly.places):
+    system = reduce_runs(ARM, scaled(runs, 2, 1.03)).system(Friction(per_run=True))
+    for each in worst_differences(system.problem, ml(system.problem), system.block_positions):
         assert each.runs == (2,)
         assert each.share > DOMINANT
     assert each.change == pytest.approx(0.03, rel=0.1)

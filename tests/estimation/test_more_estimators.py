@@ -17,8 +17,8 @@ from gtau.estimation.estimators.newton import one_step
 from gtau.estimation.estimators.ridge import standard_unknowns
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.identify import FOR_GAINS, WITH_GAINS, identify
-from gtau.estimation.regression.dataset import Data, reduce_runs
-from gtau.estimation.regression.friction import Friction, told_terms
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.estimation.regression.friction import Friction, prune_friction_terms
 from gtau.estimation.results.result import Result
 from gtau.robots.load import load_robot
 from gtau.signals.experiment import Payload, Prior
@@ -39,7 +39,7 @@ def runs() -> list[Run]:
 
 
 @pytest.fixture(scope="module")
-def data(runs: list[Run]) -> Data:
+def data(runs: list[Run]) -> Dataset:
     return reduce_runs(FIVE_BAR, runs)
 
 
@@ -60,14 +60,14 @@ def test_every_estimator_finds_the_gains(method: str, runs: list[Run]) -> None:
 # 2SLS
 
 
-def test_jackknife_of_2sls_is_leaving_units_out(data: Data) -> None:
-    problem = data.assembly(Friction()).problem
+def test_jackknife_of_2sls_is_leaving_units_out(data: Dataset) -> None:
+    problem = data.system(Friction()).problem
     solution = two_stage(problem)
     here = slice(problem.n_theta, problem.n_theta + 2)
     quick = solution.replicates()[:, here]
     exact = []
-    for u in range(len(problem.units)):
-        others = replace(problem, units=np.delete(problem.units, u, axis=0), rows=np.delete(problem.rows, u, axis=0))
+    for u in range(len(problem.blocks)):
+        others = replace(problem, blocks=np.delete(problem.blocks, u, axis=0), rows=np.delete(problem.rows, u, axis=0))
         exact.append(two_stage(others).gains - solution.gains)
     np.testing.assert_allclose(quick.std(axis=0), np.std(exact, axis=0), rtol=0.2)
     for ours, truth in zip(quick.T, np.array(exact).T, strict=True):
@@ -127,8 +127,8 @@ def test_without_outliers_huber_is_nearly_maximum_likelihood(runs: list[Run]) ->
 # Priors
 
 
-def test_prior_equations_are_further_rows(data: Data) -> None:
-    problem = data.assembly(Friction()).problem
+def test_prior_equations_are_further_rows(data: Dataset) -> None:
+    problem = data.system(Friction()).problem
     free = ml(problem)
     k = problem.parameters.index("fs_left")
     tight = np.zeros((1, problem.n_theta + 1))
@@ -158,15 +158,15 @@ def test_a_stated_prior_counts_with_its_deviation(runs: list[Run]) -> None:
     assert (sure.parameters["fs_left"].std or 0.0) == pytest.approx(std / 100, rel=0.2)
 
 
-def test_the_unknowns_give_the_problem_s_parameters(data: Data) -> None:
-    assembly = data.assembly(Friction(("f3_left",), True))
-    unknowns = standard_unknowns(data, assembly, ml(assembly.problem), {})
-    assert unknowns.S.shape == (len(assembly.whole.parameters), len(unknowns.names))
+def test_the_unknowns_give_the_problem_s_parameters(data: Dataset) -> None:
+    system = data.system(Friction(("f3_left",), True))
+    unknowns = standard_unknowns(data, system, ml(system.problem), {})
+    assert unknowns.S.shape == (len(system.whole.parameters), len(unknowns.names))
     x = np.array([CHI.get(name, STEEL.get(name.removesuffix("_L2"), 0.0)) for name in unknowns.names])
-    theta = dict(zip(assembly.whole.parameters, unknowns.S @ x, strict=True))
-    solution = ml(assembly.problem)
+    theta = dict(zip(system.whole.parameters, unknowns.S @ x, strict=True))
+    solution = ml(system.problem)
     std = np.sqrt(np.diag(solution.jackknife))
-    for name, value, deviation in zip(assembly.problem.parameters, solution.theta, std, strict=False):
+    for name, value, deviation in zip(system.problem.parameters, solution.theta, std, strict=False):
         assert abs(value - theta[name]) < 6 * deviation, name
 
 
@@ -244,9 +244,9 @@ def test_only_friction_that_all_equations_tell_is_kept(runs: list[Run]) -> None:
         for run, qd in zip(runs, speed, strict=True)
     ]
     data, both = reduce_runs(FIVE_BAR, cubed), Friction(("f3_left", "f3_right"), True)
-    problem = data.assembly(both).problem
-    assert told_terms(problem, both, ml) == ("f3_left",)
+    problem = data.system(both).problem
+    assert prune_friction_terms(problem, both, ml) == ("f3_left",)
     solution, k = ml(problem), problem.parameters.index("f3_left")
     assert solution.theta[k] == pytest.approx(0.2, abs=4 * np.sqrt(solution.jackknife[k, k]))
-    plain = reduce_runs(FIVE_BAR, runs).assembly(both).problem
-    assert told_terms(plain, both, ml) == ()
+    plain = reduce_runs(FIVE_BAR, runs).system(both).problem
+    assert prune_friction_terms(plain, both, ml) == ()

@@ -13,7 +13,7 @@ from gtau.estimation.regression.dataset import prepare_runs
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.load import load_robot
 from gtau.robots.robot import Limits, Robot
-from gtau.signals.preparation import Prepared, choose_preparation
+from gtau.signals.preparation import PreparedRun, choose_preparation
 from gtau.signals.run import Run
 
 
@@ -31,7 +31,7 @@ def run() -> Run:
     return Plant().run("free", seconds=8.0, seed=1)
 
 
-def prepared(robot: Robot, run: Run) -> Prepared:
+def prepared(robot: Robot, run: Run) -> PreparedRun:
     model = InverseDynamics(robot)
     (found,) = prepare_runs(model, [run], choose_preparation([run]))
     return found

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from orthoglide_logs import RATE, experiment
 
-from gtau.estimation.diagnostics.position_ripple import Locked, position_locked
+from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
 from gtau.estimation.estimators.current_domain import ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
@@ -37,13 +37,13 @@ def rippled(runs: list[Run], seed: int) -> list[Run]:
     ]
 
 
-def found(runs: list[Run]) -> tuple[Locked, np.ndarray, np.ndarray, np.ndarray]:
+def found(runs: list[Run]) -> tuple[PositionRipple, np.ndarray, np.ndarray, np.ndarray]:
     """What repeats, the errors of the gains, by how much they move, and their deviations by the jackknife alone."""
     data = reduce_runs(ROBOT, runs)
-    assembly = data.assembly(Friction(per_run=True))
-    solution = ml(assembly.problem)
-    of_gains = slice(assembly.problem.n_theta, assembly.problem.n_theta + 3)
-    locked = position_locked(data, assembly, solution, free_gains=True)
+    system = data.system(Friction(per_run=True))
+    solution = ml(system.problem)
+    of_gains = slice(system.problem.n_theta, system.problem.n_theta + 3)
+    locked = position_ripple(data, system, solution, free_gains=True)
     std = np.sqrt(np.diag(solution.jackknife))
     return locked, solution.gains - GAINS, locked.moves[of_gains], std[of_gains]
 
@@ -54,11 +54,11 @@ def test_ripple_shifts_gains_by_what_is_found(runs: list[Run]) -> None:
         locked, errors, moves, std = found(rippled(runs, seed))
         assert locked.found
         shifts.append((errors / std, (errors + moves) / std, errors / np.hypot(std, moves)))
-    alone, after, together = (np.sqrt(np.mean(np.square(each))) for each in zip(*shifts, strict=True))
+    alone, after, stack = (np.sqrt(np.mean(np.square(each))) for each in zip(*shifts, strict=True))
     assert np.abs(shifts[0][0]).max() > 2.3  # more than scatter shows
     assert alone > 1.1
     assert after < 0.4
-    assert together < 0.9
+    assert stack < 0.9
 
 
 def test_a_result_says_it_and_has_it_in_its_deviations(runs: list[Run]) -> None:

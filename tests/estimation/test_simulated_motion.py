@@ -19,10 +19,10 @@ from gtau.estimation.estimators.instrumental_variables import Pair, instrumental
 from gtau.estimation.estimators.simulated_motion import POLE, resimulated
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import base_parameters
-from gtau.estimation.regression.dataset import Data, reduce_runs
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -59,9 +59,9 @@ def clean() -> list[Run]:
 
 
 @pytest.fixture(scope="module")
-def solved() -> tuple[Data, Assembly]:
+def least_squares_step() -> tuple[Dataset, System]:
     data = reduce_runs(FIVE_BAR, logs(Plant(noise=0.02)))
-    return data, data.assembly(Friction(per_run=True))
+    return data, data.system(Friction(per_run=True))
 
 
 # The simulation
@@ -177,14 +177,14 @@ def test_noisy_encoders_spoil_maximum_likelihood_but_not_these(clean: list[Run])
             for run in clean
         ]
         data = reduce_runs(FIVE_BAR, noisy, replace(choose_preparation(noisy), cutoff=100.0))
-        assembly = data.assembly(Friction(per_run=True))
-        plain = ml(assembly.problem)
+        system = data.system(Friction(per_run=True))
+        plain = ml(system.problem)
         found = {
             "ml": plain,
-            "iv": instrumental(data, assembly, plain, True, silent)[1],
-            "didim": ml(along_simulated_motion(data, assembly, ml, silent)[1].problem),
+            "iv": instrumental(data, system, plain, True, silent)[1],
+            "didim": ml(along_simulated_motion(data, system, ml, silent)[1].problem),
         }
-        names = assembly.problem.parameters
+        names = system.problem.parameters
         for method, solution in found.items():
             values = dict(zip(names, solution.theta, strict=True))
             friction = [values[name] / truth[name] - 1 for name in truth if name.startswith(("fs_", "fv_"))]
@@ -202,7 +202,7 @@ def test_noisy_encoders_spoil_maximum_likelihood_but_not_these(clean: list[Run])
 
 
 def _merged(measured: Problem, simulated: Problem) -> tuple[np.ndarray, np.ndarray]:
-    rows = np.concatenate([measured.units, simulated.units], axis=-1)
+    rows = np.concatenate([measured.blocks, simulated.blocks], axis=-1)
     both = np.stack([triangle(*rows[:, j]) for j in range(len(measured.joints))])
     return both[..., : measured.n_theta + 4], both[..., measured.n_theta + 4 :]
 
@@ -211,16 +211,16 @@ def _vector(chi: Mapping[str, float]) -> np.ndarray:
     return np.array([chi.get(name, 0.0) for name in five_bar().parameter_names])
 
 
-def test_jackknife_of_instruments_is_leaving_units_out(solved: tuple[Data, Assembly]) -> None:
-    data, assembly = solved
-    pair = paired(data, assembly, ml(assembly.problem))
-    solution = with_instruments(pair, ml(assembly.problem), True)
+def test_jackknife_of_instruments_is_leaving_units_out(least_squares_step: tuple[Dataset, System]) -> None:
+    data, system = least_squares_step
+    pair = paired(data, system, ml(system.problem))
+    solution = with_instruments(pair, ml(system.problem), True)
     quick = solution.replicates()
     here = slice(pair.measured.n_theta, pair.measured.n_theta + 2)
     exact = []
-    for u in range(len(pair.measured.units)):
+    for u in range(len(pair.measured.blocks)):
         measured, simulated = (
-            replace(each, units=np.delete(each.units, u, axis=0), rows=np.delete(each.rows, u, axis=0))
+            replace(each, blocks=np.delete(each.blocks, u, axis=0), rows=np.delete(each.rows, u, axis=0))
             for each in (pair.measured, pair.simulated)
         )
         others = Pair(measured, simulated, _merged(measured, simulated))
@@ -230,10 +230,10 @@ def test_jackknife_of_instruments_is_leaving_units_out(solved: tuple[Data, Assem
         assert np.corrcoef(ours, truth)[0, 1] > 0.98
 
 
-def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(solved: tuple[Data, Assembly]) -> None:
-    data, assembly = solved
-    free = ml(assembly.problem)
-    pair = paired(data, assembly, free)
+def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares_step: tuple[Dataset, System]) -> None:
+    data, system = least_squares_step
+    free = ml(system.problem)
+    pair = paired(data, system, free)
     same = with_instruments(Pair(pair.measured, pair.measured, (pair.whole[0], pair.whole[0])), free, True)
     again = ml(pair.measured)
     np.testing.assert_allclose(same.gains, again.gains, rtol=1e-5)

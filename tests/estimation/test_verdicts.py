@@ -166,14 +166,14 @@ def test_drift_is_the_growth_of_the_current_along_its_run(runs: list[Run]) -> No
         runs[0],
         replace(runs[1], command=runs[1].command * (1 + 0.06 * np.linspace(-0.5, 0.5, len(runs[1].time))[:, None])),
     ]
-    assembly = reduce_runs(FIVE_BAR, growing).assembly(Friction(per_run=True))
-    assert assembly.places.shape == (2 * STRETCHES, 2)
-    for drift in worst_drifts(assembly.problem, ml(assembly.problem), assembly.places):
+    system = reduce_runs(FIVE_BAR, growing).system(Friction(per_run=True))
+    assert system.block_positions.shape == (2 * STRETCHES, 2)
+    for drift in worst_drifts(system.problem, ml(system.problem), system.block_positions):
         assert drift.run == 1
         assert drift.change == pytest.approx(0.06, rel=0.25)
         assert drift.t > 6
-    assembly = reduce_runs(FIVE_BAR, runs).assembly(Friction(per_run=True))
-    for drift in worst_drifts(assembly.problem, ml(assembly.problem), assembly.places):
+    system = reduce_runs(FIVE_BAR, runs).system(Friction(per_run=True))
+    for drift in worst_drifts(system.problem, ml(system.problem), system.block_positions):
         assert abs(drift.t) < 5
 
 

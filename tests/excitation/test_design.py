@@ -144,7 +144,7 @@ def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
     logs = [read_log(out / f"trajectory_{run}.csv", ("t", "q_left", "q_right")).columns for run in (1, 2)]
     assert np.abs(logs[0]["q_left"][:2000] - logs[1]["q_left"][:2000]).max() > 0.1
     assert (out / "trajectory_2.png").exists()
-    document = json.loads((out / "design.json").read_text())
+    document = json.constraint_usages((out / "design.json").read_text())
     used = {each["limit"]: each["used"] for each in document["limits"]}
     assert max(used.values()) <= 1.0
     assert {f"z of the tool's frame in run {run}" for run in (1, 2)} <= set(used)
@@ -168,7 +168,7 @@ def test_the_design_criterion_agrees_with_the_forecast(found: Design) -> None:
 def test_a_design_tells_twice_as_much_as_the_best_of_200_random_motions(tmp_path: Path) -> None:
     task, _ = read_design(write(tmp_path, ORTHOGLIDE))
     found = design(task, starts=1)
-    programme, values = Programme(task, "gains", {load.what: 1.0 for load in found.loads}), []
+    programme, values = Programme(task, "gains", {load.what: 1.0 for load in found.constraint_usages}), []
     rng = np.random.default_rng(0)
     while len(values) < 200:
         x = random_start(task, rng, 0.99)  # as far as the same limits let it
@@ -232,7 +232,7 @@ def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
     ]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
-    document = json.loads((tmp_path / "out" / "design.json").read_text())
+    document = json.constraint_usages((tmp_path / "out" / "design.json").read_text())
     assert [each["mass"] for each in document["payload_masses"]] == [0.5, 2.0]
     light, heavy = (each["rms"] for each in document["payload_masses"])
     assert heavy < light

@@ -9,12 +9,12 @@ from robots_for_tests import CLOSED, four_bar, hexapod, palletizer, random_sampl
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.excitation.closure_gradients import Slopes, in_platform_space, pullback
-from gtau.excitation.constraints import loads
+from gtau.excitation.constraints import constraint_usages
 from gtau.excitation.criteria import NAMED, criterion
 from gtau.excitation.evaluation import design_grid, evaluate, objective
 from gtau.excitation.information import Window, derivative
 from gtau.excitation.regressor import smooth_regressor
-from gtau.excitation.task import Limits, Task
+from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.load import load_robot
@@ -24,12 +24,12 @@ from gtau.signals.experiment import Payload
 DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
 
 
-def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> Task:
+def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> DesignProblem:
     """Two runs of a robot of arbitrary parameters, every kind of limit given."""
     model = InverseDynamics(robot)
     base, n = base_parameters(model), len(model.actuated)
     rng = np.random.default_rng(3)
-    limits = Limits(
+    limits = MotionLimits(
         position=np.array([robot.joint(name).limits.position for name in model.actuated]),
         velocity=np.full(n, 1.0),
         acceleration=np.full(n, 5.0),
@@ -43,7 +43,7 @@ def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> 
     center = np.zeros(3) if platform else limits.position.mean(axis=1)
     series = FourierSeries(center, np.full(len(center), half), 0.2, 4)
     chi = base.matrix @ rng.uniform(0.2, 1.0, len(model.parameter_names))
-    return Task(
+    return DesignProblem(
         model,
         base,
         series,
@@ -66,17 +66,17 @@ def slope(function, x: np.ndarray, way: np.ndarray, h: float = 1e-5) -> float:
     return float((4 * near - far) / 3)
 
 
-def random_x(task: Task, rng: np.random.Generator) -> np.ndarray:
+def random_x(task: DesignProblem, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([task.series.random(rng) for _ in task.motions])
 
 
 @pytest.fixture(scope="module", params=["orthoglide", "orthoglide platform", "ur10e", "orthoglide each"])
-def task(request) -> Task:
+def task(request) -> DesignProblem:
     return make_task(load_robot(request.param.split()[0]), "platform" in request.param, "each" not in request.param)
 
 
 @pytest.mark.parametrize("name", [*NAMED, "gain"])
-def test_gradients_of_criteria_agree_with_differences(task: Task, name: str, rng: np.random.Generator) -> None:
+def test_gradients_of_criteria_agree_with_differences(task: DesignProblem, name: str, rng: np.random.Generator) -> None:
     called = f"gain_{task.model.actuated[0]}" if name == "gain" else name
     chosen, grid = criterion(called, task.unknowns), design_grid(task)
     x = 0.3 * random_x(task, rng)
@@ -90,12 +90,12 @@ def test_gradients_of_criteria_agree_with_differences(task: Task, name: str, rng
         assert gradient @ way == pytest.approx(found, rel=precision, abs=precision * np.linalg.norm(gradient))
 
 
-def test_slopes_of_loads_agree_with_differences(task: Task, rng: np.random.Generator) -> None:
+def test_slopes_of_loads_agree_with_differences(task: DesignProblem, rng: np.random.Generator) -> None:
     grid, x = design_grid(task), 0.3 * random_x(task, rng)
     points, way, h = evaluate(task, x, grid), rng.normal(size=task.size), 1e-6
-    ahead, behind = (list(loads(evaluate(task, x + s * h * way, grid, points))) for s in (1, -1))
+    ahead, behind = (list(constraint_usages(evaluate(task, x + s * h * way, grid, points))) for s in (1, -1))
     kinds = set()
-    for load, after, before in zip(loads(points), ahead, behind, strict=True):
+    for load, after, before in zip(constraint_usages(points), ahead, behind, strict=True):
         expected = (after.values - before.values) / (2 * h)
         found = load.rows() @ way
         assert np.abs(found - expected).max() <= 3e-5 * (np.abs(expected).max() + 1e-3), load.what

@@ -24,7 +24,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import follow
 from gtau.robots.load import load_robot
 from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import Held, Sampled
+from gtau.signals.preparation import InMemoryRun, Sampled
 from gtau.signals.run import Run
 
 
@@ -211,7 +211,7 @@ def test_factors_are_those_of_all_rows(rng):
     usable = rng.uniform(size=q.shape) < 0.999
     run = Run.__new__(Run)
     object.__setattr__(run, "name", "made up")
-    prepared = Held(run, Sampled(time, q, qd, qdd, command, command_d, command_dd, usable))
+    prepared = InMemoryRun(run, Sampled(time, q, qd, qdd, command, command_d, command_dd, usable))
     names = tuple(idm.parameter_names[k] for k in range(3, len(idm.parameter_names), 2))
     decimator = Decimator(5)
     factors = reduce_run(idm, names, prepared, decimator)

@@ -12,12 +12,12 @@ from five_bar_logs import STEEL, Plant, five_bar
 
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import Part, reduce_part, reduce_runs
-from gtau.estimation.regression.factors import Factors, Weigh
+from gtau.estimation.regression.dataset import Shard, reduce_runs, reduce_shard
+from gtau.estimation.regression.factors import Factors, HuberWeights
 from gtau.parallel import cache
-from gtau.parallel.cache import cache_folder, remembering
+from gtau.parallel.cache import cache_folder, caching_executor
 from gtau.parallel.content_hash import content_key
-from gtau.parallel.executor import here, in_turn
+from gtau.parallel.executor import in_turn, serial_executor
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run
 
@@ -30,7 +30,7 @@ def runs() -> list[Run]:
 
 
 @pytest.fixture(scope="module")
-def parts(runs: list[Run]) -> list[Part]:
+def parts(runs: list[Run]) -> list[Shard]:
     """Three parts of each run."""
     whole = [part for of_run in reduce_runs(five_bar().robot, runs).parts() for part in of_run]
     return [replace(part, stretches=part.stretches[k : k + 7]) for part in whole for k in (0, 7, 14)]
@@ -40,10 +40,10 @@ class Counted:
     """A spread that counts what it is given, and fails or is interrupted where it is told to."""
 
     def __init__(self, stop_before: int | None = None) -> None:
-        self.parts: list[Part] = []
+        self.parts: list[Shard] = []
         self.stop_before = stop_before
 
-    def __call__(self, function: Callable, items: list[Part]) -> Iterator[tuple[int, object]]:
+    def __call__(self, function: Callable, items: list[Shard]) -> Iterator[tuple[int, object]]:
         for k, item in reversed(list(enumerate(items))):  # in any order
             if len(self.parts) == self.stop_before:
                 raise KeyboardInterrupt
@@ -55,12 +55,12 @@ def same(a: Factors, b: Factors) -> bool:
     return all(np.array_equal(getattr(a, f.name), getattr(b, f.name), equal_nan=True) for f in fields(Factors))
 
 
-def mapped(spread, parts: list[Part], folder: Path) -> list[Factors]:
-    return list(in_turn(remembering(spread, folder, worth=0))(reduce_part, parts))
+def mapped(spread, parts: list[Shard], folder: Path) -> list[Factors]:
+    return list(in_turn(caching_executor(spread, folder, worth=0))(reduce_shard, parts))
 
 
-def test_what_was_computed_is_not_computed_again(parts: list[Part], tmp_path: Path) -> None:
-    straight = list(map(reduce_part, parts))
+def test_what_was_computed_is_not_computed_again(parts: list[Shard], tmp_path: Path) -> None:
+    straight = list(map(reduce_shard, parts))
     for expected in (len(parts), 0):
         found = mapped(counted := Counted(), parts, tmp_path / "deep" / "cache")
         assert len(counted.parts) == expected
@@ -69,7 +69,7 @@ def test_what_was_computed_is_not_computed_again(parts: list[Part], tmp_path: Pa
 
 
 def test_results_are_those_without(runs: list[Run], tmp_path: Path) -> None:
-    mapper = in_turn(remembering(here, tmp_path, worth=0))
+    mapper = in_turn(caching_executor(serial_executor, tmp_path, worth=0))
     found = [identify(five_bar().robot, runs, mapper=each) for each in (map, mapper, mapper)]
     assert list(tmp_path.iterdir())
     for other in found[1:]:
@@ -77,7 +77,7 @@ def test_results_are_those_without(runs: list[Run], tmp_path: Path) -> None:
         assert np.array_equal(other.covariance, found[0].covariance)
 
 
-def test_of_an_interrupted_job_the_finished_parts_stay(parts: list[Part], tmp_path: Path) -> None:
+def test_of_an_interrupted_job_the_finished_parts_stay(parts: list[Shard], tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         mapped(Counted(stop_before=4), parts, tmp_path)
     mapped(counted := Counted(), parts, tmp_path)
@@ -85,8 +85,8 @@ def test_of_an_interrupted_job_the_finished_parts_stay(parts: list[Part], tmp_pa
 
 
 @pytest.mark.parametrize("place", [0, 31, 32, 200, -200, -1])
-def test_a_damaged_entry_is_computed_again(parts: list[Part], tmp_path: Path, place: int) -> None:
-    straight = mapped(here, parts[:1], tmp_path)
+def test_a_damaged_entry_is_computed_again(parts: list[Shard], tmp_path: Path, place: int) -> None:
+    straight = mapped(serial_executor, parts[:1], tmp_path)
     (entry,) = tmp_path.iterdir()
     good = entry.read_bytes()
     for bad in (bytearray(good), good[:place], b""):
@@ -99,7 +99,7 @@ def test_a_damaged_entry_is_computed_again(parts: list[Part], tmp_path: Path, pl
         assert entry.read_bytes() == good
 
 
-def changes(part: Part) -> dict[str, Part]:
+def changes(part: Shard) -> dict[str, Shard]:
     """The part with one thing about it changed, everything that can change a number among them."""
     prepared, run = part.prepared, part.prepared.run
     joint = part.robot.joints[0]
@@ -117,7 +117,7 @@ def changes(part: Part) -> dict[str, Part]:
         "factor": replace(part, decimator=replace(part.decimator, factor=part.decimator.factor + 1)),
         "load": replace(part, load=np.zeros(len(part.columns))),
         "another load": replace(part, load=np.full(len(part.columns), 1e-300)),
-        "weights": replace(part, weigh=Weigh(np.zeros((2, 3)), np.ones(2))),
+        "weights": replace(part, weigh=HuberWeights(np.zeros((2, 3)), np.ones(2))),
         "a number of the robot": replace(part, robot=replace(part.robot, joints=(placed, *part.robot.joints[1:]))),
         "gravity": replace(part, robot=replace(part.robot, gravity=(0.0, 0.0, -9.8))),
     }
@@ -133,28 +133,28 @@ def changes(part: Part) -> dict[str, Part]:
     return found
 
 
-def test_any_change_of_the_inputs_changes_the_key(parts: list[Part], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_change_of_the_inputs_changes_the_key(parts: list[Shard], monkeypatch: pytest.MonkeyPatch) -> None:
     changed = changes(parts[0])
     assert {"run position", "run command", "run time"} <= changed.keys()
-    keys = {name: content_key((reduce_part, part)) for name, part in changed.items()}
-    keys["nothing"] = content_key((reduce_part, parts[0]))
+    keys = {name: content_key((reduce_shard, part)) for name, part in changed.items()}
+    keys["nothing"] = content_key((reduce_shard, parts[0]))
     keys["another function"] = content_key((content_key, parts[0]))
     assert len(set(keys.values())) == len(keys)
     monkeypatch.setattr("gtau.parallel.content_hash.program", lambda: "the next version")
-    assert content_key((reduce_part, parts[0])) not in keys.values()
+    assert content_key((reduce_shard, parts[0])) not in keys.values()
 
 
-def test_another_payload_or_name_needs_no_new_factors(parts: list[Part], tmp_path: Path) -> None:
+def test_another_payload_or_name_needs_no_new_factors(parts: list[Shard], tmp_path: Path) -> None:
     run = replace(parts[0].prepared.run, name="another", payload=Payload(name="x", mass=3.0), notes=("repaired",))
     other = replace(parts[0], prepared=replace(parts[0].prepared, run=run))
     first, second = mapped(counted := Counted(), [parts[0]], tmp_path), mapped(counted, [other], tmp_path)
     assert len(counted.parts) == 1
     assert same(first[0], second[0])
-    assert same(reduce_part(other), first[0])
+    assert same(reduce_shard(other), first[0])
 
 
-def test_what_is_refused_is_not_stored(parts: list[Part], tmp_path: Path) -> None:
-    def refusing(function: Callable, items: list[Part]) -> Iterator[tuple[int, object]]:
+def test_what_is_refused_is_not_stored(parts: list[Shard], tmp_path: Path) -> None:
+    def refusing(function: Callable, items: list[Shard]) -> Iterator[tuple[int, object]]:
         yield 0, GtauError("singular.")
 
     with pytest.raises(GtauError, match="singular"):
@@ -162,24 +162,24 @@ def test_what_is_refused_is_not_stored(parts: list[Part], tmp_path: Path) -> Non
     assert not list(tmp_path.iterdir())
 
 
-def test_short_parts_are_not_worth_it(parts: list[Part], tmp_path: Path) -> None:
-    list(in_turn(remembering(here, tmp_path))(reduce_part, parts))
+def test_short_parts_are_not_worth_it(parts: list[Shard], tmp_path: Path) -> None:
+    list(in_turn(caching_executor(serial_executor, tmp_path))(reduce_shard, parts))
     assert not list(tmp_path.iterdir())
 
 
-def test_the_cache_is_bounded(parts: list[Part], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mapped(here, parts[:1], tmp_path)
+def test_the_cache_is_bounded(parts: list[Shard], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mapped(serial_executor, parts[:1], tmp_path)
     (first,) = tmp_path.iterdir()
     monkeypatch.setattr(cache, "LARGEST", int(3.5 * first.stat().st_size))
     for k in range(1, len(parts)):
-        mapped(here, [parts[0], parts[k]], tmp_path)  # the first is used every time
+        mapped(serial_executor, [parts[0], parts[k]], tmp_path)  # the first is used every time
     assert len(list(tmp_path.iterdir())) == 3
     assert first.exists()
 
 
-def test_a_cache_that_cannot_be_written_is_done_without(parts: list[Part], tmp_path: Path) -> None:
+def test_a_cache_that_cannot_be_written_is_done_without(parts: list[Shard], tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    assert len(mapped(here, parts[:2], tmp_path / "file" / "cache")) == 2
+    assert len(mapped(serial_executor, parts[:2], tmp_path / "file" / "cache")) == 2
 
 
 def test_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -20,20 +20,20 @@ from spread_work import away, fragile, refusing
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.estimation.regression import dataset as data
-from gtau.estimation.regression.dataset import reduce_part
+from gtau.estimation.regression.dataset import reduce_shard
 from gtau.parallel import dask_executor as workers
 from gtau.parallel.dask_executor import connected, on_workers
 from gtau.parallel.executor import in_turn
-from gtau.parallel.process_executor import LIMITS, deaf_children
+from gtau.parallel.process_executor import LIMITS, ignore_sigint
 from gtau.signals.run import read_run
 
 distributed = pytest.importorskip("distributed")
 
 
-def slow_reduce_part(part: data.Part) -> data.Factors:
+def slow_reduce_part(part: data.Shard) -> data.Factors:
     """Slow enough that a worker is killed in the middle; in the worker's own process."""
     time.sleep(0.1)
-    return reduce_part(part)
+    return reduce_shard(part)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def client() -> Iterator:
     """A client of two worker processes."""
     import dask
 
-    with deaf_children(), dask.config.set({"distributed.scheduler.allowed-failures": 1}):  # worker starts take time
+    with ignore_sigint(), dask.config.set({"distributed.scheduler.allowed-failures": 1}):  # worker starts take time
         cluster = distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
@@ -113,7 +113,7 @@ def test_an_error_that_stays_is_told(client, tmp_path: Path) -> None:
 
 def test_workers_that_do_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "LONELY", 2.0)
-    with deaf_children():
+    with ignore_sigint():
         cluster = distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
@@ -139,7 +139,7 @@ def test_what_is_not_wanted_any_more_is_cancelled(client) -> None:
 
 
 def test_a_scheduler_that_stops(experiment: Path) -> None:
-    with deaf_children():
+    with ignore_sigint():
         cluster = distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )

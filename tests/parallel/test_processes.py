@@ -13,7 +13,7 @@ import pytest
 from spread_work import fragile, limits, square
 
 from gtau.errors import GtauError
-from gtau.parallel.executor import here, in_turn
+from gtau.parallel.executor import in_turn, serial_executor
 from gtau.parallel.process_executor import in_processes
 
 
@@ -37,7 +37,7 @@ def test_results_in_turn() -> None:
         return [(k, function(items[k])) for k in reversed(range(len(items)))]
 
     assert list(in_turn(backwards)(square, range(5))) == [0, 1, 4, 9, 16]
-    assert list(in_turn(here)(square, range(5))) == [0, 1, 4, 9, 16]
+    assert list(in_turn(serial_executor)(square, range(5))) == [0, 1, 4, 9, 16]
 
 
 def test_an_error_in_its_turn_is_raised() -> None:

@@ -13,8 +13,8 @@ from engines import Mujoco, Pinocchio, closed_torques, random_parameters, tree_t
 
 from gtau.errors import GtauError
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.assembly import assemble
 from gtau.robots.geometry import characteristic_length, home_configuration, loop_errors
+from gtau.robots.home import close_home
 from gtau.robots.load import load_robot
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.native import read_native
@@ -81,7 +81,7 @@ def test_as_drawn_the_models_have_idle_pins(shared: Path) -> None:
             Closure("weld", *(tree.frames[f"closedloop{k}_{side}"] for side in pair))
             for k, pair in enumerate(pairs, start=1)
         )
-        drawn = assemble(Robot("drawn", tree.joints, closures=closures))
+        drawn = close_home(Robot("drawn", tree.joints, closures=closures))
         _, J = loop_errors(drawn, home_configuration(drawn), characteristic_length(drawn))
         mobility[folder] = J.shape[1] - np.linalg.matrix_rank(J, tol=1e-7)
     assert mobility == {"5bar_linkage": 3, "robot_delta": 5}
@@ -243,7 +243,7 @@ def test_pins_that_are_not_coaxial_stay() -> None:
 
 def test_the_jacobian_of_the_loops_is_a_derivative(rng: np.random.Generator) -> None:
     """Where weld and connect, platforms and couplings are nearly closed, against differences."""
-    from gtau.robots.assembly import _stepped
+    from gtau.robots.home import _stepped
 
     for name in ("gough-stewart", "3-rrr", "orthoglide", "staubli-tx40", "palletiser"):
         robot = load_robot(name)
@@ -258,7 +258,7 @@ def test_the_jacobian_of_the_loops_is_a_derivative(rng: np.random.Generator) -> 
 def test_assembly_leaves_a_good_home_alone() -> None:
     for name in ("orthoglide", "gough-stewart", "palletiser", "3-rrr", "ur10e"):
         robot = load_robot(name)
-        found = assemble(robot)
+        found = close_home(robot)
         assert found.notes == ()
         assert [joint.home for joint in found.joints] == pytest.approx([joint.home for joint in robot.joints], abs=1e-9)
 
@@ -268,7 +268,7 @@ def test_assembly_of_a_platform_from_afar(rng: np.random.Generator) -> None:
     joints = tuple(Joint(**{**vars(joint), "home": joint.home + 0.15 * rng.uniform(-1, 1)}) for joint in robot.joints)
     platform = robot.platforms[0]
     moved = type(platform)(platform.name, platform.dof, Pose((0.1, 0.1, 0.5), (0.3, -0.2, 0.4)))
-    found = assemble(Robot("g", joints, (moved,), robot.closures))
+    found = close_home(Robot("g", joints, (moved,), robot.closures))
     assert gap(found) < 1e-12
     assert "home was solved" in found.notes[0]
 
@@ -281,7 +281,7 @@ def test_assembly_avoids_flat_parallelograms() -> None:
         Joint("3", "ground", "revolute", Mdh(d=0.5), actuated=False),
     )
     flat = Robot("flat", bars, closures=(Closure("connect", Attachment("2", Mdh(d=0.5)), Attachment("3", Mdh(d=0.3))),))
-    found = assemble(flat)
+    found = close_home(flat)
     assert gap(found) < 1e-12
     assert abs(np.sin(found.joints[0].home)) > 0.05
     assert InverseDynamics(found).loops is not None

@@ -20,8 +20,8 @@ import gtau.estimation.regression.dataset
 import gtau.signals.log_file
 import gtau.signals.storage
 from gtau.errors import GtauError
-from gtau.estimation.regression.dataset import cut, joined, reduce_part, reduce_runs
-from gtau.estimation.regression.factors import STRETCHES, Weigh
+from gtau.estimation.regression.dataset import cut, joined, reduce_runs, reduce_shard
+from gtau.estimation.regression.factors import STRETCHES, HuberWeights
 from gtau.signals.filters import SEGMENT, joint_bandwidths, position_filter
 from gtau.signals.preparation import Preparation, choose_preparation, prepare
 from gtau.signals.quantiles import Quantiles, medians
@@ -222,8 +222,10 @@ def test_parts_of_a_run_give_the_factors_of_the_whole(kind: str) -> None:
     data = reduce_runs(five_bar().robot, [run], decimator=kind)
     (((part,),), (whole,)) = data.parts(), data.factors
     assert part.stretches == range(STRETCHES)
-    weigh = Weigh(np.random.default_rng(1).normal(size=(len(JOINTS), whole.R.shape[-1])), np.full(len(JOINTS), 0.5))
-    weighed = reduce_part(replace(part, weigh=weigh))
+    weigh = HuberWeights(
+        np.random.default_rng(1).normal(size=(len(JOINTS), whole.R.shape[-1])), np.full(len(JOINTS), 0.5)
+    )
+    weighed = reduce_shard(replace(part, weigh=weigh))
     for parts in (2, 7, STRETCHES):
         edges = np.linspace(0, STRETCHES, parts + 1).astype(int)
         pieces = [replace(part, stretches=range(a, b)) for a, b in pairwise(edges.tolist())]
@@ -231,7 +233,7 @@ def test_parts_of_a_run_give_the_factors_of_the_whole(kind: str) -> None:
             (whole, pieces),
             (weighed, [replace(piece, weigh=weigh) for piece in pieces]),
         ):
-            found = joined([reduce_part(piece) for piece in pieces_of])
+            found = joined([reduce_shard(piece) for piece in pieces_of])
             np.testing.assert_array_equal(found.rows, expected.rows)
             np.testing.assert_allclose(found.distances, expected.distances, rtol=1e-6)
             np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-8, atol=1e-9)
@@ -254,7 +256,7 @@ def test_long_runs_are_cut_and_their_parts_mapped(monkeypatch: pytest.MonkeyPatc
     assert len(done) == 1 + 4  # and 900 or more samples in each part
     assert done[-1][0] == done[-1][1]
     np.testing.assert_array_equal(data.factors[0].rows, whole.factors[0].rows)
-    a, b = data.assembly().problem, whole.assembly().problem
+    a, b = data.system().problem, whole.system().problem
     for one, other in zip(a.triangles, b.triangles, strict=True):
         np.testing.assert_allclose(one.T @ one, other.T @ other, rtol=1e-9, atol=1e-9)
 
@@ -275,7 +277,7 @@ signals: {time: t, position: {a: qa}, torque: {a: va}}
 runs:
   - log: log
 """
-PART = 250_000
+SHARD = 250_000
 
 
 def peak_mib(folder: Path, parts: int) -> float:
@@ -283,9 +285,9 @@ def peak_mib(folder: Path, parts: int) -> float:
     (folder / "log").mkdir(parents=True)
     rng = np.random.default_rng(1)
     for k in range(parts):
-        time = np.arange(k * PART, (k + 1) * PART) / 1000.0
+        time = np.arange(k * SHARD, (k + 1) * SHARD) / 1000.0
         q, qd, qdd = np.sin(2 * time), 2 * np.cos(2 * time), -4 * np.sin(2 * time)
-        tau = 0.7 * qdd + 0.3 * qd + 0.5 * np.sign(qd) + 4.0 * np.cos(q) + 0.05 * rng.standard_normal(PART)
+        tau = 0.7 * qdd + 0.3 * qd + 0.5 * np.sign(qd) + 4.0 * np.cos(q) + 0.05 * rng.standard_normal(SHARD)
         pl.DataFrame({"t": time, "qa": q, "va": tau}).write_parquet(folder / "log" / f"part_{k}.parquet")
     (folder / "robot.yaml").write_text(ROBOT)
     (folder / "experiment.yaml").write_text(EXPERIMENT)
@@ -306,6 +308,6 @@ def peak_mib(folder: Path, parts: int) -> float:
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's count of resident memory is in KiB on Linux")
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     short, long = (peak_mib(tmp_path / str(parts), parts) for parts in (1, 8))
-    arrays = 7 * PART * (4 * 8 + 1) / 2**20  # of the samples that the long log has more
+    arrays = 7 * SHARD * (4 * 8 + 1) / 2**20  # of the samples that the long log has more
     assert arrays > 50
     assert long - short < 0.25 * arrays

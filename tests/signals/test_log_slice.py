@@ -17,7 +17,7 @@ import gtau.signals.log_slice
 import gtau.signals.resampling
 import gtau.signals.storage
 from gtau.errors import GtauError
-from gtau.estimation.regression.dataset import Part, read_runs, reduce_part, reduce_runs
+from gtau.estimation.regression.dataset import Shard, read_runs, reduce_runs, reduce_shard
 from gtau.estimation.regression.factors import joined
 from gtau.signals.experiment import read_experiment
 from gtau.signals.log_slice import read_excerpt
@@ -182,8 +182,8 @@ def test_a_part_needs_nothing_of_the_run_but_what_it_gets(
     monkeypatch.setattr(gtau.estimation.regression.dataset, "PART", len(whole.prepared[0]) // 4)
     ((*parts,),) = whole.parts()
     assert len(parts) == 4
-    expected = joined([reduce_part(part) for part in parts])
-    found = joined([reduce_part(_bare(part)) for part in parts])
+    expected = joined([reduce_shard(part) for part in parts])
+    found = joined([reduce_shard(_bare(part)) for part in parts])
     assert np.array_equal(found.rows, expected.rows)
     np.testing.assert_allclose(found.distances, expected.distances, rtol=1e-6)
     a, b = (each.R.swapaxes(-1, -2) @ each.R for each in (found, expected))
@@ -191,7 +191,7 @@ def test_a_part_needs_nothing_of_the_run_but_what_it_gets(
     assert (np.abs(a - b) <= 1e-12 * size[..., :, None] * size[..., None, :]).all()
 
 
-def _bare(part: Part) -> Part:
+def _bare(part: Shard) -> Shard:
     """The part in another process, without what it was not given."""
     needed = part.__getstate__()["prepared"].run.pickled
     assert len(needed) < 0.8 * len(part.prepared.run.time)

@@ -15,7 +15,7 @@ from gtau.model.loops import advance
 from gtau.robots.load import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.mujoco_plant import MujocoPlant
-from gtau.simulation.plant import Plant, State
+from gtau.simulation.plant import Plant, PlantState
 
 NAMES = ("orthoglide", "five-bar", "delta", "gough-stewart")
 ROBOTS = [*(load_robot(name) for name in NAMES), seven_r(), four_bar()]
@@ -30,17 +30,17 @@ def frictionless(chi):
     return {name: value for name, value in chi.items() if name.split("_")[0] not in FRICTIONLESS}
 
 
-def random_states(model: InverseDynamics, rng: np.random.Generator, count: int) -> list[State]:
+def random_states(model: InverseDynamics, rng: np.random.Generator, count: int) -> list[PlantState]:
     """States near home, moving, with the loops closed."""
     home = np.array([joint.home for joint in model.robot.joints if joint.actuated])
     reach = 0.05 if model.loops else 1.0
     q = home + reach * rng.uniform(-1, 1, (count, len(home)))
     qd = rng.normal(size=q.shape)
     if model.loops is None:
-        return [State(a, b, a, b) for a, b in zip(q, qd, strict=True)]
+        return [PlantState(a, b, a, b) for a, b in zip(q, qd, strict=True)]
     c, reached = advance(model.loops, np.repeat(model.loops.home[:, None], count, axis=1), q.T)
     assert reached.all()
-    return [State(a, b, each, b) for a, b, each in zip(q, qd, c.T, strict=True)]
+    return [PlantState(a, b, each, b) for a, b, each in zip(q, qd, c.T, strict=True)]
 
 
 def engine_acceleration(engine, robot, chi, state, force):
@@ -73,7 +73,7 @@ def test_the_energy_balance_holds_for_ten_seconds(robot, rng):
     weight = -mass @ plant.acceleration(home, np.zeros(len(home.q)))
     speed = rng.normal(size=len(home.q))
     speed *= 0.3 / np.abs(speed).max()
-    state = State(home.q, speed, home.c, speed)
+    state = PlantState(home.q, speed, home.c, speed)
     start, kinetic, worst, work, farthest = plant.energy(state), speed @ mass @ speed / 2, 0.0, 0.0, 0.0
     for _ in range(2000):
         force = weight - mass @ (100.0 * (state.q - home.q) + 0.3 * state.qd)
@@ -92,7 +92,7 @@ def test_a_pendulum_swings_as_the_formula_says():
     inertia, moment, viscous = 0.2, 0.3, 0.05
     plant = Plant(InverseDynamics(robot), {"zz_1": inertia, "mx_1": moment, "fv_1": viscous})
     down = plant.start(np.array([0.0]))
-    gravity = plant.acceleration(State(np.array([1e-6]), down.qd, np.array([1e-6]), down.v), np.zeros(1))[0]
+    gravity = plant.acceleration(PlantState(np.array([1e-6]), down.qd, np.array([1e-6]), down.v), np.zeros(1))[0]
     rest = pi / 2 if abs(gravity) > 1e-3 else 0.0  # level, so it falls: it hangs a quarter turn further
     angle = 1e-4
     state = plant.start(np.array([rest + angle]))
@@ -149,7 +149,7 @@ def test_a_linkage_whose_plane_turns_with_the_robot(turret, rng):
     model, chi = InverseDynamics(robot), frictionless(random_parameters(robot, rng))
     plant = Plant(model, chi)
     state = plant.start(np.array([turret, 1.6, 3.2, 0.3]))
-    state = State(state.q, np.array([0.4, -0.3, 0.5, 0.8]), state.c, state.v)
+    state = PlantState(state.q, np.array([0.4, -0.3, 0.5, 0.8]), state.c, state.v)
     force = 30 * rng.normal(size=4)
     qdd = plant.acceleration(state, force)
     assert model.torques(state.q[None], state.qd[None], qdd[None], chi)[0] == pytest.approx(force, abs=1e-8)

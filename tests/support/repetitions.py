@@ -10,7 +10,7 @@ from gtau.estimation.estimators.current_domain import ml
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.system import assemble
+from gtau.estimation.regression.system import assemble_system
 from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.forecast import expected_runs
 from gtau.excitation.task import Task
@@ -59,7 +59,7 @@ def repeated_gains(task: Task, x: np.ndarray, count: int, rng: np.random.Generat
                 R[0, j, : len(T)] = T
             factors.append(Factors(R, keep.sum(axis=1)[None]))
         friction = Friction((), len(runs) > 1)
-        problem = assemble(task.model, task.base, factors, task.payloads, slowest, friction).problem
+        problem = assemble_system(task.model, task.base, factors, task.payloads, slowest, friction).problem
         try:
             gains.append(ml(problem).gains)
         except GtauError:

@@ -78,7 +78,7 @@ def identify(
     with refusals(json_):
         from gtau.estimation.identify import identify as run
         from gtau.estimation.results.model_file import to_document
-        from gtau.parallel.cache import cache_folder, remembering
+        from gtau.parallel.cache import cache_folder, caching_executor
         from gtau.parallel.dask_executor import where_to_work
         from gtau.parallel.executor import in_turn
 
@@ -90,7 +90,7 @@ def identify(
                 as_paper=as_paper,
                 consistent=consistent,
                 progress=progress,
-                mapper=in_turn(spread if no_cache else remembering(spread, cache_folder())),
+                mapper=in_turn(spread if no_cache else caching_executor(spread, cache_folder())),
             )
         if out is not None:
             from gtau.estimation.results.singularity_distances import write_distances

@@ -11,7 +11,7 @@ from gtau.demo.files import LOGS, RATE
 from gtau.errors import install_command
 from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
 from gtau.estimation.results.result import Result
-from gtau.simulation.control_comparison import Comparison, table_document
+from gtau.simulation.control_comparison import ControlComparison, table_document
 from gtau.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, PRIOR_GAINS, SECOND_PAYLOAD_MASS
 
 SAME_TRACKING = (
@@ -28,17 +28,17 @@ COMMANDS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class DemoOutcome:
     """What the demo found: the model, the second payload's mass in both cases, the run not used, the control laws."""
 
     result: Result
     weighings: Mapping[str, Estimate]
     prediction: Prediction
     errors: tuple[TorqueError, ...]
-    comparison: Comparison
+    comparison: ControlComparison
 
 
-def document(outcome: Outcome, out: Path, duration: float, files: list[str]) -> dict[str, Any]:
+def document(outcome: DemoOutcome, out: Path, duration: float, files: list[str]) -> dict[str, Any]:
     """What was true and what was found, as a JSON document; errors in per cent of the true values."""
     return {
         "folder": str(out),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gtau.demo.files import DESIGN, EXPERIMENT, LOGS, RATE, SECOND_PAYLOAD, VALIDATION, simulation_text
-from gtau.demo.page import Outcome, document, report
+from gtau.demo.page import DemoOutcome, document, report
 from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import read_runs
@@ -62,7 +62,7 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     prediction = result.predict(run)
     gains = {joint: gain.value or 0.0 for joint, gain in result.drive_gains.items()}
     comparison = compare_control(out / "simulation.yaml", out / "experiment.yaml", progress, gains)
-    outcome = Outcome(result, weighings, prediction, torque_errors(result, prediction), comparison)
+    outcome = DemoOutcome(result, weighings, prediction, torque_errors(result, prediction), comparison)
     figures = write_figures(out, outcome, exciting, progress)
     files = [
         "README.txt",
@@ -99,7 +99,7 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> Reference
     return sample(exciting, duration, RATE)
 
 
-def write_figures(out: Path, outcome: Outcome, exciting: Reference, progress: Progress) -> list[str]:
+def write_figures(out: Path, outcome: DemoOutcome, exciting: Reference, progress: Progress) -> list[str]:
     """Write the figures; return their paths in ``out``, none where matplotlib is not installed."""
     if find_spec("matplotlib") is None:
         return []

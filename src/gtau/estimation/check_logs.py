@@ -19,7 +19,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import check_robot, read_experiment
 from gtau.signals.filters import joint_bandwidths
-from gtau.signals.preparation import Preparation, Prepared, choose_preparation
+from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import BLOCK, Store
 
@@ -108,7 +108,7 @@ def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck
     return ExperimentCheck(robot, preparation, tuple(checked))
 
 
-def _check(model: InverseDynamics, prepared: Prepared, decimator: Decimator, validation: bool) -> LogCheck:
+def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, validation: bool) -> LogCheck:
     run, n = prepared.run, len(prepared.run.joints)
     rows = decimator.outputs(len(prepared))
     if not rows:

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.payload_checks import mass_uncertainty
-from gtau.estimation.diagnostics.position_ripple import position_locked
+from gtau.estimation.diagnostics.position_ripple import position_ripple
 from gtau.estimation.diagnostics.prior_checks import against_limits, against_priors
 from gtau.estimation.diagnostics.verdict import Outcome, gain_verdicts, worst
 from gtau.estimation.estimators.current_domain import ml
@@ -51,7 +51,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class EstimatorComparison:
     """A row for each estimator, with the gains of the ``joints``."""
 
     joints: tuple[str, ...]
@@ -59,7 +59,7 @@ class Comparison:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
-def compare(path: str | Path, progress: Progress = silent) -> Comparison:
+def compare(path: str | Path, progress: Progress = silent) -> EstimatorComparison:
     """Identify an experiment with every estimator, all on the friction terms chosen for maximum likelihood.
 
     Raises
@@ -73,28 +73,28 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
     runs = read_runs(experiment, experiment.runs, progress)
     if runs[0].kind == "torque":
         raise GtauError(f"{path}: the logs hold torques, so there are no drive gains to compare; use 'gtau identify'.")
-    data = reduce_runs(robot, runs, progress=progress)
-    require_scale(data.robot, data.assembly(Friction()), [run.payload for run in data.runs], "ml")
-    data, assembly = with_friction(data, ml, progress)
+    dataset = reduce_runs(robot, runs, progress=progress)
+    require_scale(dataset.robot, dataset.system(Friction()), [run.payload for run in dataset.runs], "ml")
+    dataset, system = with_friction(dataset, ml, progress)
     names = [run.name for run in runs]
 
     def row(method: str) -> Row:
-        along, mine, start = data, assembly, perf_counter()
+        along, mine, start = dataset, system, perf_counter()
         try:
             if method in WITH_GAINS:
                 prior = np.array([experiment.prior_gains[joint] for joint in robot.actuated])
                 solution = WITH_GAINS[method](mine.problem, prior)
             else:
                 if method == "huber":
-                    along, mine = reweighted(data, mine, ml, progress)
+                    along, mine = reweighted(dataset, mine, ml, progress)
                 elif method == "didim":
-                    along, mine = along_simulated_motion(data, mine, ml, progress)
+                    along, mine = along_simulated_motion(dataset, mine, ml, progress)
                 solution = FOR_GAINS[method](mine.problem)
                 of_masses = mass_uncertainty(along, mine, solution, FOR_GAINS[method])
                 if method == "ridge":
-                    solution = ridge(data, mine, solution, experiment.priors)
+                    solution = ridge(dataset, mine, solution, experiment.priors)
                 elif method == "iv":
-                    _, solution = instrumental(data, mine, solution, True, progress)
+                    _, solution = instrumental(dataset, mine, solution, True, progress)
         except GtauError as refusal:
             return Row(method, refusal=str(refusal))
         seconds = perf_counter() - start
@@ -102,9 +102,9 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
         if method in WITH_GAINS:
             return Row(method, solution.gains, None, residuals, seconds)
         of_gains = slice(mine.problem.n_theta, mine.problem.n_theta + len(robot.actuated))
-        locked = position_locked(along, mine, solution, free_gains=True)
+        locked = position_ripple(along, mine, solution, free_gains=True)
         std = np.sqrt(np.diag(solution.jackknife + of_masses + locked.covariance))[of_gains]
-        verdicts = gain_verdicts(mine.problem, solution, std, mine.places, names, locked.found)
+        verdicts = gain_verdicts(mine.problem, solution, std, mine.block_positions, names, locked.found)
         verdicts = against_priors(verdicts, robot, solution.gains, experiment.prior_gains)
         verdicts = against_limits(verdicts, robot, np.abs(solution.gains) * mine.problem.signal)
         return Row(method, solution.gains, std, residuals, seconds, worst(verdicts))
@@ -115,7 +115,7 @@ def compare(path: str | Path, progress: Progress = silent) -> Comparison:
         progress("estimators", k, len(methods))
         rows.append(row(method))
     progress("estimators", len(methods), len(methods))
-    return Comparison(robot.actuated, tuple(rows))
+    return EstimatorComparison(robot.actuated, tuple(rows))
 
 
 def _residuals(problem: Problem, solution: Solution) -> np.ndarray:
@@ -123,7 +123,7 @@ def _residuals(problem: Problem, solution: Solution) -> np.ndarray:
     return np.asarray(100 * solution.sigma / problem.signal)
 
 
-def table(found: Comparison) -> str:
+def table(found: EstimatorComparison) -> str:
     """The comparison as text."""
     entries = {row.method: _gains(row) for row in found.rows}
     width = 2 + max(
@@ -155,7 +155,7 @@ def _gains(row: Row) -> list[str]:
     return [f"{g:.5g} +- {100 * s / abs(g):.2g} %" for g, s in zip(row.gains, row.std, strict=True)]
 
 
-def to_document(found: Comparison) -> dict[str, Any]:
+def to_document(found: EstimatorComparison) -> dict[str, Any]:
     """The comparison as a JSON document."""
 
     def numbers(values: Sequence[float] | np.ndarray | None) -> list[float] | None:

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.payload_checks import mass_uncertainty, weigh_known
-from gtau.estimation.diagnostics.position_ripple import position_locked
+from gtau.estimation.diagnostics.position_ripple import position_ripple
 from gtau.estimation.estimators.current_domain import ml, ols, wls
 from gtau.estimation.estimators.degrees_of_freedom import freedom
 from gtau.estimation.estimators.didim import along_simulated_motion
@@ -23,10 +23,10 @@ from gtau.estimation.estimators.ridge import ridge
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.estimators.total_least_squares import mixed, tls
 from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.regression.dataset import Data, Mapper, read_runs, reduce_runs
-from gtau.estimation.regression.friction import Friction, all_terms, needed_terms, told_terms
+from gtau.estimation.regression.dataset import Dataset, Mapper, read_runs, reduce_runs
+from gtau.estimation.regression.friction import Friction, all_terms, prune_friction_terms, select_friction_terms
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import Assembly, require_scale
+from gtau.estimation.regression.system import System, require_scale
 from gtau.estimation.results.build import make_result
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
@@ -149,28 +149,28 @@ def identify(
     def solve(problem: Problem) -> Solution:
         return FOR_GAINS[method](problem) if gains is None else WITH_GAINS.get(method, wls)(problem, gains)
 
-    data = reduce_runs(robot, runs, decimator="chebyshev" if as_paper else "fir", progress=progress, mapper=mapper)
+    dataset = reduce_runs(robot, runs, decimator="chebyshev" if as_paper else "fir", progress=progress, mapper=mapper)
     if gains is None:
-        require_scale(data.robot, data.assembly(Friction()), [run.payload for run in data.runs], method)
+        require_scale(dataset.robot, dataset.system(Friction()), [run.payload for run in dataset.runs], method)
     if as_paper:
-        assembly = data.assembly(Friction(), delays=False)
+        system = dataset.system(Friction(), delays=False)
     else:
-        data, assembly = with_friction(data, solve, progress)
+        dataset, system = with_friction(dataset, solve, progress)
     if method == "huber":
-        data, assembly = reweighted(data, assembly, solve, progress)
+        dataset, system = reweighted(dataset, system, solve, progress)
     elif method == "didim":
-        data, assembly = along_simulated_motion(data, assembly, solve, progress)
+        dataset, system = along_simulated_motion(dataset, system, solve, progress)
     progress("estimation", 0, 1)
-    solution = solve(assembly.problem)
-    of_masses = mass_uncertainty(data, assembly, solution, solve)
+    solution = solve(system.problem)
+    of_masses = mass_uncertainty(dataset, system, solution, solve)
     if method == "ridge":
-        solution = ridge(data, assembly, solution, priors or {})
+        solution = ridge(dataset, system, solution, priors or {})
     elif method == "iv":
-        pair, solution = instrumental(data, assembly, solution, gains is None, progress)
+        pair, solution = instrumental(dataset, system, solution, gains is None, progress)
     if as_paper:
         locked, covariance = None, solution.covariance + of_masses
     else:
-        locked = position_locked(data, assembly, solution, gains is None)
+        locked = position_ripple(dataset, system, solution, gains is None)
         covariance = solution.jackknife + of_masses + locked.covariance
 
     def final(problem: Problem) -> Solution:
@@ -180,50 +180,61 @@ def identify(
             return with_instruments(pair.of(problem.parameters), solution, free_gains=False)
         return wls(problem, solution.gains)
 
-    candidates = tuple(name for name in data.base.names if name in assembly.problem.parameters)
+    candidates = tuple(name for name in dataset.base.names if name in system.problem.parameters)
     ratio = 10.0 if as_paper and ratio is None else ratio
-    kept, reduced, std = essential(assembly.problem, candidates, final, ratio, correlated=not as_paper)
+    kept, reduced, std = essential(system.problem, candidates, final, ratio, correlated=not as_paper)
     if ratio is None:
         # a kept parameter absorbs what the cancelled ones did: only the deviation with all of them there holds
-        std = np.sqrt(np.diag(covariance))[[assembly.problem.parameters.index(name) for name in kept.parameters]]
+        std = np.sqrt(np.diag(covariance))[[system.problem.parameters.index(name) for name in kept.parameters]]
     loss = {"reduction_loss": 100 * float(np.max(reduced.sigma / solution.sigma) - 1)}
     solution, reduced = (replace(each, statistics={**each.statistics, **loss}) for each in (solution, reduced))
-    known = weigh_known(data, assembly, solution, method, solve) if gains is None else {}
+    known = weigh_known(dataset, system, solution, method, solve) if gains is None else {}
     bodies = None
     if consistent:
-        bodies = find_consistent(data, assembly, solution, priors or {}, free_gains=gains is None)
+        bodies = find_consistent(dataset, system, solution, priors or {}, free_gains=gains is None)
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
-        assembly, solution, covariance = replace(assembly, problem=kept), reduced, reduced.covariance
-    blocks = None if as_paper else freedom(assembly.problem, solution, gains is None)
+        system, solution, covariance = replace(system, problem=kept), reduced, reduced.covariance
+    blocks = None if as_paper else freedom(system.problem, solution, gains is None)
     chosen = {name: (float(reduced.theta[k]), float(std[k])) for k, name in enumerate(kept.parameters)}
     return make_result(
-        data, assembly, method, solution, covariance, chosen, known, prior_gains or {}, blocks, locked, bodies, progress
+        dataset,
+        system,
+        method,
+        solution,
+        covariance,
+        chosen,
+        known,
+        prior_gains or {},
+        blocks,
+        locked,
+        bodies,
+        progress,
     )
 
 
-def with_friction(data: Data, solve: Callable[[Problem], Solution], progress: Progress) -> tuple[Data, Assembly]:
+def with_friction(dataset: Dataset, solve: Callable[[Problem], Solution], progress: Progress) -> tuple[Dataset, System]:
     """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
 
     Terms that the joints' own equations ask for, but that all equations together do not tell, are left out again.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
-    joints, per_run = data.model.actuated, len(data.runs) > 1
-    friction = Friction(needed_terms(data.assembly(Friction(all_terms(joints), per_run)).problem), per_run)
+    joints, per_run = dataset.model.actuated, len(dataset.runs) > 1
+    friction = Friction(select_friction_terms(dataset.system(Friction(all_terms(joints), per_run)).problem), per_run)
     if not any(term.startswith("fl_") for term in friction.terms):
-        assembly = data.assembly(friction)
-        return data, data.assembly(Friction(told_terms(assembly.problem, friction, solve), per_run))
-    assembly = data.assembly(Friction(tuple(t for t in friction.terms if not t.startswith("fl_")), per_run))
+        system = dataset.system(friction)
+        return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
+    system = dataset.system(Friction(tuple(t for t in friction.terms if not t.startswith("fl_")), per_run))
     gains = None
     for _ in range(LOAD_PASSES):
-        solution = solve(assembly.problem)
+        solution = solve(system.problem)
         settled = gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_SETTLED, atol=0)
         gains = solution.gains
         if settled:
             break
-        data = data.reduced([assembly.load(k, solution.theta) for k in range(len(data.runs))], progress)
-        assembly = data.assembly(friction)
-    return data, data.assembly(Friction(told_terms(assembly.problem, friction, solve), per_run))
+        dataset = dataset.reduced([system.load(k, solution.theta) for k in range(len(dataset.runs))], progress)
+        system = dataset.system(friction)
+    return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:

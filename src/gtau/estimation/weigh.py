@@ -68,24 +68,24 @@ def weigh(
         g_tau = np.array([model.drive_gains[joint].value for joint in robot.actuated], dtype=float)
         rows = [model.covariance_names.index(f"gain_{joint}") for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
-    data = reduce_runs(robot, runs, at_rate_of(runs, model.preparation), progress=progress)
+    dataset = reduce_runs(robot, runs, at_rate_of(runs, model.preparation), progress=progress)
 
     def solve(problem: Problem) -> Solution:
         return wls(problem, g_tau)
 
-    data, assembly = with_friction(data, solve, progress)
-    lost = [name for each in assembly.payloads for name in each.unknown if name in assembly.unexcited]
+    dataset, system = with_friction(dataset, solve, progress)
+    lost = [name for each in system.payloads for name in each.unknown if name in system.unexcited]
     if lost:
         raise GtauError(
             f"{experiment}: the runs cannot tell the payload from the robot itself; add a run without payload, or "
             "with one of which all parameters are known."
         )
-    solution = solve(assembly.problem)
-    total = solution.jackknife + mass_uncertainty(data, assembly, solution, solve)
+    solution = solve(system.problem)
+    total = solution.jackknife + mass_uncertainty(dataset, system, solution, solve)
     if covariance is not None:
-        slopes = np.stack([_slope(assembly.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
+        slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
-    estimates = payload_estimates(data, assembly, solution.theta, total, {}, freedom(assembly.problem, solution, False))
+    estimates = payload_estimates(dataset, system, solution.theta, total, {}, freedom(system.problem, solution, False))
     return tuple(each for each in estimates if "m" not in each.known)
 
 

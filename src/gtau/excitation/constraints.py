@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.excitation.closure_gradients import Slopes
 from gtau.excitation.evaluation import Point
-from gtau.excitation.task import Task
+from gtau.excitation.task import DesignProblem
 from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.signals.experiment import Payload
 
@@ -19,7 +19,7 @@ SINGULAR = "condition number of the closures"
 
 
 @dataclass(frozen=True, eq=False)
-class Load:
+class ConstraintUsage:
     """How much of a limit is used: ``values`` (N,), within -1 and 1, but at least 1 where the limit is a ``least`` one.
 
     ``what`` names the limit, ``limit`` is its value in ``unit``, counted from ``middle`` where it is an interval;
@@ -64,7 +64,7 @@ class Load:
         return self.limit / self.excess if self.least else self.limit * self.excess
 
 
-def loads(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[Load]:
+def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
     """Loads of all limits along all motions, with slopes (N, task.size); see :func:`loads_of_one`."""
     for k, point in enumerate(points):
         padding = (0, 0), (k * point.task.series.size, (len(points) - 1 - k) * point.task.series.size)
@@ -79,7 +79,7 @@ def loads(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterato
             yield replace(load, what=f"{load.what} in run {k + 1}", rows=rows)
 
 
-def loads_of_one(point: Point, share: np.ndarray | None = None) -> Iterator[Load]:
+def loads_of_one(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
     """Loads of all limits along one motion, with slopes (N, series.size) by its numbers.
 
     ``share`` (n,) is the part of each joint's samples that lies away from its reversals, where it has been counted;
@@ -94,7 +94,7 @@ def loads_of_one(point: Point, share: np.ndarray | None = None) -> Iterator[Load
     if task.pullback is not None and np.isfinite(task.limits.condition):
         largest = np.log(task.limits.condition)
         values, slopes = task.pullback.condition(point.motion)
-        yield Load(
+        yield ConstraintUsage(
             SINGULAR, task.limits.condition, "", values / largest,
             lambda: point.to_rows(point.to_joints(slopes)) / largest,
         )  # fmt: skip
@@ -102,7 +102,7 @@ def loads_of_one(point: Point, share: np.ndarray | None = None) -> Iterator[Load
         yield from _away_from_reversals(point, share)
 
 
-def _kinematic(point: Point) -> Iterator[Load]:
+def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
     task, limits = point.task, point.task.limits
     for j, joint in enumerate(task.model.actuated):
         unit = "rad" if task.model.robot.joint(joint).kind == "revolute" else "m"
@@ -122,12 +122,12 @@ def _kinematic(point: Point) -> Iterator[Load]:
 
             values = (point.joints[order, j] - offset) / scale
             per = unit + ("", "/s", "/s2", "/s3")[order]
-            yield Load(
+            yield ConstraintUsage(
                 f"{ORDERS[order]} of joint '{joint}'", scale, per, values, rows, middle=None if order else middle
             )
 
 
-def _currents(point: Point) -> Iterator[Load]:
+def _currents(point: Point) -> Iterator[ConstraintUsage]:
     task = point.task
     carried_before: list[Payload | None] = []
     for run in point.runs:
@@ -147,10 +147,10 @@ def _currents(point: Point) -> Iterator[Load]:
                 weights[j] = load
                 return point.to_rows(point.to_joints(task.regressor.slopes(point.motion, weights)))
 
-            yield Load(f"current of joint '{joint}'{carried}", limit, "A", point.W[j] @ load, rows)
+            yield ConstraintUsage(f"current of joint '{joint}'{carried}", limit, "A", point.W[j] @ load, rows)
 
 
-def _workspace(point: Point) -> Iterator[Load]:
+def _workspace(point: Point) -> Iterator[ConstraintUsage]:
     task, motion = point.task, point.motion
     position = task.tool[0](motion.c)
     zero, no_J = np.zeros_like(motion.yd), np.zeros_like(motion.J[task.model.layout.passive])
@@ -163,10 +163,12 @@ def _workspace(point: Point) -> Iterator[Load]:
             slopes = Slopes(task.tool[1](np.vstack([motion.c, weights])), zero, zero, no_J)
             return point.to_rows(point.to_joints(slopes))
 
-        yield Load(f"{axis} of the tool's frame", half, "m", (position[k] - middle) / half, rows, middle=middle)
+        yield ConstraintUsage(
+            f"{axis} of the tool's frame", half, "m", (position[k] - middle) / half, rows, middle=middle
+        )
 
 
-def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[Load]:
+def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[ConstraintUsage]:
     task, qd = point.task, point.joints[1]
     window = task.window(point.grid.step)
     share = window.weights(qd).mean(axis=1) if counted is None else counted
@@ -179,10 +181,10 @@ def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[L
             return point.to_rows(seed).sum(axis=0, keepdims=True)
 
         what = f"time of joint '{joint}' away from its reversals"
-        yield Load(what, task.limits.away, "of the time", share[[j]] / task.limits.away, rows, True)
+        yield ConstraintUsage(what, task.limits.away, "of the time", share[[j]] / task.limits.away, rows, True)
 
 
-def whole_run(task: Task, period: np.ndarray, rate: float) -> np.ndarray:
+def whole_run(task: DesignProblem, period: np.ndarray, rate: float) -> np.ndarray:
     """A run at ``rate``, Hz: approach from rest, all periods, and return; (4, n, N) with q, qd, qdd and jerk.
 
     ``period`` are the joints (4, n, .) at the instants of one period at that rate.

@@ -11,7 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.triangle import triangle
-from gtau.excitation.information import Unknowns
+from gtau.excitation.information import DesignUnknowns
 
 Criterion = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]
 """From the factor R of M to the criterion's logarithm, and F (P, k), f (k,): its derivative by M is F diag(f) F^T."""
@@ -19,7 +19,7 @@ Criterion = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]
 NAMED = ("gains", "condition", "logdet", "trace")
 
 
-def criterion(name: str, unknowns: Unknowns) -> Criterion:
+def criterion(name: str, unknowns: DesignUnknowns) -> Criterion:
     """The criterion called ``name``.
 
     ``gains``: rms of the relative standard deviations of the drive gains; ``logdet`` (D-optimal): geometric mean of all
@@ -84,7 +84,7 @@ def condition(R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     return float(np.log(s[0] / s[-1])), Vt[ends].T, np.array([0.5, -0.5]) / s[ends] ** 2
 
 
-def relative_deviations(R: np.ndarray, unknowns: Unknowns, names: Sequence[str]) -> np.ndarray:
+def relative_deviations(R: np.ndarray, unknowns: DesignUnknowns, names: Sequence[str]) -> np.ndarray:
     """Relative standard deviations of the unknowns ``names`` from the factor of the information."""
     index = [unknowns.names.index(name) for name in names]
     deviations = np.linalg.norm(root_covariance(R, unknowns.precision), axis=1)

@@ -9,11 +9,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.excitation.constraints import Load, loads, whole_run
+from gtau.excitation.constraints import ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate
 from gtau.excitation.initial_guesses import promising_start
 from gtau.excitation.nlp import Programme, solve
-from gtau.excitation.task import SPEED_FRACTION, Task, close
+from gtau.excitation.task import SPEED_FRACTION, DesignProblem, close
 
 START = 0.6  # part of the limits that a start uses, so that it lies inside
 FINER = 10
@@ -26,11 +26,11 @@ WORTH = 0.97  # another round from where the last one ended has paid if it comes
 class Design:
     """A motion within its limits: x, the value of its criterion, and the loads on the finer grid."""
 
-    task: Task
+    task: DesignProblem
     criterion: str
     x: np.ndarray
     value: float
-    loads: tuple[Load, ...]
+    constraint_usages: tuple[ConstraintUsage, ...]
     start: int
 
 
@@ -45,7 +45,7 @@ def never() -> bool:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
 def design(
-    task: Task,
+    task: DesignProblem,
     criterion: str = "gains",
     starts: int = 2,
     seed: int = 0,
@@ -56,7 +56,7 @@ def design(
 
     Parameters
     ----------
-    task : Task
+    task : DesignProblem
         Robot, runs, limits and prior knowledge.
     criterion : str
         See :func:`gtau.excitation.criteria.criterion`.
@@ -75,7 +75,7 @@ def design(
     """
     rng = np.random.default_rng(seed)
     best: Design | None = None
-    failure: Load | None = None
+    failure: ConstraintUsage | None = None
     done = 0
     for start in range(starts):
         progress(best, done, starts)
@@ -105,12 +105,12 @@ def design(
 
 
 def _from_one(
-    task: Task, criterion: str, x: np.ndarray | None, start: int, stop: Callable[[], bool]
-) -> tuple[Design | None, Load | None]:
+    task: DesignProblem, criterion: str, x: np.ndarray | None, start: int, stop: Callable[[], bool]
+) -> tuple[Design | None, ConstraintUsage | None]:
     """Design from one start; else the limit that is exceeded most where IPOPT ends."""
     if x is None:
         return None, None
-    tightness = {load.what: MARGIN for load in Programme(task, criterion, {}).loads(x)}
+    tightness = {load.what: MARGIN for load in Programme(task, criterion, {}).constraint_usages(x)}
     kept, worst = None, None
     for _ in range(ROUNDS):
         programme = Programme(task, criterion, tightness)
@@ -119,7 +119,7 @@ def _from_one(
         if best is None and kept is not None:
             break
         if best is None:
-            over = max(programme.loads(ended), key=lambda load: load.shortfall, default=None)
+            over = max(programme.constraint_usages(ended), key=lambda load: load.shortfall, default=None)
             return None, over if over is not None and over.shortfall > 0 else worst
         found = check(task, best)
         exceeded = [load for load in found if load.excess > 1.0]
@@ -139,7 +139,7 @@ def _from_one(
     return kept, None if kept is not None else worst
 
 
-def check(task: Task, x: np.ndarray, finer: int = FINER) -> tuple[Load, ...]:
+def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[ConstraintUsage, ...]:
     """Loads of all whole runs, approach and return included, on a grid ``finer`` times finer than the design's.
 
     Raises
@@ -156,10 +156,10 @@ def check(task: Task, x: np.ndarray, finer: int = FINER) -> tuple[Load, ...]:
         points.append(Point(task, run, period.runs, joints, motion, None, task.regressor(motion)))
         rms = np.sqrt(np.mean(joints[1] ** 2, axis=1))
         shares.append(share_away(task, period.joints[1], grid.step, rms))
-    return tuple(loads(points, shares))
+    return tuple(constraint_usages(points, shares))
 
 
-def share_away(task: Task, qd: np.ndarray, step: float, rms: np.ndarray) -> np.ndarray:
+def share_away(task: DesignProblem, qd: np.ndarray, step: float, rms: np.ndarray) -> np.ndarray:
     """Share (n,) of the instants of a period, ``step`` apart, whose rows identification will keep.
 
     ``rms`` (n,) are the joints' rms speeds in the whole run.

@@ -16,7 +16,7 @@ from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.results.result import Result
 from gtau.excitation.closure_gradients import in_platform_space
 from gtau.excitation.prior import given_parameters, noise_of, parameters_of, rough_noise, rough_parameters
-from gtau.excitation.task import Limits, Task
+from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.load import load_robot
@@ -40,7 +40,7 @@ class PlannedRun(_Keys):
     payload: Payload | Literal["none"]
 
 
-class Prior(_Keys):
+class DesignPrior(_Keys):
     """What is known beforehand: a model, or standard parameters and drive gains; and the currents' noise, A."""
 
     model: Path | None = None
@@ -54,7 +54,7 @@ class Prior(_Keys):
         return model if model is None or info.context is None else info.context / model
 
     @model_validator(mode="after")
-    def _one_source(self) -> Prior:
+    def _one_source(self) -> DesignPrior:
         if self.model is not None and (self.gains or self.parameters):
             raise ValueError("a model has gains and parameters of its own; give the model, or these")
         return self
@@ -95,7 +95,7 @@ class DesignFile(_Keys):
     runs: tuple[PlannedRun, ...] = Field(min_length=1)
     motions: Literal["one", "each run"] = "one"
     limits: LimitsEntry = LimitsEntry()
-    prior: Prior = Prior()
+    prior: DesignPrior = DesignPrior()
 
     @field_validator("robot")
     @classmethod
@@ -104,9 +104,9 @@ class DesignFile(_Keys):
 
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:
-        loads = [None if run.payload == "none" else run.payload for run in self.runs]
-        if len({None if load is None else load.name for load in loads}) < 2 or not any(
-            load and load.mass for load in loads
+        constraint_usages = [None if run.payload == "none" else run.payload for run in self.runs]
+        if len({None if load is None else load.name for load in constraint_usages}) < 2 or not any(
+            load and load.mass for load in constraint_usages
         ):
             raise ValueError(
                 "the drive gains need a run with a payload of known mass and one with another load or none; "
@@ -115,7 +115,7 @@ class DesignFile(_Keys):
         return self
 
 
-def read_design(path: str | Path) -> tuple[Task, dict[str, str]]:
+def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     """Read a design file.
 
     Returns
@@ -132,7 +132,7 @@ def read_design(path: str | Path) -> tuple[Task, dict[str, str]]:
     return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))
 
 
-def make_task(file: DesignFile) -> tuple[Task, dict[str, str]]:
+def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     """The task of a design file, and what was assumed."""
     robot = load_robot(file.robot)
     for key in ("position", "velocity", "acceleration", "jerk", "current"):
@@ -163,7 +163,7 @@ def make_task(file: DesignFile) -> tuple[Task, dict[str, str]]:
         free = ~np.isfinite(half)
         series = FourierSeries(np.where(free, home, center), np.where(free, TURN, half), 1 / period, file.harmonics)
     return (
-        Task(
+        DesignProblem(
             model, base, series, file.space == "platform", file.rate, file.repetitions, rest, payloads,
             file.motions == "one", limits, chi, gains, sigma,
         ),
@@ -193,7 +193,7 @@ def _with_limits(robot: Robot, entry: LimitsEntry) -> Robot:
     return replace(robot, joints=tuple(joints))
 
 
-def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[str, str]) -> Limits:
+def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[str, str]) -> MotionLimits:
     joints = [robot.joint(name) for name in robot.actuated]
     none = (-np.inf, np.inf)
     velocity = np.array([joint.limits.velocity or np.inf for joint in joints])
@@ -206,7 +206,7 @@ def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[s
         acceleration = np.where(np.isinf(acceleration), velocity / 0.3, acceleration)
     effort = np.array([joint.limits.effort or np.inf for joint in joints]) / np.abs(gains)
     current = np.array([entry.current.get(name, limit) for name, limit in zip(robot.actuated, effort, strict=True)])
-    return Limits(
+    return MotionLimits(
         position=np.array([joint.limits.position or none for joint in joints], dtype=float),
         velocity=velocity,
         acceleration=acceleration,
@@ -234,7 +234,7 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
 
 
 def _prior(
-    prior: Prior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: dict[str, str]
+    prior: DesignPrior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: dict[str, str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Base parameters, gains and noise."""
     base = base_parameters(model)

@@ -11,7 +11,7 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.closure_gradients import Slopes
 from gtau.excitation.criteria import Criterion
 from gtau.excitation.information import derivative
-from gtau.excitation.task import Task, close
+from gtau.excitation.task import DesignProblem, close
 from gtau.model.loops import Motion
 
 PER_HARMONIC = 12  # instants of the design grid in a period of the highest harmonic
@@ -26,7 +26,7 @@ class Grid:
     basis: np.ndarray
 
 
-def design_grid(task: Task, finer: int = 1) -> Grid:
+def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
     """The grid on which designs are made, or one ``finer`` times finer."""
     samples = PER_HARMONIC * task.series.harmonics * finer
     step = task.series.period / samples
@@ -41,7 +41,7 @@ class Point:
     ``runs`` follow it. In platform space ``platform`` is the motion of the robot driven by its platform.
     """
 
-    task: Task
+    task: DesignProblem
     grid: Grid
     runs: tuple[int, ...]
     joints: np.ndarray
@@ -81,7 +81,7 @@ class Point:
         return derivative(self.to_rows(by).T, self.grid.step).T
 
 
-def evaluate(task: Task, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
+def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
     """All motions for ``x`` (task.size,); the loops are closed from the configurations of ``near`` if given.
 
     Raises
@@ -96,7 +96,9 @@ def evaluate(task: Task, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) 
     )
 
 
-def evaluate_one(task: Task, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None) -> Point:
+def evaluate_one(
+    task: DesignProblem, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None
+) -> Point:
     """The motion of the ``runs``, for the numbers x (series.size,) of its series; see :func:`evaluate`."""
     series, platform = task.series, None
     numbers = x.reshape(-1, series.free) * series.half[:, None]

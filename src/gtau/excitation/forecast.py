@@ -10,11 +10,11 @@ from threadpoolctl import threadpool_limits
 from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import assemble
+from gtau.estimation.regression.system import assemble_system
 from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.constraints import whole_run
 from gtau.excitation.evaluation import Grid, evaluate
-from gtau.excitation.task import Task
+from gtau.excitation.task import DesignProblem
 from gtau.signals.preparation import choose_preparation, prepare
 from gtau.signals.run import Run
 
@@ -42,7 +42,7 @@ class Forecast:
     kept: np.ndarray
 
 
-def sampled_motions(task: Task, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Of every motion: instants (N,) in s of a whole run at the controller's rate; q, qd, qdd and jerk, (4, n, N)."""
     samples = round(task.series.period * task.rate)
     time = np.arange(samples) / task.rate
@@ -51,7 +51,7 @@ def sampled_motions(task: Task, x: np.ndarray) -> tuple[tuple[np.ndarray, np.nda
     return tuple((np.arange(joints.shape[2]) / task.rate, joints) for joints in wholes)
 
 
-def expected_runs(task: Task, x: np.ndarray) -> tuple[Run, ...]:
+def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
     """The runs as they would be logged without any noise, at the prior values."""
     regressor = task.model.columns(task.base.standard)
     runs = []
@@ -66,7 +66,7 @@ def expected_runs(task: Task, x: np.ndarray) -> tuple[Run, ...]:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
-def forecast(task: Task, x: np.ndarray) -> Forecast:
+def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     """Standard deviations to expect from the motion ``x``.
 
     The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is that of
@@ -82,7 +82,9 @@ def forecast(task: Task, x: np.ndarray) -> Forecast:
     prepared = [prepare(run, preparation) for run in runs]
     factors = [reduce_run(task.model, task.base.standard, each, preparation.decimator) for each in prepared]
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
-    problem = assemble(task.model, task.base, factors, task.payloads, slowest, Friction((), len(runs) > 1)).problem
+    problem = assemble_system(
+        task.model, task.base, factors, task.payloads, slowest, Friction((), len(runs) > 1)
+    ).problem
     theta = np.array([dict(zip(task.base.names, task.chi, strict=True)).get(name, 0.0) for name in problem.parameters])
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
     sigma = task.sigma / np.sqrt(preparation.decimator.factor)

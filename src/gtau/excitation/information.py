@@ -18,7 +18,7 @@ import numpy as np
 from gtau.estimation.regression.base_parameters import BaseParameters
 from gtau.estimation.regression.factors import EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.system import assemble
+from gtau.estimation.regression.system import assemble_system
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.experiment import Payload
@@ -27,7 +27,7 @@ VAGUE = 1e3  # prior deviations of what is estimated, in units of its scale: so 
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
+class DesignUnknowns:
     """The unknowns (theta, log g, d) and how rows of the base regressor become their equations.
 
     Attributes
@@ -59,15 +59,15 @@ def unknowns(
     payloads: Sequence[Payload | None],
     chi: np.ndarray,
     gains: np.ndarray,
-) -> Unknowns:
+) -> DesignUnknowns:
     """The unknowns of an experiment with these runs, at base parameters ``chi`` (n_b,) and ``gains`` (n,)."""
     n, n_b, runs = len(model.actuated), base.count, len(payloads)
     p = n_b + EXTRA
     # factors that are the identity bring out the matrices with which identification joins its runs
     whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
-    problem = assemble(model, base, [whole] * runs, payloads, 0.0, Friction((), runs > 1)).problem
+    problem = assemble_system(model, base, [whole] * runs, payloads, 0.0, Friction((), runs > 1)).problem
     n_theta = problem.n_theta
-    M = problem.units[:, 0, :n_b]  # (runs, n_b, n_theta + 4), the same for all joints
+    M = problem.blocks[:, 0, :n_b]  # (runs, n_b, n_theta + 4), the same for all joints
     theta = np.zeros(n_theta)
     theta[[problem.parameters.index(name) for name in base.names if name in problem.parameters]] = [
         value for name, value in zip(base.names, chi, strict=True) if name in problem.parameters
@@ -80,7 +80,7 @@ def unknowns(
         maps[:, j, :, n_theta + j] = load / gains[j]
     names = (*problem.parameters, *(f"gain_{j}" for j in model.actuated), *(f"delay_{j}" for j in model.actuated))
     scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
-    return Unknowns(names, scale, maps, load, smooth, gains, (VAGUE * scale) ** -2.0)
+    return DesignUnknowns(names, scale, maps, load, smooth, gains, (VAGUE * scale) ** -2.0)
 
 
 def _scales(names: tuple[str, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
@@ -167,7 +167,7 @@ def derivative(values: np.ndarray, step: float) -> np.ndarray:
 class Information:
     """Information about the unknowns from rows of one motion carried out in the runs ``runs``."""
 
-    unknowns: Unknowns
+    unknowns: DesignUnknowns
     sigma: np.ndarray  # (n,) A: standard deviation of a current's sample
     rate: float  # samples a second of the motion
 

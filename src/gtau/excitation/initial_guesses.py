@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.excitation.constraints import Load, loads_of_one
+from gtau.excitation.constraints import ConstraintUsage, loads_of_one
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate_one
 from gtau.excitation.nlp import Programme
-from gtau.excitation.task import Task
+from gtau.excitation.task import DesignProblem
 
 TRIES = 40  # of a scale
 DRAWS = 20  # random motions, of which the best is a start: each costs a hundredth of the search that follows
 
 
-def promising_start(task: Task, criterion: str, rng: np.random.Generator, part: float) -> np.ndarray | None:
+def promising_start(task: DesignProblem, criterion: str, rng: np.random.Generator, part: float) -> np.ndarray | None:
     """The best x of some random ones that use a ``part`` of the limits; None where the robot cannot go there."""
     programme = Programme(task, criterion, {})
     drawn = [x for _ in range(DRAWS) if (x := random_start(task, rng, part)) is not None]
     return min(drawn, key=lambda x: programme.value(x)[0], default=None)
 
 
-def random_start(task: Task, rng: np.random.Generator, part: float) -> np.ndarray | None:
+def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
     """A random x (task.size,), each of its motions scaled until it uses a ``part`` of the limits.
 
     What a limit allows counts from what rest at the center uses of it already; limits that rest breaks, and those that
@@ -32,10 +32,10 @@ def random_start(task: Task, rng: np.random.Generator, part: float) -> np.ndarra
     return None if any(each is None for each in parts) else np.concatenate([each for each in parts if each is not None])
 
 
-def _scaled(task: Task, grid: Grid, runs: tuple[int, ...], x: np.ndarray, part: float) -> np.ndarray | None:
+def _scaled(task: DesignProblem, grid: Grid, runs: tuple[int, ...], x: np.ndarray, part: float) -> np.ndarray | None:
     near: Point | None = None
 
-    def used(x: np.ndarray) -> tuple[Load, ...] | None:
+    def used(x: np.ndarray) -> tuple[ConstraintUsage, ...] | None:
         nonlocal near
         try:
             near = evaluate_one(task, x, grid, runs, near)

@@ -10,10 +10,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.excitation.constraints import Load, loads
+from gtau.excitation.constraints import ConstraintUsage, constraint_usages
 from gtau.excitation.criteria import criterion
 from gtau.excitation.evaluation import Point, design_grid, evaluate, objective
-from gtau.excitation.task import Task
+from gtau.excitation.task import DesignProblem
 
 ITERATIONS = 100
 TOLERANCE = 1e-3  # of the logarithm of the criterion: a tenth of a per cent
@@ -29,7 +29,7 @@ class Programme:
     are within that, and ``best_value`` the logarithm of its criterion.
     """
 
-    def __init__(self, task: Task, criterion_name: str, tightness: Mapping[str, float]):
+    def __init__(self, task: DesignProblem, criterion_name: str, tightness: Mapping[str, float]):
         self.task, self.tightness = task, tightness
         self.grid = design_grid(task)
         self.of_regressor = criterion_name == "condition"
@@ -39,7 +39,7 @@ class Programme:
         self._x = np.array([])
         self._last: tuple[Point, ...] = ()
         self._closed: tuple[Point, ...] = ()  # the last motions whose loops could be closed
-        self._loads: tuple[Load, ...] | None = None
+        self._loads: tuple[ConstraintUsage, ...] | None = None
 
     def points(self, x: np.ndarray) -> tuple[Point, ...]:
         """The motions for x; none where they leave what the robot can reach."""
@@ -52,18 +52,18 @@ class Programme:
             self._loads = None
         return self._last
 
-    def loads(self, x: np.ndarray) -> tuple[Load, ...]:
+    def constraint_usages(self, x: np.ndarray) -> tuple[ConstraintUsage, ...]:
         """Loads of all limits; none where the robot cannot go."""
         points = self.points(x)
         if self._loads is None:
-            self._loads = tuple(loads(points))
+            self._loads = tuple(constraint_usages(points))
         return self._loads
 
     def excess(self, x: np.ndarray) -> float:
         """Largest load over what the tightness allows; infinite where the robot cannot go."""
         if not self.points(x):
             return float("inf")
-        return max((load.excess / self.tightness[load.what] for load in self.loads(x)), default=0.0)
+        return max((load.excess / self.tightness[load.what] for load in self.constraint_usages(x)), default=0.0)
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Logarithm of the criterion and its gradient; nan where the robot cannot go."""
@@ -78,7 +78,7 @@ class Programme:
     def bounds(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of all loads, stacked."""
         low, high = [], []
-        for load in self.loads(x):
+        for load in self.constraint_usages(x):
             allowed = self.tightness[load.what]
             low.append(np.full(len(load.values), 1 / allowed if load.least else -allowed))
             high.append(np.full(len(load.values), np.inf if load.least else allowed))
@@ -90,10 +90,12 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
     low, high = programme.bounds(x)
 
     def constraints(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([load.values for load in programme.loads(x)] or [np.full(len(low), np.nan)])
+        return np.concatenate([load.values for load in programme.constraint_usages(x)] or [np.full(len(low), np.nan)])
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([load.rows() for load in programme.loads(x)] or [np.full((len(low), len(x)), np.nan)])
+        return np.concatenate(
+            [load.rows() for load in programme.constraint_usages(x)] or [np.full((len(low), len(x)), np.nan)]
+        )
 
     symbol = ca.MX.sym("x", len(x))
     # which entries can be other than zero shows at a point of no symmetry

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import BaseParameters
 from gtau.excitation.closure_gradients import Pullback, in_platform_space, pullback
-from gtau.excitation.information import Information, Unknowns, Window, unknowns
+from gtau.excitation.information import DesignUnknowns, Information, Window, unknowns
 from gtau.excitation.regressor import SmoothRegressor, smooth_regressor
 from gtau.excitation.trajectory import FourierSeries, approach_duration
 from gtau.model.interpreter.program import Program, compile_program
@@ -28,7 +28,7 @@ SMOOTH = 0.02  # width of passive joints' Coulomb friction in a design, of their
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class MotionLimits:
     """Limits of the actuated joints, (n,) each with inf where there is none, and of the motion as a whole.
 
     ``position`` (n, 2), ``velocity``, ``acceleration``, ``jerk`` in rad or m and s; ``current`` in A; ``workspace``
@@ -47,7 +47,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class DesignProblem:
     """All that a design needs.
 
     Attributes
@@ -68,7 +68,7 @@ class Task:
         One entry a run.
     one_motion : bool
         Whether all runs follow one motion; otherwise each has a motion of its own.
-    limits : Limits
+    limits : MotionLimits
         Of the motion.
     chi, gains, sigma : ndarray
         Prior base parameters (n_b,), gains (n,), and standard deviations of a sample of each current (n,), A.
@@ -83,7 +83,7 @@ class Task:
     rest: np.ndarray | None
     payloads: tuple[Payload | None, ...]
     one_motion: bool
-    limits: Limits
+    limits: MotionLimits
     chi: np.ndarray
     gains: np.ndarray
     sigma: np.ndarray
@@ -107,7 +107,7 @@ class Task:
         return len(self.motions) * self.series.size
 
     @cached_property
-    def unknowns(self) -> Unknowns:
+    def unknowns(self) -> DesignUnknowns:
         """What is to be estimated from all runs together."""
         return unknowns(self.model, self.base, self.payloads, self.chi, self.gains)
 
@@ -179,7 +179,7 @@ class Task:
         back = ca.gradient(ca.dot(weights, position), c)
         return compile_program([c], [position]), compile_program([c, weights], [back])
 
-    def with_payload_mass(self, mass: float) -> Task:
+    def with_payload_mass(self, mass: float) -> DesignProblem:
         """The same task with all known payloads of another ``mass``, kg."""
         changed = tuple(
             None if each is None else each.model_copy(update={"mass": mass}) if each.mass is not None else each

@@ -11,7 +11,7 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.criteria import root_covariance
 from gtau.excitation.design import Design
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, Point, design_grid, evaluate, information
-from gtau.excitation.task import Task, close
+from gtau.excitation.task import DesignProblem, close
 
 WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
 WORTH = 0.7  # a motion is named where it brings a deviation below this part of what it was
@@ -63,11 +63,11 @@ def weak_unknowns(design: Design) -> tuple[Weak, ...]:
     return tuple(found)
 
 
-def _relative(task: Task, R: np.ndarray) -> np.ndarray:
+def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(root_covariance(R, task.unknowns.precision), axis=1) / task.unknowns.scale)
 
 
-def _alone(task: Task, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
+def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
     """Factor of the information from joint j moving alone about the pose ``middle`` (n,); None where it cannot."""
     limits, every = task.limits, tuple(range(len(task.payloads)))
     low, high = limits.position[j] if np.isfinite(limits.position[j]).all() else middle[j] + np.array([-np.pi, np.pi])

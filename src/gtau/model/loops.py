@@ -16,7 +16,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.model.closures import ClosureEquations, closure_equations, gaps
 from gtau.model.coordinates import Coordinates
-from gtau.model.interpreter.continuation import Follower, march, travel
+from gtau.model.interpreter.continuation import Follower, advance_to, follow_path
 from gtau.model.interpreter.kernel import MACHINE
 from gtau.model.interpreter.lanes import LANES
 from gtau.model.interpreter.program import Bound, addresses, aligned
@@ -207,7 +207,7 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTE
     reached = np.zeros(c.shape[1], dtype=bool)
 
     def run(start: int, stop: int) -> None:
-        travel(_follower(loops, shortest), c, q, start, stop, reached)
+        advance_to(_follower(loops, shortest), c, q, start, stop, reached)
 
     share(run, c.shape[1], LANES)
     return c, reached
@@ -249,7 +249,7 @@ def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.
         heads = np.arange(half, starts.size, 2 * half)
         c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
     segments = np.flatnonzero(reached)
-    lost = _march(loops, q, c, starts[segments], length)
+    lost = _follow_segments(loops, q, c, starts[segments], length)
     # a segment must begin where the one before it leads
     led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
     redone = False
@@ -265,20 +265,20 @@ def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.
         if redone:
             c[:, starts[k]] = led[:, k - 1]
             lost -= set(range(starts[k], min(starts[k] + length, samples)))
-            lost |= _march(loops, q, c, starts[[k]], length)
+            lost |= _follow_segments(loops, q, c, starts[[k]], length)
     if lost:
         first = min(lost)
         raise _unreachable(loops, q[:, first], labels[first])
     return c
 
 
-def _march(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
+def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
     """Fill ``c`` from each of ``starts`` for ``length`` samples; returns those that were not reached."""
     ends = np.minimum(starts + length, q.shape[1])
     filled = np.zeros(starts.size, dtype=np.int64)
 
     def run(first: int, last: int) -> None:
-        march(_follower(loops, SHORTEST), c, q, starts[first:last], length, filled[first:last])
+        follow_path(_follower(loops, SHORTEST), c, q, starts[first:last], length, filled[first:last])
 
     share(run, starts.size, LANES)
     lost: set[int] = set()

@@ -15,7 +15,7 @@ import numpy as np
 
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
-from gtau.estimation.regression.dataset import Part
+from gtau.estimation.regression.dataset import Shard
 from gtau.estimation.regression.factors import STRETCHES, Factors
 from gtau.parallel.content_hash import content_key
 from gtau.parallel.executor import Spread
@@ -35,7 +35,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gtau"
 
 
-def remembering(spread: Spread, folder: Path, worth: int = WORTH) -> Spread:
+def caching_executor(spread: Spread, folder: Path, worth: int = WORTH) -> Spread:
     """A spread that takes the factors of parts from a cache, and lets ``spread`` work only on the others.
 
     What becomes finished is stored at once. The key of a part is its content: samples, robot, columns, filter,
@@ -51,7 +51,7 @@ def remembering(spread: Spread, folder: Path, worth: int = WORTH) -> Spread:
         Samples from which on a part is worth its place.
     """
 
-    def spread_and_store(function: Callable[[Part], Factors], parts: Sequence[Part]) -> Iterator[tuple[int, object]]:
+    def spread_and_store(function: Callable[[Shard], Factors], parts: Sequence[Shard]) -> Iterator[tuple[int, object]]:
         digests: dict[int, tuple[object, bytes]] = {}
         entries = [
             folder / f"{content_key((function, _nameless(part)), digests)}.factors" if _samples(part) >= worth else None
@@ -77,11 +77,11 @@ def remembering(spread: Spread, folder: Path, worth: int = WORTH) -> Spread:
     return spread_and_store
 
 
-def _samples(part: Part) -> int:
+def _samples(part: Shard) -> int:
     return len(part.prepared) * len(part.stretches) // STRETCHES
 
 
-def _nameless(part: Part) -> Part:
+def _nameless(part: Shard) -> Shard:
     """The part without what its factors do not depend on: another payload's mass needs no new ones."""
     run = replace(part.prepared.run, name="", payload=None, notes=())
     return replace(part, prepared=replace(part.prepared, run=run))

@@ -15,8 +15,8 @@ from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gtau.errors import GtauError, missing_extra
-from gtau.parallel.executor import Spread, here
-from gtau.parallel.process_executor import LIMITS, deaf_children
+from gtau.parallel.executor import Spread, serial_executor
+from gtau.parallel.process_executor import LIMITS, ignore_sigint
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -45,7 +45,7 @@ def connected(address: str) -> Iterator[Client]:
     except ImportError:
         raise missing_extra("--dask", "distributed", "dask") from None
     if address == "local":
-        with deaf_children():
+        with ignore_sigint():
             cluster = LocalCluster(
                 n_workers=os.cpu_count(),
                 threads_per_worker=1,
@@ -78,7 +78,7 @@ def _quiet(logger: str) -> Iterator[None]:
 def where_to_work(address: str | None) -> Iterator[Spread]:
     """The spread over the workers at ``address``, or the one that works here; raises as :func:`connected`."""
     if address is None:
-        yield here
+        yield serial_executor
         return
     with connected(address) as client:
         yield partial(on_workers, client=client)

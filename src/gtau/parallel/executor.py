@@ -18,7 +18,7 @@ GtauError in its place says why there is nothing.
 """
 
 
-def here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+def serial_executor(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
     """The spread that works in this process, one item after the other."""
     return enumerate(map(function, items))
 

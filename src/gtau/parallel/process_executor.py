@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from typing import TypeVar
 
 from gtau.errors import GtauError
-from gtau.parallel.executor import here
+from gtau.parallel.executor import serial_executor
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -29,7 +29,7 @@ def in_processes(
         whose process died twice, the second time with nothing else in it.
     """
     if jobs == 1:
-        yield from here(function, items)
+        yield from serial_executor(function, items)
         return
     left = dict(enumerate(items))
     while left:
@@ -56,7 +56,7 @@ def _until_broken(function: Callable[[Item], Made], items: dict[int, Item], jobs
 
     pool, others = ProcessPoolExecutor(min(jobs, len(items)), get_context("spawn"), _begin), active_children()
     try:
-        with deaf_children():
+        with ignore_sigint():
             futures = {pool.submit(function, item): k for k, item in items.items()}
         for future in as_completed(futures):
             yield futures[future], future.result()
@@ -72,7 +72,7 @@ def _until_broken(function: Callable[[Item], Made], items: dict[int, Item], jobs
 
 
 @contextmanager
-def deaf_children() -> Iterator[None]:
+def ignore_sigint() -> Iterator[None]:
     """Processes and threads begun within do not hear Ctrl-C; whoever began them does, if need be afterwards."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

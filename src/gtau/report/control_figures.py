@@ -17,7 +17,7 @@ from gtau.report.style import (
     new_figure,
     styled,
 )
-from gtau.simulation.control_comparison import STRATEGIES, Comparison
+from gtau.simulation.control_comparison import STRATEGIES, ControlComparison
 from gtau.simulation.controllers import Reference
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def references_figure(references: Mapping[str, Reference], joints: Sequence[str]
     return figure
 
 
-def tracking_figure(comparison: Comparison, trajectory: str) -> Figure:
+def tracking_figure(comparison: ControlComparison, trajectory: str) -> Figure:
     """Tracking errors along a trajectory (paper, Figs. 7 and 8), a row a joint; computed torques on their own scale."""
     tracking = [each for each in comparison.tracking if each.trajectory == trajectory]
     joints = comparison.joints

@@ -13,7 +13,7 @@ from gtau.documents.files import write_atomically
 from gtau.estimation.results.estimate import torque_unit, unit_of
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, forecast, sampled_motions
-from gtau.excitation.task import Task
+from gtau.excitation.task import DesignProblem
 from gtau.excitation.weak_parameters import Weak, weak_unknowns
 from gtau.report.style import LINES, joint_label, light_grid, new_figure, save_figure, styled
 
@@ -25,7 +25,7 @@ DIGITS = 9
 MOST = 1000  # %, of an assumed value, that are worth printing
 
 
-def file_stems(task: Task) -> tuple[str, ...]:
+def file_stems(task: DesignProblem) -> tuple[str, ...]:
     """Name without ending of each motion's files: ``trajectory`` of all runs, or ``trajectory_1`` of run 1, ..."""
     return ("trajectory",) if task.one_motion else tuple(f"trajectory_{k + 1}" for k in range(len(task.motions)))
 
@@ -46,7 +46,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
     return paths
 
 
-def trajectory_figure(task: Task, time: np.ndarray, joints: np.ndarray) -> Figure:
+def trajectory_figure(task: DesignProblem, time: np.ndarray, joints: np.ndarray) -> Figure:
     """Positions, velocities and accelerations (4, n, N) of a run at ``time`` (N,)."""
     units = {"rad" if task.model.robot.joint(joint).kind == "revolute" else "m" for joint in task.model.actuated}
     unit = " or ".join(sorted(units))
@@ -93,7 +93,7 @@ def describe_design(design: Design, assumed: Mapping[str, str], masses: Sequence
         "without_effect": list(task.base.without_effect),
         "limits": [
             {"limit": load.what, "value": load.limit, "unit": load.unit, "used": load.excess}
-            for load in sorted(design.loads, key=lambda load: -load.excess)
+            for load in sorted(design.constraint_usages, key=lambda load: -load.excess)
         ],
         "payload_masses": [_with_mass(design, mass) for mass in masses],
         "assumed": list(assumed.values()),
@@ -113,7 +113,7 @@ def _entry(each: Expected, unit: str, assumed: bool) -> dict[str, Any]:
     }
 
 
-def _unit(name: str, task: Task) -> str:
+def _unit(name: str, task: DesignProblem) -> str:
     kind, body = task.base.standard[task.base.names.index(name)].split("_", 1)
     return unit_of(kind, task.model.robot, body)
 

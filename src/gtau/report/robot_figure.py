@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, new_figure, require_matplotlib, styled
-from gtau.robots.assembly import assemble
 from gtau.robots.geometry import Frame, attached, frames, home_configuration
+from gtau.robots.home import close_home
 from gtau.robots.robot import GROUND, Attachment, Joint, Robot
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def robot_figure(robot: Robot) -> Figure:
         The loops close nowhere, or matplotlib is not installed.
     """
     require_matplotlib()
-    robot = assemble(robot)
+    robot = close_home(robot)
     upright = _upright(np.array(robot.gravity))
     found = {
         name: (upright @ R, upright @ p) for name, (R, p) in frames(robot, home_configuration(robot)).items()

@@ -39,7 +39,7 @@ class Preparation:
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class SampleWindow:
     """Consecutive samples of a run, ready for the model; arrays share the sample axis M and the joints' axis n.
 
     ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, n) and its time derivatives
@@ -57,12 +57,12 @@ class Sampled:
     command_dd: np.ndarray
     usable: np.ndarray
 
-    def __getitem__(self, samples: slice) -> Sampled:
-        return Sampled(*(getattr(self, field.name)[samples] for field in fields(self)))
+    def __getitem__(self, samples: slice) -> SampleWindow:
+        return SampleWindow(*(getattr(self, field.name)[samples] for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparedRun:
     """A run of which any stretch can be had ready for the model, by :meth:`samples`.
 
     Attributes
@@ -75,7 +75,7 @@ class Prepared:
         (n,) Whether a joint moves at all.
     speeds : ndarray
         (n, n) Mean of ``qd qd^T`` over these samples: what the joints' thresholds of speed refer to.
-    rubbing : ndarray
+    friction_speed_ratios : ndarray
         (n_y, n) Speeds of joints whose friction acts in the rows of the motors for which the entry is not zero, from
         the motors' speeds; of each motor's own joint, and of others in coupled chains.
     notes : tuple of str
@@ -87,7 +87,7 @@ class Prepared:
     kept: range
     moves: np.ndarray
     speeds: np.ndarray
-    rubbing: np.ndarray
+    friction_speed_ratios: np.ndarray
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -103,7 +103,7 @@ class Prepared:
         at, margin = self.kept[start:stop], filter_margin(self.run.rate, self.preparation.cutoff)
         return range(max(0, at.start - margin), min(len(self.run.time), at.stop + margin))
 
-    def samples(self, start: int = 0, stop: int | None = None) -> Sampled:
+    def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
         """Samples from ``start`` to before ``stop`` of those that are used; what stands around them is seen to."""
         at = self.kept[start:stop]
         run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
@@ -111,30 +111,36 @@ class Prepared:
         command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
         mine = slice(at.start - begin, at.stop - begin)
         command_d, command_dd = (each[mine] for each in differentiate(command, run.rate))
-        limit = preparation.speed_fraction * np.sqrt(np.einsum("yi,ij,yj->y", self.rubbing, self.speeds, self.rubbing))
-        slow = np.abs(qd @ self.rubbing.T) < limit
-        usable = ~(slow @ (np.abs(self.rubbing) > 1e-9)) & self.moves & _valid(run, preparation, at.start, at.stop)
-        return Sampled(
+        limit = preparation.speed_fraction * np.sqrt(
+            np.einsum("yi,ij,yj->y", self.friction_speed_ratios, self.speeds, self.friction_speed_ratios)
+        )
+        slow = np.abs(qd @ self.friction_speed_ratios.T) < limit
+        usable = (
+            ~(slow @ (np.abs(self.friction_speed_ratios) > 1e-9))
+            & self.moves
+            & _valid(run, preparation, at.start, at.stop)
+        )
+        return SampleWindow(
             block(run.time, at.start, at.stop), q, qd, qdd, command[mine], command_d, command_dd, usable
         )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """A run ready for the model along a motion that was made, all of it there; to be used as :class:`Prepared`."""
+class InMemoryRun:
+    """A run ready for the model along a motion that was made, all of it there; to be used as :class:`PreparedRun`."""
 
     run: Run
-    all: Sampled
+    all: SampleWindow
 
     def __len__(self) -> int:
         return len(self.all.time)
 
-    def samples(self, start: int = 0, stop: int | None = None) -> Sampled:
+    def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
         """Samples from ``start`` to before ``stop``."""
         stop = len(self) if stop is None else stop
         if stored(self.all.q) is None:
             return self.all[start:stop]
-        return Sampled(*(block(getattr(self.all, field.name), start, stop) for field in fields(Sampled)))
+        return SampleWindow(*(block(getattr(self.all, field.name), start, stop) for field in fields(SampleWindow)))
 
 
 def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:
@@ -173,7 +179,7 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     )
 
 
-def prepare(run: Run, preparation: Preparation, rubbing: np.ndarray | None = None) -> Prepared:
+def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarray | None = None) -> PreparedRun:
     """Find where in a run its joints move.
 
     The rest at the beginning and the end, where no joint exceeds its speed threshold, is cut off.
@@ -184,8 +190,8 @@ def prepare(run: Run, preparation: Preparation, rubbing: np.ndarray | None = Non
         One run.
     preparation : Preparation
         Of its experiment.
-    rubbing : ndarray, optional
-        See :class:`Prepared`; a joint of its own for each motor if left out.
+    friction_speed_ratios : ndarray, optional
+        See :class:`PreparedRun`; a joint of its own for each motor if left out.
 
     Returns
     -------
@@ -231,13 +237,13 @@ def prepare(run: Run, preparation: Preparation, rubbing: np.ndarray | None = Non
         for piece, part, known in zip(pieces, within, squares, strict=True)
         if part[0] < part[1]
     ]
-    return Prepared(
+    return PreparedRun(
         run=run,
         preparation=preparation,
         kept=kept,
         moves=moves,
         speeds=np.sum(moved, axis=0) / len(kept),
-        rubbing=np.eye(n) if rubbing is None else rubbing,
+        friction_speed_ratios=np.eye(n) if friction_speed_ratios is None else friction_speed_ratios,
         notes=tuple(
             f"joint '{joint}' hardly moves: its rows are left out"
             for joint, moving in zip(run.joints, moves, strict=True)

@@ -14,7 +14,7 @@ from gtau.signals.experiment import Payload
 from gtau.signals.run import Run
 from gtau.simulation.controllers import FILTER, Controller
 from gtau.simulation.drive import Hardware, rounded
-from gtau.simulation.plant import State
+from gtau.simulation.plant import PlantState
 
 DIGITS = 9  # decimals of what is logged, finer than any encoder
 
@@ -22,10 +22,10 @@ DIGITS = 9  # decimals of what is logged, finer than any encoder
 class Engine(Protocol):
     """What moves the robot: :class:`~gtau.simulation.plant.Plant` or its like in MuJoCo."""
 
-    def start(self, q: np.ndarray) -> State:
+    def start(self, q: np.ndarray) -> PlantState:
         """The state at rest at actuated positions."""
 
-    def advance(self, state: State, force: np.ndarray, duration: float) -> State:
+    def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
         """The state after a while under constant forces."""
 
 
@@ -116,7 +116,7 @@ def write_log(run: Run, path: str | Path) -> None:
     write_atomically(path, pl.DataFrame(columns).write_csv())
 
 
-def _measured(history: list[State], hardware: Hardware, period: float) -> np.ndarray:
+def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:
     """Positions (n,) as the sensors give them, from the latest states, newest first."""
     late = hardware.delay / period
     whole = late.astype(int)

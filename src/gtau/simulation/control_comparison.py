@@ -48,7 +48,7 @@ class Tracking:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ControlComparison:
     """Tracking of every strategy on every trajectory, with the ``references`` by trajectory and the models by gains."""
 
     joints: tuple[str, ...]
@@ -83,7 +83,7 @@ def compare_control(
     progress: Progress,
     identified: Mapping[str, float] | None = None,
     repetitions: int = 2,
-) -> Comparison:
+) -> ControlComparison:
     """Run the five strategies on the ``control`` trajectories of a simulation file (paper, Table 4).
 
     Parameters
@@ -134,7 +134,7 @@ def compare_control(
             tracking.append(Tracking(described.name, strategy, maximum, rms, reference.time, made[0].error))
     progress("control laws", total, total)
     units = tuple("rad" if robot.joint(joint).kind == "revolute" else "m" for joint in robot.actuated)
-    return Comparison(robot.actuated, units, tuple(tracking), references, models)
+    return ControlComparison(robot.actuated, units, tuple(tracking), references, models)
 
 
 def controllers(
@@ -154,7 +154,7 @@ def controllers(
     return pids | computed
 
 
-def table(comparison: Comparison) -> str:
+def table(comparison: ControlComparison) -> str:
     """The paper's Table 4: largest and rms tracking errors in micrometres or microradians."""
     joints, lines = comparison.joints, []
     unit = {"m": "µm", "rad": "µrad"}
@@ -174,7 +174,7 @@ def table(comparison: Comparison) -> str:
     return "\n".join(lines[:-1])
 
 
-def table_document(comparison: Comparison) -> list[dict[str, object]]:
+def table_document(comparison: ControlComparison) -> list[dict[str, object]]:
     """The table as JSON, SI units."""
     return [
         {

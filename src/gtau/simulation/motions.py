@@ -12,14 +12,14 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.log_file import read_log
-from gtau.simulation.simulation_file import Motion
+from gtau.simulation.simulation_file import MotionEntry
 from gtau.simulation.trajectories import Envelope, PointToPoint, Sines, Trajectory, envelope, point_to_point, sines
 
 ROUNDED = 1.01  # times a limit: by so much may speeds and accelerations of rounded samples be off
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class SampledTrajectory:
     """A fifth-order spline through samples ``q`` (N, n) at ``time`` (N,), s."""
 
     time: np.ndarray
@@ -45,12 +45,12 @@ def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToP
     return PointToPoint(points, starts, spans)
 
 
-def make_trajectory(motion: Motion, robot: Robot, where: str) -> tuple[Trajectory, float]:
+def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajectory, float]:
     """The trajectory that a file describes, and its duration in s.
 
     Parameters
     ----------
-    motion : Motion
+    motion : MotionEntry
         From a simulation file.
     robot : Robot
         Whose actuated joints move.
@@ -95,7 +95,7 @@ def _of_joints(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[
     return [values[joint] for joint in robot.actuated]
 
 
-def _from_csv(path: Path, robot: Robot) -> tuple[Sampled, float]:
+def _from_csv(path: Path, robot: Robot) -> tuple[SampledTrajectory, float]:
     names = [f"q_{joint}" for joint in robot.actuated]  # as 'gtau excite' writes them
     columns = read_log(path, ("t", *names)).columns
     time, q = columns["t"], np.column_stack([columns[name] for name in names])
@@ -104,7 +104,7 @@ def _from_csv(path: Path, robot: Robot) -> tuple[Sampled, float]:
             f"{path}: the columns t and {', '.join(names)} must hold at least six rows of numbers with rising times; "
             "correct the file."
         )
-    return Sampled(time - time[0], q), float(time[-1] - time[0])
+    return SampledTrajectory(time - time[0], q), float(time[-1] - time[0])
 
 
 def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot, where: str) -> None:

@@ -18,7 +18,7 @@ from gtau.model.coordinates import PlatformSlots
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import follow
 from gtau.robots.robot import GROUND, INERTIAL, ROTATIONS, TRANSLATIONS, Placement, Robot
-from gtau.simulation.plant import WIDTH, State
+from gtau.simulation.plant import WIDTH, PlantState
 
 STEP = 1e-4  # s
 LIGHTEST = 1e-6  # kg, kg m2: MuJoCo moves no body without mass and inertia
@@ -66,7 +66,7 @@ class MujocoPlant:
         self._offset = np.array([chi.get(f"off_{joint.name}", 0.0) for joint in robot.joints])
         self._width = np.array([width[joint.kind] for joint in robot.joints])
 
-    def start(self, q: np.ndarray) -> State:
+    def start(self, q: np.ndarray) -> PlantState:
         """The state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
         loops, layout = self.model.loops, self.model.layout
         c = follow(loops, q[:, None])[:, 0] if loops else np.array(q, dtype=float)
@@ -76,9 +76,9 @@ class MujocoPlant:
             for name, values in _platform_coordinates(slots, c).items():
                 first = self._model.joint(name).qposadr[0]
                 qpos[first : first + len(values)] = values
-        return State(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv))
+        return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv))
 
-    def advance(self, state: State, force: np.ndarray, duration: float) -> State:
+    def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
         """The state after ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
 
         Raises
@@ -101,7 +101,7 @@ class MujocoPlant:
                 "the controller."
             )
         q, qd = data.qpos[self._position[self._actuated]], data.qvel[self._rate[self._actuated]]
-        return State(q, qd, data.qpos.copy(), data.qvel.copy())
+        return PlantState(q, qd, data.qpos.copy(), data.qvel.copy())
 
 
 def _platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:

@@ -42,7 +42,7 @@ ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class PlantState:
     """Positions ``q`` and velocities ``qd`` of the actuated joints (n,), and an engine's own coordinates c and v."""
 
     q: np.ndarray
@@ -99,12 +99,12 @@ class Plant:
         """Home configuration with the loops closed, (n_c,)."""
         return self.model.loops.home if self.model.loops else self.layout.home
 
-    def start(self, q: np.ndarray) -> State:
+    def start(self, q: np.ndarray) -> PlantState:
         """The state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
         c = follow(self.model.loops, q[:, None])[:, 0] if self.model.loops else np.array(q, dtype=float)
-        return State(np.array(q, dtype=float), np.zeros(len(q)), c, np.zeros(len(q)))
+        return PlantState(np.array(q, dtype=float), np.zeros(len(q)), c, np.zeros(len(q)))
 
-    def advance(self, state: State, force: np.ndarray, duration: float) -> State:
+    def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
         """The state after ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
 
         Raises
@@ -126,9 +126,9 @@ class Plant:
             step *= min(5.0, max(0.1, 0.9 * max(size, 1e-8) ** -0.2))
         if self._mode(c) != self._side:
             raise self._lost(c)
-        return State(c[self.layout.actuated], qd, c, qd)
+        return PlantState(c[self.layout.actuated], qd, c, qd)
 
-    def acceleration(self, state: State, force: np.ndarray) -> np.ndarray:
+    def acceleration(self, state: PlantState, force: np.ndarray) -> np.ndarray:
         """Accelerations of the actuated joints (n,) in rad/s2 or m/s2."""
         return np.array(self._derivative(state.c, state.qd, force)[1]).ravel()
 
@@ -137,7 +137,7 @@ class Plant:
         still = np.zeros(len(self.layout.actuated))
         return np.array(self._inertia(c, still)[0])
 
-    def energy(self, state: State) -> float:
+    def energy(self, state: PlantState) -> float:
         """Kinetic and potential energy, J."""
         kinetic = state.qd @ self.mass_matrix(state.c) @ state.qd / 2
         return float(kinetic + float(self._potential(state.c)))

@@ -86,7 +86,7 @@ class Fourier(_Keys):
         return self
 
 
-class Motion(_Keys):
+class MotionEntry(_Keys):
     """A trajectory, of one kind; ``csv`` holds the columns ``t`` and ``q_<joint>``, as 'gtau excite' writes them."""
 
     sines: RandomMotion | None = None
@@ -104,7 +104,7 @@ class Motion(_Keys):
         return path
 
     @model_validator(mode="after")
-    def _one_kind(self) -> Motion:
+    def _one_kind(self) -> MotionEntry:
         if len(self.model_fields_set) != 1:
             raise ValueError("give one trajectory: 'sines', 'moves', 'points', 'fourier' or 'csv'")
         return self
@@ -114,7 +114,7 @@ class SimulatedRun(_Keys):
     """A run to be simulated; a payload with ``weigh: true`` is written into the experiment file without its mass."""
 
     name: str
-    trajectory: Motion
+    trajectory: MotionEntry
     payload: Payload | None = None
     weigh: bool = False
 

@@ -22,7 +22,7 @@ def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.n
     The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated). The error is
     that of a ratio, from its scatter over the units.
     """
-    model, currents = problem.units[..., : problem.n_theta + 1], problem.units[..., problem.n_theta + 1 :]
+    model, currents = problem.blocks[..., : problem.n_theta + 1], problem.blocks[..., problem.n_theta + 1 :]
     v, rate, change = np.moveaxis(currents, -1, 0)  # (U, n, p) each
     e = v - model @ np.append(solution.theta, 1.0) / solution.gains[:, None]
     whole = np.einsum("ujp,ujp->uj", rate, rate)

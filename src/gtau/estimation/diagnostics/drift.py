@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.estimators.newton import State, modelled, residuals
+from gtau.estimation.estimators.newton import Iterate, modelled, residuals
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 
@@ -30,7 +30,7 @@ class Drift:
 NONE = Drift(0, 0.0, 0.0)
 
 
-def worst_drifts(problem: Problem, solution: Solution, places: np.ndarray) -> tuple[Drift, ...]:
+def worst_drifts(problem: Problem, solution: Solution, block_positions: np.ndarray) -> tuple[Drift, ...]:
     """The most significant drift of every joint.
 
     The residual of each unit is laid along the current that the model gives it; a line through these
@@ -40,23 +40,23 @@ def worst_drifts(problem: Problem, solution: Solution, places: np.ndarray) -> tu
     ----------
     problem, solution : Problem, Solution
         What was solved.
-    places : ndarray
+    block_positions : ndarray
         Of the units, (U, 2): number of the run, and time from its beginning (0) to its end (1).
     """
-    state = State(solution.theta, 1 / solution.gains, solution.delays)
-    e = residuals(problem.units, state, problem.n_theta)  # (U, n, p)
-    tau = modelled(problem.units, state.theta) * state.b[:, None]
+    state = Iterate(solution.theta, 1 / solution.gains, solution.delays)
+    e = residuals(problem.blocks, state, problem.n_theta)  # (U, n, p)
+    tau = modelled(problem.blocks, state.theta) * state.b[:, None]
     weight = np.einsum("ujp,ujp->uj", tau, tau)
     share = np.einsum("ujp,ujp->uj", tau, e) / np.where(weight > 0, weight, 1.0)
     found = []
     for j in range(len(problem.joints)):
         of_joint = [NONE]
-        for run in np.unique(places[:, 0]):
-            mine = np.flatnonzero((places[:, 0] == run) & (weight[:, j] > 0))
+        for run in np.unique(block_positions[:, 0]):
+            mine = np.flatnonzero((block_positions[:, 0] == run) & (weight[:, j] > 0))
             if len(mine) < ENOUGH:
                 continue
             root = np.sqrt(weight[mine, j])
-            X = np.column_stack([places[mine, 1], np.ones(len(mine))]) * root[:, None]
+            X = np.column_stack([block_positions[mine, 1], np.ones(len(mine))]) * root[:, None]
             y = share[mine, j] * root
             line = np.linalg.lstsq(X, y, rcond=None)[0]
             rest = y - X @ line

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.linearisation import Linear
-from gtau.estimation.diagnostics.score_test import one_by_one
-from gtau.estimation.estimators.newton import State, jacobian, modelled, residuals
+from gtau.estimation.diagnostics.linearisation import LinearisedWindow
+from gtau.estimation.diagnostics.score_test import score_tests
+from gtau.estimation.estimators.newton import Iterate, jacobian, modelled, residuals
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 
@@ -35,28 +35,28 @@ class Difference:
     share: float
 
 
-def worst_differences(problem: Problem, solution: Solution, places: np.ndarray) -> tuple[Difference, ...]:
+def worst_differences(problem: Problem, solution: Solution, block_positions: np.ndarray) -> tuple[Difference, ...]:
     """The most significant difference of every joint between one run, or the loaded ones, and the others.
 
-    The current of the model is offered once more in these runs alone, see :func:`one_by_one`.
+    The current of the model is offered once more in these runs alone, see :func:`score_tests`.
 
     Parameters
     ----------
     problem, solution : Problem, Solution
         What was solved, with gains that were estimated.
-    places : ndarray
+    block_positions : ndarray
         Of the units, (U, 2): number of the run, and time from its beginning (0) to its end (1).
     """
-    n, (runs, of_unit) = len(problem.joints), np.unique(places[:, 0].astype(int), return_inverse=True)
+    n, (runs, of_unit) = len(problem.joints), np.unique(block_positions[:, 0].astype(int), return_inverse=True)
     loaded = np.zeros(len(runs), dtype=bool)
-    np.logical_or.at(loaded, of_unit, np.any(problem.units[..., problem.n_theta], axis=(1, 2)))
+    np.logical_or.at(loaded, of_unit, np.any(problem.blocks[..., problem.n_theta], axis=(1, 2)))
     groups = np.unique(np.vstack([np.eye(len(runs), dtype=bool), loaded]), axis=0)
     groups = groups[~groups.all(axis=1) & groups.any(axis=1)]
     nothing = Difference((), 0.0, 0.0, 0.0)
     if not len(groups):
         return (nothing,) * n
 
-    found = one_by_one(lambda: _pieces(problem, solution), groups[:, of_unit])
+    found = score_tests(lambda: _pieces(problem, solution), groups[:, of_unit])
     shares = found.share.sum(axis=1)
     worst = np.argmax(np.abs(found.t), axis=0)
     if shares.max() > DOMINANT:  # the same runs for all joints
@@ -67,11 +67,13 @@ def worst_differences(problem: Problem, solution: Solution, places: np.ndarray) 
     )
 
 
-def _pieces(problem: Problem, solution: Solution) -> Iterator[Linear]:
+def _pieces(problem: Problem, solution: Solution) -> Iterator[LinearisedWindow]:
     """The units, each joint offered the current of its model once more."""
-    state = State(solution.theta, 1 / solution.gains, solution.delays)
+    state = Iterate(solution.theta, 1 / solution.gains, solution.delays)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    for block in problem.units:
+    for block in problem.blocks:
         e, J = residuals(block, state, problem.n_theta), jacobian(block, state, problem, True)
         current = modelled(block, state.theta) * state.b[:, None]
-        yield Linear(e * weights[:, None], J * weights[:, None, None], -(current * weights[:, None])[..., None])
+        yield LinearisedWindow(
+            e * weights[:, None], J * weights[:, None, None], -(current * weights[:, None])[..., None]
+        )

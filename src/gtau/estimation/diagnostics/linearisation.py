@@ -7,25 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.estimators.newton import State, jacobian, residuals
+from gtau.estimation.estimators.newton import Iterate, jacobian, residuals
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS, EXTRA
 from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.signals.preparation import Held
+from gtau.signals.preparation import InMemoryRun
 
 SAMPLES = 40_000  # that are looked at, of all runs together
 RANK = 1e-6  # of the largest singular value: less is not told
 
-Offer = Callable[[Held, np.ndarray, Iterator[Rows]], Iterator[tuple[Rows, np.ndarray]]]
+CandidateColumns = Callable[[InMemoryRun, np.ndarray, Iterator[Rows]], Iterator[tuple[Rows, np.ndarray]]]
 """Gives each block of a piece's rows its torques offered (n, K, m), from the values of the base columns (n_b,)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearisedWindow:
     """Rows of a piece reduced to triangles, in standard deviations of the current.
 
     ``errors`` (n, p), their ``jacobian`` (n, p, k) by the unknowns of
@@ -37,31 +37,31 @@ class Linear:
     offered: np.ndarray
 
 
-def middles(data: Data, pieces: int = 1) -> list[tuple[int, Held]]:
+def central_windows(dataset: Dataset, pieces: int = 1) -> list[tuple[int, InMemoryRun]]:
     """The middle of every run, at most ``SAMPLES`` of all together, in so many ``pieces``, each with its run's number.
 
     Runs too short for a row of each piece are left out.
     """
     found = []
-    for run, whole in enumerate(data.prepared):
-        size = min(SAMPLES // len(data.prepared), len(whole)) // pieces
-        if data.preparation.decimator.outputs(size) == 0:
+    for run, whole in enumerate(dataset.prepared):
+        size = min(SAMPLES // len(dataset.prepared), len(whole)) // pieces
+        if dataset.preparation.decimator.outputs(size) == 0:
             continue
         begin = (len(whole) - size * pieces) // 2
         starts = (begin + k * size for k in range(pieces))
-        found += [(run, Held(whole.run, whole.samples(start, start + size))) for start in starts]
+        found += [(run, InMemoryRun(whole.run, whole.samples(start, start + size))) for start in starts]
     return found
 
 
-def linearised(
-    data: Data,
-    assembly: Assembly,
+def linearise(
+    dataset: Dataset,
+    system: System,
     solution: Solution,
     free_gains: bool,
-    offer: Offer,
-    pieces: Iterable[tuple[int, Held]],
+    offer: CandidateColumns,
+    pieces: Iterable[tuple[int, InMemoryRun]],
     model: InverseDynamics | None = None,
-) -> list[Linear]:
+) -> list[LinearisedWindow]:
     """Errors along ``pieces`` of the runs, their Jacobian, and what is offered to explain them.
 
     Those of another ``model`` of the robot, where one is given.
@@ -71,21 +71,21 @@ def linearised(
     GtauError
         Where what is offered cannot be computed along a run.
     """
-    problem, n = assembly.problem, len(data.model.actuated)
-    model = data.model if model is None else model
-    regressor, decimator = model.columns(data.base.standard), data.preparation.decimator
-    b, p = data.base.count, data.base.count + EXTRA
-    kept = [assembly.whole.parameters.index(name) for name in problem.parameters]
-    columns = [*kept, *range(assembly.whole.n_theta, assembly.whole.n_theta + 1 + CURRENTS)]
-    state = State(solution.theta, 1 / solution.gains, solution.delays)
+    problem, n = system.problem, len(dataset.model.actuated)
+    model = dataset.model if model is None else model
+    regressor, decimator = model.columns(dataset.base.standard), dataset.preparation.decimator
+    b, p = dataset.base.count, dataset.base.count + EXTRA
+    kept = [system.whole.parameters.index(name) for name in problem.parameters]
+    columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + 1 + CURRENTS)]
+    state = Iterate(solution.theta, 1 / solution.gains, solution.delays)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    with_load = any(term.startswith("fl_") for term in assembly.friction.terms)
+    with_load = any(term.startswith("fl_") for term in system.friction.terms)
     found = []
     for run, piece in pieces:
-        load = assembly.load(run, solution.theta) if with_load else None
+        load = system.load(run, solution.theta) if with_load else None
         rows = stream_rows(model, regressor, piece, decimator, load)
         waiting: list[list[np.ndarray]] = [[] for _ in range(n)]
-        for part, torques in offer(piece, assembly.motion(run, solution.theta), rows):
+        for part, torques in offer(piece, system.motion(run, solution.theta), rows):
             m = torques.shape[-1]
             A = np.zeros((n, len(part.time), p + m))
             A[regressor.rows, :, regressor.columns] = part.entries
@@ -97,20 +97,20 @@ def linearised(
         blocks, offered = np.zeros((n, p + m, len(columns))), np.zeros((n, p + m, m))
         for j in range(n):
             T = triangle(*waiting[j])
-            blocks[j, : len(T)] = (T[:, :p] @ assembly.maps[run, j])[:, columns]
+            blocks[j, : len(T)] = (T[:, :p] @ system.maps[run, j])[:, columns]
             offered[j, : len(T)] = -state.b[j] * weights[j] * T[:, p:]
         e, J = residuals(blocks, state, problem.n_theta), jacobian(blocks, state, problem, free_gains)
-        found.append(Linear(e * weights[:, None], J * weights[:, None, None], offered))
+        found.append(LinearisedWindow(e * weights[:, None], J * weights[:, None, None], offered))
     return found
 
 
-def nothing(piece: Held, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
+def nothing(piece: InMemoryRun, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
     """No torques are offered."""
     for part in rows:
         yield part, np.zeros((*part.keep.shape, 0))
 
 
-def together(pieces: Sequence[Linear]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def stack(pieces: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors (.,), Jacobian (., k) and what is offered (., m) of all joints in all pieces."""
     return (
         np.concatenate([each.errors.ravel() for each in pieces]),
@@ -119,7 +119,7 @@ def together(pieces: Sequence[Linear]) -> tuple[np.ndarray, np.ndarray, np.ndarr
     )
 
 
-def solved(J: np.ndarray, e: np.ndarray) -> np.ndarray:
+def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
     """The steps (k, ...) that make ``e + J step`` least, in the directions that the pieces tell."""
     scale = np.linalg.norm(J, axis=0)
     scale[scale == 0] = 1.0

@@ -16,15 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.linearisation import linearised, middles, nothing, solved, together
+from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step, linearise, nothing, stack
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Attachment, Mdh, Placement, Robot
-from gtau.signals.preparation import Held
+from gtau.signals.preparation import InMemoryRun
 
 STEP = 0.01  # relative change of a length, and of gravity
 SHORT = 0.02  # lengths below this share of the longest are not tried
@@ -37,7 +37,7 @@ MOST = 12  # lengths that are tried, the longest first
 
 
 @dataclass(frozen=True)
-class Suspicion:
+class Misspecification:
     """What may be wrong, the ``share`` of the errors' variance that it explains, and a length's relative ``change``."""
 
     why: str
@@ -46,11 +46,13 @@ class Suspicion:
     change: float = 0.0
 
 
-def suspicion(data: Data, assembly: Assembly, solution: Solution, progress: Progress = silent) -> Suspicion | None:
+def find_misspecification(
+    dataset: Dataset, system: System, solution: Solution, progress: Progress = silent
+) -> Misspecification | None:
     """What explains much of the errors, of several lengths the one that is least wrong; None where nothing does."""
     found = [
         each
-        for each in _explained(data, assembly, solution, progress)
+        for each in _explained(dataset, system, solution, progress)
         if each.share > BY_GRAVITY or (each.share > BY_LENGTH and abs(each.change) > WRONG)
     ]
     most = max((each.share for each in found), default=0.0)
@@ -58,14 +60,14 @@ def suspicion(data: Data, assembly: Assembly, solution: Solution, progress: Prog
     return min(likely, key=lambda each: abs(each.change), default=None)
 
 
-def _explained(data: Data, assembly: Assembly, solution: Solution, progress: Progress) -> Iterator[Suspicion]:
-    yield _gravity(data, assembly, solution)
-    before = _left(data, assembly, solution, data.model)
-    lengths = list(zip(_longer(data.robot, STEP), _longer(data.robot, -STEP), strict=True))
+def _explained(dataset: Dataset, system: System, solution: Solution, progress: Progress) -> Iterator[Misspecification]:
+    yield _gravity(dataset, system, solution)
+    before = _left(dataset, system, solution, dataset.model)
+    lengths = list(zip(_longer(dataset.robot, STEP), _longer(dataset.robot, -STEP), strict=True))
     for k, ((what, longer), (_, shorter)) in enumerate(lengths):
         progress("other lengths", k, len(lengths))
         try:
-            above, below = (_left(data, assembly, solution, InverseDynamics(each)) for each in (longer, shorter))
+            above, below = (_left(dataset, system, solution, InverseDynamics(each)) for each in (longer, shorter))
         except GtauError:
             continue  # the robot cannot be assembled or follow its motion with another length
         slope, curvature = (above - below) / 2, (above + below) / 2 - before
@@ -76,39 +78,39 @@ def _explained(data: Data, assembly: Assembly, solution: Solution, progress: Pro
             f"{_goes(share)} other lengths, such as {what} {100 * abs(change):.2g} % "
             f"{'longer' if change > 0 else 'shorter'}"
         )
-        yield Suspicion(why, "check the robot's geometry", share, change)
+        yield Misspecification(why, "check the robot's geometry", share, change)
     progress("other lengths", len(lengths), len(lengths))
 
 
-def _gravity(data: Data, assembly: Assembly, solution: Solution) -> Suspicion:
-    robot, n = data.robot, len(data.model.actuated)
-    size, own = STEP * float(np.linalg.norm(robot.gravity)), data.model.columns(data.base.standard)
+def _gravity(dataset: Dataset, system: System, solution: Solution) -> Misspecification:
+    robot, n = dataset.robot, len(dataset.model.actuated)
+    size, own = STEP * float(np.linalg.norm(robot.gravity)), dataset.model.columns(dataset.base.standard)
     others = [replace(robot, gravity=tuple(np.array(robot.gravity) + size * row)) for row in np.eye(3)]
-    models = [(model, model.columns(data.base.standard)) for model in map(InverseDynamics, others)]
+    models = [(model, model.columns(dataset.base.standard)) for model in map(InverseDynamics, others)]
 
-    def changes(piece: Held, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
-        moved = [stream_rows(model, regressor, piece, data.preparation.decimator) for model, regressor in models]
+    def changes(piece: InMemoryRun, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
+        moved = [stream_rows(model, regressor, piece, dataset.preparation.decimator) for model, regressor in models]
         for part, *parts in zip(rows, *moved, strict=True):
             before = own.torques(part.entries, values, n)
             torques = [regressor.torques(p.entries, values, n) for p, (_, regressor) in zip(parts, models, strict=True)]
             yield part, np.stack(torques, axis=-1) - before[..., None]
 
-    e, J, columns = together(linearised(data, assembly, solution, True, changes, middles(data)))
-    step = solved(np.hstack([J, columns]), e)
+    e, J, columns = stack(linearise(dataset, system, solution, True, changes, central_windows(dataset)))
+    step = least_squares_step(np.hstack([J, columns]), e)
     left = e + np.hstack([J, columns]) @ step
-    share = 1 - float(left @ left) / float(np.sum((e + J @ solved(J, e)) ** 2))
+    share = 1 - float(left @ left) / float(np.sum((e + J @ least_squares_step(J, e)) ** 2))
     x, y, z = np.array(robot.gravity) + size * step[-3:]
-    return Suspicion(
+    return Misspecification(
         f"{_goes(share)} another gravity, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2",
         "check the direction of gravity, which runs carry the payload, and on which body",
         share,
     )
 
 
-def _left(data: Data, assembly: Assembly, solution: Solution, model: InverseDynamics) -> float:
+def _left(dataset: Dataset, system: System, solution: Solution, model: InverseDynamics) -> float:
     """Squares of the errors that a fit of another ``model`` leaves."""
-    e, J, _ = together(linearised(data, assembly, solution, True, nothing, middles(data), model))
-    return float(np.sum((e + J @ solved(J, e)) ** 2))
+    e, J, _ = stack(linearise(dataset, system, solution, True, nothing, central_windows(dataset), model))
+    return float(np.sum((e + J @ least_squares_step(J, e)) ** 2))
 
 
 def _goes(share: float) -> str:

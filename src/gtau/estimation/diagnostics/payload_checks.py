@@ -10,9 +10,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, known_verdict
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import Assembly, known_values, require_scale
+from gtau.estimation.regression.system import System, known_values, require_scale
 from gtau.estimation.results.estimate import unit_of
 from gtau.signals.experiment import Payload
 
@@ -30,7 +30,7 @@ class Freed:
 
 
 def weigh_known(
-    data: Data, assembly: Assembly, solution: Solution, method: str, solve: Callable[[Problem], Solution]
+    dataset: Dataset, system: System, solution: Solution, method: str, solve: Callable[[Problem], Solution]
 ) -> dict[str, Verdict]:
     """Estimate what is known of each payload, one value at a time, with gains from all else that is known.
 
@@ -42,16 +42,16 @@ def weigh_known(
     dict
         Verdicts by name, of payloads with a value that the others can be tested against.
     """
-    known = {run.payload.name: run.payload for run in data.runs if run.payload and run.payload.mass is not None}
+    known = {run.payload.name: run.payload for run in dataset.runs if run.payload and run.payload.mass is not None}
     verdicts = {}
     for name, payload in known.items():
         tested = (*(("m",) if len(known) > 1 else ()), *payload.parameters)
-        freed = {kind: _freed(data, assembly, solution, method, solve, payload, kind) for kind in tested}
+        freed = {kind: _freed(dataset, system, solution, method, solve, payload, kind) for kind in tested}
         told = {kind: found for kind, found in freed.items() if found is not None}
         if not told:
             continue
         kind = min(told, key=lambda kind: told[kind].left)
-        found, unit = told[kind], unit_of(kind, data.robot, data.robot.tool)
+        found, unit = told[kind], unit_of(kind, dataset.robot, dataset.robot.tool)
         small = kind != "m" and found.moves < MOVED
         declared = known_values(payload)[kind]
         verdicts[name] = GOOD if small else known_verdict(kind, declared, found.value, found.std, unit)
@@ -59,8 +59,8 @@ def weigh_known(
 
 
 def _freed(
-    data: Data,
-    assembly: Assembly,
+    dataset: Dataset,
+    system: System,
     solution: Solution,
     method: str,
     solve: Callable[[Problem], Solution],
@@ -70,10 +70,10 @@ def _freed(
     """What all else tells of a payload's parameter, if it does."""
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
-    payloads = _exchanged(data, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
-    other = data.assembly(assembly.friction, assembly.problem.slowest > 0, payloads)
+    payloads = _exchanged(dataset, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
+    other = dataset.system(system.friction, system.problem.slowest > 0, payloads)
     try:
-        require_scale(data.robot, other, payloads, method)
+        require_scale(dataset.robot, other, payloads, method)
         free = solve(other.problem)
     except GtauError:
         return None  # without this value nothing gives the scale
@@ -85,7 +85,7 @@ def _freed(
         for (label, of), sums in zip(each.unknown.items(), each.sums, strict=True)
         if of == kind and np.count_nonzero(sums) == 1 and label in other.problem.parameters
     ]
-    if not columns or not set(other.unexcited) <= set(assembly.unexcited):
+    if not columns or not set(other.unexcited) <= set(system.unexcited):
         return None  # or it cannot be told from what is not declared
     best = min(columns, key=lambda k: float(std[k]))
     value = float(free.theta[best])
@@ -96,23 +96,23 @@ def _freed(
 
 
 def mass_uncertainty(
-    data: Data, assembly: Assembly, solution: Solution, solve: Callable[[Problem], Solution]
+    dataset: Dataset, system: System, solution: Solution, solve: Callable[[Problem], Solution]
 ) -> np.ndarray:
     """Covariance of (theta, gains, delays) that the uncertainty of the known masses adds, one payload at a time."""
     extra = np.zeros_like(solution.covariance)
-    masses = {run.payload.name: run.payload for run in data.runs if run.payload and run.payload.mass_std}
+    masses = {run.payload.name: run.payload for run in dataset.runs if run.payload and run.payload.mass_std}
     for payload in masses.values():
         assert payload.mass is not None
         heavier = payload.model_copy(update={"mass": payload.mass + payload.mass_std})
-        payloads = _exchanged(data, payload.name, heavier)
+        payloads = _exchanged(dataset, payload.name, heavier)
         shift = (
-            solve(data.assembly(assembly.friction, assembly.problem.slowest > 0, payloads).problem).stacked
+            solve(dataset.system(system.friction, system.problem.slowest > 0, payloads).problem).stacked
             - solution.stacked
         )
         extra += np.outer(shift, shift)
     return extra
 
 
-def _exchanged(data: Data, name: str, other: Payload) -> Sequence[Payload | None]:
+def _exchanged(dataset: Dataset, name: str, other: Payload) -> Sequence[Payload | None]:
     """The runs' payloads, with ``other`` in the place of that called ``name``."""
-    return [other if run.payload and run.payload.name == name else run.payload for run in data.runs]
+    return [other if run.payload and run.payload.name == name else run.payload for run in dataset.runs]

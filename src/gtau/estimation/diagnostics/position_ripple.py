@@ -15,15 +15,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.diagnostics.gain_change import DOMINANT, worst_differences
-from gtau.estimation.diagnostics.linearisation import Linear, linearised, middles, solved, together
+from gtau.estimation.diagnostics.linearisation import (
+    LinearisedWindow,
+    central_windows,
+    least_squares_step,
+    linearise,
+    stack,
+)
 from gtau.estimation.diagnostics.verdict import LACKING, lack_of_fit
-from gtau.estimation.estimators.newton import State, to_gains
+from gtau.estimation.estimators.newton import Iterate, to_gains
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Rows
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
-from gtau.signals.preparation import Held
+from gtau.signals.preparation import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
 FOUND = 0.3  # share of a joint's errors that is found again
@@ -31,7 +37,7 @@ LARGEST = 10.0  # times the joint's error: how large such a torque may be, more 
 
 
 @dataclass(frozen=True, eq=False)
-class Locked:
+class PositionRipple:
     """What repeats at the same positions.
 
     ``shares`` (n,) of the variance of each joint's errors that one half of the runs tells of the other, and by how
@@ -53,55 +59,55 @@ class Locked:
         return np.outer(self.moves, self.moves)
 
 
-def position_locked(data: Data, assembly: Assembly, solution: Solution, free_gains: bool) -> Locked:
+def position_ripple(dataset: Dataset, system: System, solution: Solution, free_gains: bool) -> PositionRipple:
     """What of the errors repeats at the same positions; looked for where there is a lack of fit.
 
     Parameters
     ----------
-    data, assembly, solution : Data, Assembly, Solution
+    dataset, assembly, solution : Dataset, Assembly, Solution
         What was identified.
     free_gains : bool
         Whether the gains are estimated, or given.
     """
-    n = len(data.model.actuated)
-    nothing = Locked(np.zeros(n), np.zeros(len(solution.stacked)))
-    if lack_of_fit(assembly.problem, solution) < LACKING:
+    n = len(dataset.model.actuated)
+    nothing = PositionRipple(np.zeros(n), np.zeros(len(solution.stacked)))
+    if lack_of_fit(system.problem, solution) < LACKING:
         return nothing
-    differences = worst_differences(assembly.problem, solution, assembly.places) if free_gains else ()
+    differences = worst_differences(system.problem, solution, system.block_positions) if free_gains else ()
     if any(each.share > DOMINANT for each in differences):
         return nothing  # currents out of scale in a run leave errors that look like functions of the position
-    pieces = middles(data, pieces=2)
+    pieces = central_windows(dataset, pieces=2)
     low = np.min([piece.all.q.min(axis=0) for _, piece in pieces], axis=0)
     high = np.max([piece.all.q.max(axis=0) for _, piece in pieces], axis=0)
     knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
     width = np.maximum(knots[1] - knots[0], 1e-300)
 
-    def offer(piece: Held, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
+    def offer(piece: InMemoryRun, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
         q = piece.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
-        hats = data.preparation.decimator.apply(hats)  # (n, KNOTS, outputs)
+        hats = dataset.preparation.decimator.apply(hats)  # (n, KNOTS, outputs)
         for part in rows:
             yield part, hats[:, :, part.outputs].transpose(0, 2, 1)
 
-    found = linearised(data, assembly, solution, free_gains, offer, pieces)
+    found = linearise(dataset, system, solution, free_gains, offer, pieces)
     first, second = found[0::2], found[1::2]
-    sigma = np.maximum(solution.sigma, assembly.problem.smallest_sigma)
+    sigma = np.maximum(solution.sigma, system.problem.smallest_sigma)
     heights = 1 / (LARGEST * np.abs(solution.gains) * sigma)
     again = [
-        Linear(each.errors + np.einsum("jpk,jk->jp", each.offered, torque), each.jacobian, each.offered)
+        LinearisedWindow(each.errors + np.einsum("jpk,jk->jp", each.offered, torque), each.jacobian, each.offered)
         for half, other in ((first, second), (second, first))
         for each, torque in zip(half, _fit([other], heights)[1], strict=True)
     ]
     (_, rest), (step, before) = _left(again), _left(found)
     shares = 1 - rest / np.maximum(before, 1e-300)
     if np.max(shares) < FOUND:
-        return Locked(shares, nothing.moves)
+        return PositionRipple(shares, nothing.moves)
     moved, _ = _fit([first, second], heights)
-    state = State(solution.theta, 1 / solution.gains, solution.delays)
-    return Locked(shares, to_gains(state, assembly.problem.n_theta, free_gains) @ (moved - step))
+    state = Iterate(solution.theta, 1 / solution.gains, solution.delays)
+    return PositionRipple(shares, to_gains(state, system.problem.n_theta, free_gains) @ (moved - step))
 
 
-def _fit(halves: Sequence[Sequence[Linear]], heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _fit(halves: Sequence[Sequence[LinearisedWindow]], heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steps of the estimates (k,), and each run's torques at the knots (runs, n, KNOTS), found together.
 
     Each half has one piece a run. A torque acts in one joint of one run only, so it is eliminated there; it is drawn
@@ -115,13 +121,13 @@ def _fit(halves: Sequence[Sequence[Linear]], heights: np.ndarray) -> tuple[np.nd
             tops.append(R[:KNOTS])
             rests.append(R[KNOTS:, KNOTS:])
     rest = np.concatenate(rests)
-    step = solved(rest[:, :-1], rest[:, -1])
+    step = least_squares_step(rest[:, :-1], rest[:, -1])
     torques = [-np.linalg.solve(top[:, :KNOTS], top[:, KNOTS:-1] @ step + top[:, -1]) for top in tops]
     return step, np.reshape(torques, (-1, len(heights), KNOTS))
 
 
-def _left(pieces: Sequence[Linear]) -> tuple[np.ndarray, np.ndarray]:
+def _left(pieces: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray]:
     """Steps of the estimates without further torques (k,), and the squares of the errors that they leave, (n,)."""
-    e, J, _ = together(pieces)
-    step = solved(J, e)
+    e, J, _ = stack(pieces)
+    step = least_squares_step(J, e)
     return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))

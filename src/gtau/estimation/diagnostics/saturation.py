@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.linearisation import linearised, middles
-from gtau.estimation.diagnostics.score_test import one_by_one
+from gtau.estimation.diagnostics.linearisation import central_windows, linearise
+from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Rows
-from gtau.estimation.regression.system import Assembly
-from gtau.signals.preparation import Held
+from gtau.estimation.regression.system import System
+from gtau.signals.preparation import InMemoryRun
 
 PIECES = 10  # of a run, within which errors may hang together
 LARGE = 2.0  # rms currents: where the fall is told
@@ -40,22 +40,22 @@ class Saturation:
     share: float
 
 
-def saturations(data: Data, assembly: Assembly, solution: Solution) -> tuple[Saturation, ...]:
+def find_saturation(dataset: Dataset, system: System, solution: Solution) -> tuple[Saturation, ...]:
     """What each of the n joints' currents (A) say of its torque constant, falls as shares of it.
 
     A term ``tau |tau|``, which at the current ``at`` is as large as the torque, is offered to each joint alone.
     """
-    n, own = len(data.model.actuated), data.model.columns(data.base.standard)
-    currents = LARGE * assembly.problem.signal
+    n, own = len(dataset.model.actuated), dataset.model.columns(dataset.base.standard)
+    currents = LARGE * system.problem.signal
     scale = np.abs(solution.gains) * currents
 
-    def offer(piece: Held, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
+    def offer(piece: InMemoryRun, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
         for part in rows:
             tau = own.torques(part.entries, values, n)
             yield part, (np.abs(tau) * tau / scale[:, None])[:, :, None]
 
-    pieces = linearised(data, assembly, solution, True, offer, middles(data, PIECES))
-    found = one_by_one(lambda: pieces, np.ones((1, len(pieces)), dtype=bool))
+    pieces = linearise(dataset, system, solution, True, offer, central_windows(dataset, PIECES))
+    found = score_tests(lambda: pieces, np.ones((1, len(pieces)), dtype=bool))
     each = zip(found.size[0], currents, found.t[0], found.share[0], strict=True)
     return tuple(Saturation(*map(float, values)) for values in each)
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.linearisation import Linear
+from gtau.estimation.diagnostics.linearisation import LinearisedWindow
 from gtau.estimation.estimators.newton import whitening
 
 TOLD = 1e-6  # of the square of what is offered: less is left by the other unknowns, so it could be any of them
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ScoreTests:
     """Of each joint's unknown in each group of pieces, (groups, n).
 
     Its ``size``, ``t`` in standard deviations, and the ``share`` of the variance of all errors that goes with it.
@@ -25,7 +25,7 @@ class Found:
     share: np.ndarray
 
 
-def one_by_one(pieces: Callable[[], Iterable[Linear]], members: np.ndarray) -> Found:
+def score_tests(pieces: Callable[[], Iterable[LinearisedWindow]], members: np.ndarray) -> ScoreTests:
     """Offer each joint the first of the torques ``offered`` in groups of the ``pieces`` (groups, pieces).
 
     All other unknowns adapt to it. Deviations are found from the pieces, within which errors may hang together.
@@ -65,4 +65,4 @@ def one_by_one(pieces: Callable[[], Iterable[Linear]], members: np.ndarray) -> F
         spread += np.einsum("gjip,gjip->gj", own, rest) ** 2
     deviation = np.sqrt(spread * count / max(count - 1, 1)) / left
     share = size**2 * left / max(e_e - float(J_e @ J_e), 1e-300)
-    return Found(size, np.where(told, size / np.maximum(deviation, 1e-300), 0.0), share)
+    return ScoreTests(size, np.where(told, size / np.maximum(deviation, 1e-300), 0.0), share)

@@ -6,27 +6,27 @@ from itertools import combinations
 
 import numpy as np
 
-from gtau.estimation.diagnostics.linearisation import middles, solved
+from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import stream_rows
 
 BETTER = 0.5  # of the errors with a joint's own current are left with the other's: far more where columns are right
 
 
-def unexplained(data: Data) -> np.ndarray:
+def unexplained(dataset: Dataset) -> np.ndarray:
     """Share of each joint's current (columns) that the regressor of each joint (rows) leaves unexplained, (n, n).
 
     Each joint is fitted by itself, with other parameters for each payload.
     """
-    n, regressor = len(data.model.actuated), data.model.columns(data.base.standard)
-    loads = [None if run.payload is None else run.payload.name for run in data.runs]
+    n, regressor = len(dataset.model.actuated), dataset.model.columns(dataset.base.standard)
+    loads = [None if run.payload is None else run.payload.name for run in dataset.runs]
     kinds = list(dict.fromkeys(loads))
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     currents: list[list[np.ndarray]] = [[] for _ in range(n)]
-    for run, piece in middles(data):
+    for run, piece in central_windows(dataset):
         mine = np.array([loads[run] == kind for kind in kinds], dtype=float)
-        for part in stream_rows(data.model, regressor, piece, data.preparation.decimator):
+        for part in stream_rows(dataset.model, regressor, piece, dataset.preparation.decimator):
             for j in range(n):
                 own = part.entries[regressor.rows == j][:, part.keep[j]].T
                 rows[j].append(np.kron(mine, own))
@@ -34,15 +34,15 @@ def unexplained(data: Data) -> np.ndarray:
     left = np.zeros((n, n))
     for j in range(n):
         W, V = np.concatenate(rows[j]), np.concatenate(currents[j])
-        rest = V + W @ solved(W, V)
+        rest = V + W @ least_squares_step(W, V)
         left[j] = np.linalg.norm(rest, axis=0) / np.maximum(np.linalg.norm(V, axis=0), 1e-300)
     return left
 
 
-def against_swapped(verdicts: tuple[Verdict, ...], data: Data) -> tuple[Verdict, ...]:
+def against_swapped(verdicts: tuple[Verdict, ...], dataset: Dataset) -> tuple[Verdict, ...]:
     """Verdicts on the gains where the currents of two joints look swapped."""
-    left, found, joints = unexplained(data), list(verdicts), data.model.actuated
-    columns = "torques" if data.runs[0].kind == "torque" else "currents"
+    left, found, joints = unexplained(dataset), list(verdicts), dataset.model.actuated
+    columns = "torques" if dataset.runs[0].kind == "torque" else "currents"
     for j, k in combinations(range(len(joints)), 2):
         if left[j, k] < BETTER * left[j, j] and left[k, j] < BETTER * left[k, k]:
             found[j] = found[k] = Verdict(

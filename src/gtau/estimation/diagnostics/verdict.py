@@ -62,7 +62,7 @@ def gain_verdicts(
     problem: Problem,
     solution: Solution,
     std: np.ndarray,
-    places: np.ndarray,
+    block_positions: np.ndarray,
     runs: Sequence[str],
     repeating: bool = False,
 ) -> tuple[Verdict, ...]:
@@ -74,7 +74,7 @@ def gain_verdicts(
         What was solved, and how.
     std : ndarray
         Standard deviations of the gains (n,).
-    places, runs : ndarray, sequence of str
+    block_positions, runs : ndarray, sequence of str
         Where the problem's units stand (U, 2), and the names of the runs.
     repeating : bool
         Whether errors repeat at the same positions. A joint's own equations then take up more of them than all
@@ -89,7 +89,10 @@ def gain_verdicts(
     apart = np.abs(solution.gains - other.gains) / np.maximum(std, between)
     blocks = np.sqrt(np.diag(solution.jackknife))[gains]
     relative = np.maximum(std, blocks) / np.abs(solution.gains)  # formulas take errors for independent
-    drifts, differences = worst_drifts(problem, solution, places), worst_differences(problem, solution, places)
+    drifts, differences = (
+        worst_drifts(problem, solution, block_positions),
+        worst_differences(problem, solution, block_positions),
+    )
     reversed_ = solution.gains < 0
     found = [
         _gain_verdict(misfit[j], alone[j], apart[j], relative[j], bool(np.all(reversed_)), solution.settled)
@@ -209,7 +212,7 @@ def parameter_verdict(value: float | None, std: float | None) -> Verdict:
     return GOOD
 
 
-def known_verdict(kind: str, declared: float, found: float, std: float, unit: str) -> Verdict:
+def known_verdict(kind: str, declared: float, found: float, std: float, block: str) -> Verdict:
     """Verdict on a payload of which the parameter ``kind`` has been found from all else that is known."""
     if abs(found - declared) <= APART * std:
         return GOOD
@@ -222,8 +225,8 @@ def known_verdict(kind: str, declared: float, found: float, std: float, unit: st
         )
     return Verdict(
         Outcome.CONTRADICTORY,
-        f"with its mass and all else that is known its {kind} is {found:.4g} +- {std:.2g} {unit}, not {declared:.4g} "
-        f"{unit}",
+        f"with its mass and all else that is known its {kind} is {found:.4g} +- {std:.2g} {block}, not {declared:.4g} "
+        f"{block}",
         f"check {kind} and the frame it is given in, that of the body that carries the payload, and the mass; or leave "
         f"{kind} out",
     )

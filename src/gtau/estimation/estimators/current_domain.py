@@ -19,7 +19,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import MISFIT
-from gtau.estimation.estimators.newton import State, solve
+from gtau.estimation.estimators.newton import Iterate, solve
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.problem import Problem
@@ -53,9 +53,9 @@ def ml(problem: Problem, prior: np.ndarray | None = None) -> Solution:
         the verdicts say so.)
     """
     first = two_stage(problem)
-    start = State(first.theta, 1 / first.gains, first.delays)
+    start = Iterate(first.theta, 1 / first.gains, first.delays)
 
-    def weights(state: State, errors: np.ndarray) -> np.ndarray:
+    def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
         return 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
 
     solution = solve(problem, start, weights, True, prior)
@@ -69,9 +69,9 @@ def ml(problem: Problem, prior: np.ndarray | None = None) -> Solution:
 
 
 def _with_given(
-    problem: Problem, gains: np.ndarray, weigh: Callable[[State, np.ndarray], np.ndarray], name: str
+    problem: Problem, gains: np.ndarray, weigh: Callable[[Iterate, np.ndarray], np.ndarray], name: str
 ) -> Solution:
-    start = State(np.zeros(problem.n_theta), 1 / np.asarray(gains, dtype=float), problem.own_delays)
+    start = Iterate(np.zeros(problem.n_theta), 1 / np.asarray(gains, dtype=float), problem.own_delays)
     solution = solve(problem, start, weigh, free_gains=False)
     if not solution.settled:
         raise GtauError(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.estimators.newton import State, jacobian, stacked, to_gains, whitening
+from gtau.estimation.estimators.newton import Iterate, jacobian, stacked, to_gains, whitening
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 
@@ -28,7 +28,7 @@ def freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarra
     free_gains : bool
         Whether the gains are estimated, or given.
     """
-    state, units = State(solution.theta, 1 / solution.gains, solution.delays), len(problem.units)
+    state, blocks = Iterate(solution.theta, 1 / solution.gains, solution.delays), len(problem.blocks)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
 
     def rows(blocks: np.ndarray) -> np.ndarray:
@@ -38,8 +38,8 @@ def freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarra
     back = whitening(rows(stacked(problem)), np.zeros(len(problem.joints)))
     named = to_gains(state, problem.n_theta, free_gains) @ back
     variances = []
-    for unit in problem.units:
-        J = rows(unit) @ back
+    for block in problem.blocks:
+        J = rows(block) @ back
         left = np.eye(J.shape[1]) - J.T @ J
         try:
             of_rows = np.linalg.solve(left, J.T)
@@ -47,5 +47,5 @@ def freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarra
             of_rows = np.linalg.pinv(left, rcond=1e-10, hermitian=True) @ J.T
         variances.append(np.sum((named @ of_rows) ** 2, axis=1))
     total, squares = np.sum(variances, axis=0), np.sum(np.square(variances), axis=0)
-    share = np.divide(total**2, squares, out=np.full(len(total), float(units)), where=squares > 0)
-    return np.asarray(np.clip(share - 1, 1.0, units - 1.0))
+    share = np.divide(total**2, squares, out=np.full(len(total), float(blocks)), where=squares > 0)
+    return np.asarray(np.clip(share - 1, 1.0, blocks - 1.0))

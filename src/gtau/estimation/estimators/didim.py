@@ -15,10 +15,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.progress import Progress
 
 PASSES = 10
@@ -26,8 +26,8 @@ SETTLED = 1e-2  # standard deviations: a smaller change of every estimate ends t
 
 
 def along_simulated_motion(
-    data: Data, assembly: Assembly, solve: Callable[[Problem], Solution], progress: Progress
-) -> tuple[Data, Assembly]:
+    dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
+) -> tuple[Dataset, System]:
     """The data along simulated motion, and their problem, settled with the estimates of ``solve``.
 
     Raises
@@ -35,26 +35,26 @@ def along_simulated_motion(
     GtauError
         Where the robot cannot be simulated with what was found, or simulation and estimate do not settle.
     """
-    loaded = any(term.startswith("fl_") for term in assembly.friction.terms)
-    before, solution = None, solve(assembly.problem)
+    loaded = any(term.startswith("fl_") for term in system.friction.terms)
+    before, solution = None, solve(system.problem)
     for k in range(PASSES):
         progress("simulation", k, PASSES)
-        loads = [assembly.load(run, solution.theta) if loaded else None for run in range(len(data.runs))]
-        simulated = zip(resimulated_runs(data, assembly, solution), loads, data.factors, strict=True)
+        loads = [system.load(run, solution.theta) if loaded else None for run in range(len(dataset.runs))]
+        simulated = zip(resimulated_runs(dataset, system, solution), loads, dataset.factors, strict=True)
         factors = tuple(
             replace(
-                reduce_run(data.model, data.base.standard, run, data.preparation.decimator, load),
+                reduce_run(dataset.model, dataset.base.standard, run, dataset.preparation.decimator, load),
                 distances=logged.distances,  # to singularities: of what the robot did
             )
             for run, load, logged in simulated
         )
-        along = replace(data, factors=factors)
-        assembly = along.assembly(assembly.friction, assembly.problem.slowest > 0)
-        before, solution = solution, solve(assembly.problem)
+        along = replace(dataset, factors=factors)
+        system = along.system(system.friction, system.problem.slowest > 0)
+        before, solution = solution, solve(system.problem)
         std = np.sqrt(np.diag(solution.covariance))
         if len(before.stacked) == len(std) and np.all(np.abs(solution.stacked - before.stacked) <= SETTLED * std):
             progress("simulation", PASSES, PASSES)
-            return along, assembly
+            return along, system
     raise GtauError(
         "simulation and estimate do not settle, so the parameters found do not make the motion that was measured; "
         "use --method ml, or add runs that tell the parameters better."

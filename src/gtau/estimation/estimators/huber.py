@@ -12,10 +12,10 @@ from functools import partial
 import numpy as np
 
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
-from gtau.estimation.regression.factors import Factors, Weigh
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.factors import Factors, HuberWeights
 from gtau.estimation.regression.problem import Problem, delayed
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.progress import Progress
 from gtau.signals.quantiles import medians
 from gtau.signals.storage import block, spans
@@ -27,26 +27,26 @@ MAD = 1.4826  # median absolute deviation to standard deviation
 
 
 def reweighted(
-    data: Data, assembly: Assembly, solve: Callable[[Problem], Solution], progress: Progress
-) -> tuple[Data, Assembly]:
+    dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
+) -> tuple[Dataset, System]:
     """The data and their problem with Huber's weights on the rows, settled with the estimates of ``solve``."""
-    loaded = any(term.startswith("fl_") for term in assembly.friction.terms)
+    loaded = any(term.startswith("fl_") for term in system.friction.terms)
     sigma, gains = None, None
     for _ in range(PASSES):
-        solution = solve(assembly.problem)
+        solution = solve(system.problem)
         if gains is not None and np.allclose(solution.gains, gains, rtol=SETTLED, atol=0):
             break
         gains, sigma = solution.gains, solution.sigma if sigma is None else sigma
-        values = dict(zip(assembly.problem.parameters, solution.theta, strict=True))
-        theta = np.append([values.get(name, 0.0) for name in assembly.whole.parameters], 1.0)
+        values = dict(zip(system.problem.parameters, solution.theta, strict=True))
+        theta = np.append([values.get(name, 0.0) for name in system.whole.parameters], 1.0)
         of_row = np.array([np.append(-theta / g, delayed(d)) for g, d in zip(gains, solution.delays, strict=True)])
-        weigh = [Weigh(np.einsum("jpk,jk->jp", maps, of_row), TUNING * sigma) for maps in assembly.maps]
-        loads = [assembly.load(k, solution.theta) for k in range(len(data.runs))] if loaded else None
-        data = data.reduced(loads, progress, weigh)
-        assembly = data.assembly(assembly.friction, assembly.problem.slowest > 0)
-        sigma = MAD * medians(partial(_sizes, data.factors))
-        sigma = np.maximum(sigma, assembly.whole.smallest_sigma)
-    return data, assembly
+        weigh = [HuberWeights(np.einsum("jpk,jk->jp", maps, of_row), TUNING * sigma) for maps in system.maps]
+        loads = [system.load(k, solution.theta) for k in range(len(dataset.runs))] if loaded else None
+        dataset = dataset.reduced(loads, progress, weigh)
+        system = dataset.system(system.friction, system.problem.slowest > 0)
+        sigma = MAD * medians(partial(_sizes, dataset.factors))
+        sigma = np.maximum(sigma, system.whole.smallest_sigma)
+    return dataset, system
 
 
 def _sizes(factors: Sequence[Factors]) -> Iterator[np.ndarray]:

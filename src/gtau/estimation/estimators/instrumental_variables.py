@@ -19,20 +19,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.newton import State, jacobian, moved, one_step, residuals, to_gains
+from gtau.estimation.estimators.newton import Iterate, jacobian, moved, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, ROWS, STRETCHES, Factors
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
 from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import Held, Prepared
+from gtau.signals.preparation import InMemoryRun, PreparedRun
 
 PASSES = 6  # simulations
 SAME = 0.01  # standard deviations: a smaller change ends them
@@ -61,13 +61,13 @@ class Pair:
 
 
 def instrumental(
-    data: Data, assembly: Assembly, solution: Solution, free_gains: bool, progress: Progress
+    dataset: Dataset, system: System, solution: Solution, free_gains: bool, progress: Progress
 ) -> tuple[Pair, Solution]:
     """Estimates by instrumental variables, and the equations with their instruments.
 
     Parameters
     ----------
-    data, assembly, solution : Data, Assembly, Solution
+    dataset, assembly, solution : Dataset, Assembly, Solution
         What was identified without instruments, where the simulations begin.
     free_gains : bool
         Estimate the gains, or take those of ``solution``.
@@ -79,7 +79,7 @@ def instrumental(
     """
     for k in range(PASSES):
         progress("simulation", k, PASSES)
-        pair = paired(data, assembly, solution)
+        pair = paired(dataset, system, solution)
         before, solution = solution, with_instruments(pair, solution, free_gains)
         std = np.sqrt(np.diag(solution.covariance))
         if np.all(np.abs(solution.stacked - before.stacked) <= SAME * std):
@@ -97,7 +97,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
         Where the iteration does not settle.
     """
     problem, n_theta, n = pair.measured, pair.measured.n_theta, len(pair.measured.joints)
-    state = State(np.zeros(n_theta), 1 / start.gains, start.delays)
+    state = Iterate(np.zeros(n_theta), 1 / start.gains, start.delays)
 
     def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Errors (., n p), their Jacobian (., n p, k) and that of the instruments, weighted."""
@@ -130,44 +130,44 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     white = inverse @ (Q * np.repeat(sigma * weights, len(Q) // n)[:, None]).T
 
     def replicates() -> np.ndarray:
-        units = []
-        for unit, other in zip(pair.measured.units, pair.simulated.units, strict=True):
-            e_u, J_u, Z_u = linear(unit, other)
+        blocks = []
+        for block, other in zip(pair.measured.blocks, pair.simulated.blocks, strict=True):
+            e_u, J_u, Z_u = linear(block, other)
             left = inverse @ (Z_u @ back).T
-            units.append((left @ J_u @ back, left @ e_u))
-        return one_step(units) @ T.T
+            blocks.append((left @ J_u @ back, left @ e_u))
+        return one_step(blocks) @ T.T
 
     return Solution(state.theta, 1 / state.b, state.delays, sigma, T @ white @ white.T @ T.T, replicates)
 
 
-def paired(data: Data, assembly: Assembly, solution: Solution) -> Pair:
+def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
     """The problem along the motion measured, and along the one simulated."""
-    simulated = resimulated_runs(data, assembly, solution)
-    loaded = any(term.startswith("fl_") for term in assembly.friction.terms)
-    loads = [assembly.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
-    decimator, columns = data.preparation.decimator, data.base.standard
+    simulated = resimulated_runs(dataset, system, solution)
+    loaded = any(term.startswith("fl_") for term in system.friction.terms)
+    loads = [system.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
+    decimator, columns = dataset.preparation.decimator, dataset.base.standard
     pairs = [
-        _reduced(data.model, columns, measured, other, decimator, load)
-        for measured, other, load in zip(data.prepared, simulated, loads, strict=True)
+        _reduced(dataset.model, columns, measured, other, decimator, load)
+        for measured, other, load in zip(dataset.prepared, simulated, loads, strict=True)
     ]
     measured, instruments = (
-        replace(data, factors=factors).assembly(assembly.friction, assembly.problem.slowest > 0).whole
+        replace(dataset, factors=factors).system(system.friction, system.problem.slowest > 0).whole
         for factors in zip(*pairs, strict=True)
     )
     n_theta, whole, of_instruments = measured.n_theta, [], []
     for j in range(len(measured.joints)):
-        together = np.concatenate([instruments.units[:, j, :, : n_theta + 1], measured.units[:, j]], axis=-1)
+        together = np.concatenate([instruments.blocks[:, j, :, : n_theta + 1], measured.blocks[:, j]], axis=-1)
         R = triangle(*together)
         whole.append(R[:, n_theta + 1 :])
         of_instruments.append(np.hstack([R[:, : n_theta + 1], R[:, 2 * n_theta + 2 :]]))
-    return Pair(measured, instruments, (np.stack(whole), np.stack(of_instruments))).of(assembly.problem.parameters)
+    return Pair(measured, instruments, (np.stack(whole), np.stack(of_instruments))).of(system.problem.parameters)
 
 
 def _reduced(
     idm: InverseDynamics,
     columns: tuple[str, ...],
-    measured: Prepared,
-    simulated: Held,
+    measured: PreparedRun,
+    simulated: InMemoryRun,
     decimator: Decimator,
     load: np.ndarray | None,
 ) -> tuple[Factors, Factors]:

@@ -23,7 +23,7 @@ LARGEST_STEP = 1e8  # of leaving a unit out, in standard deviations: more, and o
 
 
 @dataclass(frozen=True)
-class State:
+class Iterate:
     """Unknowns of the current-domain model."""
 
     theta: np.ndarray
@@ -38,7 +38,7 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(A / norms, y, rcond=None)[0] / norms
 
 
-def residuals(blocks: np.ndarray, state: State, n_theta: int) -> np.ndarray:
+def residuals(blocks: np.ndarray, state: Iterate, n_theta: int) -> np.ndarray:
     """Residuals (..., n, p) of blocks (..., n, p, n_theta + 4)."""
     shifts = np.stack([delayed(d) for d in state.delays])
     currents = np.einsum("...jpk,jk->...jp", blocks[..., n_theta + 1 :], shifts)
@@ -50,7 +50,7 @@ def modelled(blocks: np.ndarray, theta: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("...jpk,k->...jp", blocks[..., : len(theta)], theta) + blocks[..., len(theta)])
 
 
-def jacobian(blocks: np.ndarray, state: State, problem: Problem, free_gains: bool) -> np.ndarray:
+def jacobian(blocks: np.ndarray, state: Iterate, problem: Problem, free_gains: bool) -> np.ndarray:
     """Derivatives of the residuals by (theta, b, d) or (theta, d), (..., n, p, parameters)."""
     n_theta = problem.n_theta
     W, currents = blocks[..., :n_theta], blocks[..., n_theta + 1 :]
@@ -64,11 +64,11 @@ def jacobian(blocks: np.ndarray, state: State, problem: Problem, free_gains: boo
     return np.concatenate(parts, axis=-1)
 
 
-def moved(state: State, step: np.ndarray, n_theta: int, free_gains: bool) -> State:
+def moved(state: Iterate, step: np.ndarray, n_theta: int, free_gains: bool) -> Iterate:
     """The state after a step in the unknowns of :func:`jacobian`."""
     n = len(state.b)
     b = state.b + step[n_theta : n_theta + n] if free_gains else state.b
-    return State(state.theta + step[:n_theta], b, state.delays + step[-n:])
+    return Iterate(state.theta + step[:n_theta], b, state.delays + step[-n:])
 
 
 def stacked(problem: Problem) -> np.ndarray:
@@ -81,8 +81,8 @@ def stacked(problem: Problem) -> np.ndarray:
 
 def solve(
     problem: Problem,
-    start: State,
-    weigh: Callable[[State, np.ndarray], np.ndarray],
+    start: Iterate,
+    weigh: Callable[[Iterate, np.ndarray], np.ndarray],
     free_gains: bool,
     prior: np.ndarray | None = None,
 ) -> Solution:
@@ -96,10 +96,10 @@ def solve(
     known = np.zeros((0, n_theta + 1)) if prior is None else prior
     J_known = np.pad(known[:, :-1], ((0, 0), (0, size - n_theta)))
 
-    def errors(at: State) -> np.ndarray:
+    def errors(at: Iterate) -> np.ndarray:
         return np.sum(residuals(triangles, at, n_theta) ** 2, axis=-1)
 
-    def cost(at: State) -> float:
+    def cost(at: Iterate) -> float:
         return float(weights**2 @ errors(at) + np.sum((known[:, :-1] @ at.theta - known[:, -1]) ** 2))
 
     for _ in range(STEPS):
@@ -127,7 +127,7 @@ def solve(
     return replace(solution, settled=settled)
 
 
-def curvature_of_delays(blocks: np.ndarray, state: State, problem: Problem, weights: np.ndarray) -> np.ndarray:
+def curvature_of_delays(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray) -> np.ndarray:
     """What ``e e'' `` adds to the curvature of the cost in each joint's delay, (..., n).
 
     Where motions are slow and the current's noise white, ``v'`` is mostly noise; Gauss and Newton then see a curvature
@@ -174,7 +174,7 @@ def _size(n: int, n_theta: int, free_gains: bool) -> int:
 def finish(
     problem: Problem,
     triangles: np.ndarray,
-    state: State,
+    state: Iterate,
     weights: np.ndarray,
     errors: np.ndarray,
     free_gains: bool,
@@ -199,19 +199,19 @@ def finish(
 
     def replicates() -> np.ndarray:
         # one step from the solution, with unit u left out
-        whitened, second, units = rows @ back, curvature(triangles), []
+        whitened, second, blocks = rows @ back, curvature(triangles), []
         gauss = whitened.T @ whitened
-        for unit in problem.units:
-            J_u = (jacobian(unit, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
-            e_u = (residuals(unit, state, n_theta) * weights[:, None]).reshape(-1)
-            left = curved(gauss - J_u.T @ J_u, second - curvature(unit))
-            units.append((np.eye(len(left)) - left, J_u.T @ e_u))
-        return one_step(units) @ (T @ back).T
+        for block in problem.blocks:
+            J_u = (jacobian(block, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
+            e_u = (residuals(block, state, n_theta) * weights[:, None]).reshape(-1)
+            left = curved(gauss - J_u.T @ J_u, second - curvature(block))
+            blocks.append((np.eye(len(left)) - left, J_u.T @ e_u))
+        return one_step(blocks) @ (T @ back).T
 
     return Solution(state.theta, gains, state.delays, sigma, T @ formula @ T.T, replicates, {}, T @ of_prior @ T.T)
 
 
-def to_gains(state: State, n_theta: int, free_gains: bool) -> np.ndarray:
+def to_gains(state: Iterate, n_theta: int, free_gains: bool) -> np.ndarray:
     """Derivatives of (theta, g, d) by the unknowns of :func:`jacobian`, (n_theta + 2 n, .)."""
     n = len(state.b)
     size = _size(n, n_theta, free_gains)
@@ -223,14 +223,14 @@ def to_gains(state: State, n_theta: int, free_gains: bool) -> np.ndarray:
     return T
 
 
-def one_step(units: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Newton's steps (U, k) from the estimates of all units to those without each.
 
-    ``units`` are each unit's share in the matrix of the normal equations (k, k), whose sum is the unit matrix, and its
+    ``blocks`` are each unit's share in the matrix of the normal equations (k, k), whose sum is the unit matrix, and its
     equations' left-hand side (k,), whose sum is zero.
     """
     steps = []
-    for share, side in units:
+    for share, side in blocks:
         left = np.eye(len(share)) - share
         try:
             inverse = np.linalg.inv(left)

@@ -16,13 +16,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.newton import State, jacobian, moved, residuals, stacked
-from gtau.estimation.estimators.ridge import Unknowns, standard_unknowns
+from gtau.estimation.estimators.newton import Iterate, jacobian, moved, residuals, stacked
+from gtau.estimation.estimators.ridge import StandardUnknowns, standard_unknowns
 from gtau.estimation.estimators.semidefinite import constrained_least_squares, pseudo_inertia
 from gtau.estimation.estimators.solution import Solution, jackknife
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import leave_one_out, triangle
 from gtau.estimation.results.estimate import Consistency, Move
 from gtau.robots.robot import INERTIAL
@@ -33,13 +33,13 @@ SETTLED = 1e-3  # of a standard deviation
 
 
 def consistent(
-    data: Data, assembly: Assembly, solution: Solution, priors: Mapping[str, Prior], free_gains: bool
+    dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior], free_gains: bool
 ) -> Consistency:
     """Physically consistent standard parameters, alone (gains given) or together with the gains.
 
     Parameters
     ----------
-    data, assembly, solution : Data, Assembly, Solution
+    dataset, assembly, solution : Dataset, Assembly, Solution
         What was identified without regard to consistency.
     priors : mapping
         Standard parameter to what is known of it.
@@ -52,14 +52,14 @@ def consistent(
         Where no rigid bodies agree with the priors and payloads, the programme does not settle, or
         its solver is not installed.
     """
-    problem, n = assembly.whole, len(assembly.whole.joints)
-    unknowns = standard_unknowns(data, assembly, solution, priors)
+    problem, n = system.whole, len(system.whole.joints)
+    unknowns = standard_unknowns(dataset, system, solution, priors)
     triangles, n_theta = stacked(problem), problem.n_theta
-    values = dict(zip(assembly.problem.parameters, solution.theta, strict=True))
+    values = dict(zip(system.problem.parameters, solution.theta, strict=True))
     theta = np.array([values.get(name, 0.0) for name in problem.parameters])
-    state = State(theta, 1 / solution.gains, solution.delays)
+    state = Iterate(theta, 1 / solution.gains, solution.delays)
 
-    def errors(at: State) -> np.ndarray:
+    def errors(at: Iterate) -> np.ndarray:
         return np.sum(residuals(triangles, at, n_theta) ** 2, axis=-1)
 
     before = errors(state)
@@ -78,7 +78,7 @@ def consistent(
             "the data leave open, or identify without --consistent."
         )
     gain_std = _gain_std(problem, state, weights, unknowns) if free_gains else np.zeros(n)
-    std = dict(zip(assembly.problem.parameters, np.sqrt(np.diag(solution.jackknife)), strict=False))
+    std = dict(zip(system.problem.parameters, np.sqrt(np.diag(solution.jackknife)), strict=False))
     gains, free_std = 1 / state.b, np.sqrt(np.diag(solution.jackknife))[len(values) : len(values) + n]
     moves = [
         Move(name, values[name], float(value), abs(float(value) - values[name]) / std[name])
@@ -90,12 +90,12 @@ def consistent(
         for joint, a, b, s in zip(problem.joints, solution.gains, gains, free_std, strict=True)
         if free_gains
     ]
-    count = len(data.model.parameter_names)
+    count = len(dataset.model.parameter_names)
     return Consistency(
         standard={name: float(value) for name, value in zip(unknowns.names[:count], x[:count], strict=True)},
         payloads={
             body.name: dict(zip(INERTIAL, map(float, body.values(x)), strict=True))
-            for body in unknowns.bodies[len(unknowns.bodies) - len(assembly.payloads) :]
+            for body in unknowns.bodies[len(unknowns.bodies) - len(system.payloads) :]
         },
         gains={joint: (float(g), float(s)) for joint, g, s in zip(problem.joints, gains, gain_std, strict=True)},
         moves=tuple(sorted(moves, key=lambda move: -move.deviations)),
@@ -106,11 +106,11 @@ def consistent(
             joint: 100 * float(np.sqrt(after / first) - 1)
             for joint, first, after in zip(problem.joints, before, errors(state), strict=True)
         },
-        open=data.base.without_effect,
+        open=dataset.base.without_effect,
     )
 
 
-def _linear(blocks: np.ndarray, state: State, problem: Problem, weights: np.ndarray, free_gains: bool) -> np.ndarray:
+def _linear(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray, free_gains: bool) -> np.ndarray:
     """Rows ``[J_theta J_rest | y]`` (., size + 1): errors linear in theta and in steps of 1/g and the delays."""
     J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
     J = J.reshape(-1, J.shape[-1])
@@ -118,7 +118,7 @@ def _linear(blocks: np.ndarray, state: State, problem: Problem, weights: np.ndar
     return np.column_stack([J, J[:, : problem.n_theta] @ state.theta - e])
 
 
-def _programme(R: np.ndarray, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, np.ndarray]:
     """Unknowns x, and steps of 1/g and of the delays, that solve one convex programme."""
     n_theta, c = unknowns.S.shape
     R, y = R[:-1, :-1], R[:-1, -1]  # the last row is what no unknown can explain
@@ -141,9 +141,9 @@ def _programme(R: np.ndarray, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarra
     return solved[:c], solved[c:]
 
 
-def _gain_std(problem: Problem, state: State, weights: np.ndarray, unknowns: Unknowns) -> np.ndarray:
+def _gain_std(problem: Problem, state: Iterate, weights: np.ndarray, unknowns: StandardUnknowns) -> np.ndarray:
     """Standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
     n = len(problem.joints)
-    factors = [triangle(_linear(unit, state, problem, weights, True)) for unit in problem.units]
+    factors = [triangle(_linear(unit, state, problem, weights, True)) for unit in problem.blocks]
     gains = np.array([1 / (state.b + _programme(R, unknowns)[1][:n]) for R in leave_one_out(factors)])
     return np.sqrt(np.diag(jackknife(gains)))

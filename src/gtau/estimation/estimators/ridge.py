@@ -15,9 +15,9 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.current_domain import ml
 from gtau.estimation.estimators.semidefinite import Body
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import Assembly, known_values
+from gtau.estimation.regression.system import System, known_values
 from gtau.estimation.regression.triangle import triangle
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import INERTIAL, STANDARD_GRAVITY, Robot
@@ -28,7 +28,7 @@ SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
+class StandardUnknowns:
     """Unknowns x (c,) of the consistent fit, and ``theta = S x`` of the problem, (n_theta, c)."""
 
     names: tuple[str, ...]
@@ -43,24 +43,26 @@ class Unknowns:
     length: float
 
 
-def ridge(data: Data, assembly: Assembly, solution: Solution, priors: Mapping[str, Prior]) -> Solution:
+def ridge(dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]) -> Solution:
     """Maximum likelihood with normal priors on the standard parameters (ridge regression towards them).
 
     Parameters
     ----------
-    data, assembly, solution : Data, Assembly, Solution
+    dataset, assembly, solution : Dataset, Assembly, Solution
         What was identified without priors.
     priors : mapping
         Standard parameter to what is known of it; bounds are not used here.
     """
-    unknowns, names = standard_unknowns(data, assembly, solution, priors), assembly.whole.parameters
-    S = unknowns.S[[k for k, name in enumerate(names) if name in assembly.problem.parameters]]
+    unknowns, names = standard_unknowns(dataset, system, solution, priors), system.whole.parameters
+    S = unknowns.S[[k for k, name in enumerate(names) if name in system.problem.parameters]]
     # theta = S x is normal with the covariance S diag(spread^2) S^T
     L = triangle((S * unknowns.spread).T).T
-    return ml(assembly.problem, np.linalg.solve(L, np.column_stack([np.eye(len(L)), S @ unknowns.centre])))
+    return ml(system.problem, np.linalg.solve(L, np.column_stack([np.eye(len(L)), S @ unknowns.centre])))
 
 
-def standard_unknowns(data: Data, assembly: Assembly, solution: Solution, priors: Mapping[str, Prior]) -> Unknowns:
+def standard_unknowns(
+    dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]
+) -> StandardUnknowns:
     """The standard parameters behind the problem's, and what is known of them.
 
     Raises
@@ -68,28 +70,28 @@ def standard_unknowns(data: Data, assembly: Assembly, solution: Solution, priors
     GtauError
         Where a prior names no standard parameter.
     """
-    robot, problem = data.robot, assembly.whole
-    names = list(data.model.parameter_names)
+    robot, problem = dataset.robot, system.whole
+    names = list(dataset.model.parameter_names)
     position = {name: k for k, name in enumerate(names)}
     bodies = [
         Body(body, np.array([position[f"{kind}_{body}"] for kind in INERTIAL]), np.zeros(10))
         for body in robot.bodies
         if f"m_{body}" in position
     ]
-    for each in assembly.payloads:
+    for each in system.payloads:
         known = known_values(each.payload)
         label = f"L{each.run + 1}"
         first = len(names)
         names += [f"{kind}_{label}" for kind in each.free]
         places = [first + each.free.index(kind) if kind in each.free else -1 for kind in INERTIAL]
         bodies.append(Body(label, np.array(places), np.array([known.get(kind, 0.0) for kind in INERTIAL])))
-    others = [name for name in problem.parameters[data.base.count :] if "@" in name or name in assembly.friction.terms]
+    others = [name for name in problem.parameters[dataset.base.count :] if "@" in name or name in system.friction.terms]
     names += others
     S = np.zeros((problem.n_theta, len(names)))
-    S[: data.base.count, : len(position)] = data.base.matrix
+    S[: dataset.base.count, : len(position)] = dataset.base.matrix
     row = {name: k for k, name in enumerate(problem.parameters)}
     column = {name: k for k, name in enumerate(names)}
-    for each in assembly.payloads:
+    for each in system.payloads:
         columns = [column[f"{kind}_L{each.run + 1}"] for kind in each.free]
         S[np.ix_([row[name] for name in each.unknown], columns)] = each.sums
     for name in others:
@@ -118,7 +120,7 @@ def standard_unknowns(data: Data, assembly: Assembly, solution: Solution, priors
         upper[k] = upper[k] if prior.max is None else prior.max
         if prior.value is not None and prior.std is not None:
             centre[k], spread[k] = prior.value, prior.std
-    return Unknowns(tuple(names), S, tuple(bodies), lower, upper, centre, spread, unit, mass, length)
+    return StandardUnknowns(tuple(names), S, tuple(bodies), lower, upper, centre, spread, unit, mass, length)
 
 
 def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:

@@ -23,12 +23,12 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.system import Assembly
+from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.signals.filters import filter_edge, position_filter
-from gtau.signals.preparation import Held, Preparation, Prepared, Sampled
+from gtau.signals.preparation import InMemoryRun, Preparation, PreparedRun, SampleWindow
 from gtau.signals.storage import Store, block, spans
 
 SMOOTH = 4.0  # cut-off of the reference over the bandwidth of the motion
@@ -38,25 +38,25 @@ SETTLED = 1e-6  # change of the accelerations, of their rms
 MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
-def resimulated_runs(data: Data, assembly: Assembly, solution: Solution) -> tuple[Held, ...]:
+def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tuple[InMemoryRun, ...]:
     """All runs along the motion that the loop, simulated with what was found, gives them; see :func:`resimulated`."""
-    regressor = data.model.columns(data.base.standard)
+    regressor = dataset.model.columns(dataset.base.standard)
     return tuple(
-        resimulated(data.model, regressor, assembly.motion(k, solution.theta), each, data.preparation)
-        for k, each in enumerate(data.prepared)
+        resimulated(dataset.model, regressor, system.motion(k, solution.theta), each, dataset.preparation)
+        for k, each in enumerate(dataset.prepared)
     )
 
 
 def resimulated(
-    idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: Prepared, preparation: Preparation
-) -> Held:
+    idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun, preparation: Preparation
+) -> InMemoryRun:
     """A run along the motion that the loop simulated gives it; rows in the reference's ends are left out too.
 
     Parameters
     ----------
     idm, regressor, values : InverseDynamics, Regressor, ndarray
         The model, and its columns with their values (columns,): inertia, payload and friction of the run.
-    prepared, preparation : Prepared, Preparation
+    prepared, preparation : PreparedRun, Preparation
         The run as measured, and the bandwidth of the motion.
 
     Raises
@@ -97,7 +97,7 @@ def resimulated(
         measured.usable[(number < edge) | (number >= len(run.time) - edge)] = False
         for name, each in rest.items():
             each.append(getattr(measured, name))
-    return Held(run, Sampled(prepared.time, *motion, **{name: each.array() for name, each in rest.items()}))
+    return InMemoryRun(run, SampleWindow(prepared.time, *motion, **{name: each.array() for name, each in rest.items()}))
 
 
 def _disturbance(

@@ -59,5 +59,5 @@ class Solution:
 def jackknife(replicates: np.ndarray) -> np.ndarray:
     """Covariance (k, k) from what leaving out one unit after another adds to k estimates, (U, k)."""
     deviations = replicates - replicates.mean(axis=0)
-    units = len(replicates)
-    return np.asarray((units - 1) / units * deviations.T @ deviations)
+    blocks = len(replicates)
+    return np.asarray((blocks - 1) / blocks * deviations.T @ deviations)

@@ -22,14 +22,14 @@ Solver = Callable[[np.ndarray], np.ndarray]  # W_tot (r, c) to chi_tot (c,)
 def tls(problem: Problem) -> Solution:
     """The paper's total least squares (eqs. 33 to 39), rows weighted by each joint's sigma_W."""
     weights = 1 / np.array([_own_sigma_W(problem, j) for j in range(len(problem.joints))])
-    units = _total(problem, weights)
-    W_tot = triangle(*units)
+    blocks = _total(problem, weights)
+    W_tot = triangle(*blocks)
     _, s, Vt = np.linalg.svd(W_tot)
     chi = _scaled(Vt[-1])
     sigma_W = s[-1] / np.sqrt(problem.total_rows.sum() - len(s))  # eq. 38
     covariance = sigma_W**2 * (1 + chi[:-1] @ chi[:-1]) * _inverse_of_compatible(s, Vt.T)
     statistics = {"singular_ratio": float(s[-2] / s[-1]), "sigma_W": float(sigma_W)}
-    return _solution(problem, chi, covariance, units, lambda W: _scaled(np.linalg.svd(W)[2][-1]), statistics)
+    return _solution(problem, chi, covariance, blocks, lambda W: _scaled(np.linalg.svd(W)[2][-1]), statistics)
 
 
 def mixed(problem: Problem) -> Solution:
@@ -51,8 +51,8 @@ def mixed(problem: Problem) -> Solution:
         return _scaled(np.concatenate([rest[:-1], gains, rest[-1:]]))
 
     weights = 1 / problem.own_sigma
-    units = _total(problem, weights)
-    W_tot = triangle(*units)
+    blocks = _total(problem, weights)
+    W_tot = triangle(*blocks)
     chi = solver(W_tot)
     # scaled rows hold currents with errors of one size, which enter the equations through the gains
     squares = chi[n_theta:-1] ** 2
@@ -62,13 +62,13 @@ def mixed(problem: Problem) -> Solution:
     for j, R in enumerate(problem.triangles):
         white = _rows(problem, R, j, weights[j])[:, :-1] @ back
         middle += squares[j] * white.T @ white
-    return _solution(problem, chi, size * back @ middle @ back.T, units, solver, {})
+    return _solution(problem, chi, size * back @ middle @ back.T, blocks, solver, {})
 
 
 def _total(problem: Problem, weights: np.ndarray) -> list[np.ndarray]:
     """Triangular factors of the weighted ``W_tot`` of every unit, (U,) of (., n_theta + n + 1)."""
     joints = range(len(problem.joints))
-    return [triangle(*(_rows(problem, unit[j], j, weights[j]) for j in joints)) for unit in problem.units]
+    return [triangle(*(_rows(problem, block[j], j, weights[j]) for j in joints)) for block in problem.blocks]
 
 
 def _rows(problem: Problem, block: np.ndarray, j: int, weight: float) -> np.ndarray:
@@ -112,7 +112,7 @@ def _solution(
     problem: Problem,
     chi: np.ndarray,
     covariance: np.ndarray,
-    units: list[np.ndarray],
+    blocks: list[np.ndarray],
     solver: Solver,
     statistics: dict[str, float],
 ) -> Solution:
@@ -127,7 +127,7 @@ def _solution(
     full[: n_theta + n, : n_theta + n] = covariance
 
     def replicates() -> np.ndarray:
-        shifts = np.array([solver(W)[:-1] - chi[:-1] for W in leave_one_out(units)])
-        return np.hstack([shifts, np.zeros((len(units), n))])  # the delays are those of all units
+        shifts = np.array([solver(W)[:-1] - chi[:-1] for W in leave_one_out(blocks)])
+        return np.hstack([shifts, np.zeros((len(blocks), n))])  # the delays are those of all units
 
     return Solution(theta, gains, problem.own_delays, sigma, full, replicates, statistics)

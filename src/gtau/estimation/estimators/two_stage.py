@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.newton import State, finish, least_squares, one_step, residuals, stacked
+from gtau.estimation.estimators.newton import Iterate, finish, least_squares, one_step, residuals, stacked
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem, delayed
 from gtau.estimation.regression.triangle import triangle
@@ -44,7 +44,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
                 "the currents of some joint do not follow its motion at all; check the columns of the current "
                 "references."
             )
-    state = State(x[:n_theta], 1 / gains, delays)
+    state = Iterate(x[:n_theta], 1 / gains, delays)
     errors = np.sum(residuals(stacked(problem), state, n_theta) ** 2, axis=-1)
     weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
     solution = finish(problem, stacked(problem), state, weights, errors, True, np.zeros((0, n_theta + 2 * n)))
@@ -53,14 +53,16 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         norms = np.linalg.norm(A[:, :-1], axis=0)
         norms[norms == 0] = 1.0
         back = np.linalg.pinv(triangle(A[:, :-1] / norms)) / norms[:, None]
-        units = []
-        for unit in problem.units:
+        blocks = []
+        for block in problem.blocks:
             # the projected currents of a unit are its regressor's rows with the coefficients of all units
-            A_u = np.concatenate([_rows(problem, j, unit[j], coefficients[j]) * scale[j] for j in range(n)])
-            e_u = (residuals(unit, state, n_theta) * (scale * gains)[:, None]).reshape(-1)
+            A_u = np.concatenate([_rows(problem, j, block[j], coefficients[j]) * scale[j] for j in range(n)])
+            e_u = (residuals(block, state, n_theta) * (scale * gains)[:, None]).reshape(-1)
             white = A_u[:, :-1] @ back
-            units.append((white.T @ white, -(white.T @ e_u)))
-        return np.hstack([one_step(units) @ back.T, np.zeros((len(problem.units), n))])  # delays are those of all units
+            blocks.append((white.T @ white, -(white.T @ e_u)))
+        return np.hstack(
+            [one_step(blocks) @ back.T, np.zeros((len(problem.blocks), n))]
+        )  # delays are those of all units
 
     return replace(solution, replicates=replicates)
 

@@ -14,10 +14,10 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
-from gtau.estimation.regression.factors import STRETCHES, Factors, Weigh, joined, outputs_of, reduce_run
+from gtau.estimation.regression.factors import STRETCHES, Factors, HuberWeights, joined, outputs_of, reduce_run
 from gtau.estimation.regression.friction import PAPER, Friction
 from gtau.estimation.regression.motion_limits import within_limits
-from gtau.estimation.regression.system import Assembly, assemble
+from gtau.estimation.regression.system import System, assemble_system
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.load import load_robot
@@ -26,17 +26,17 @@ from gtau.robots.robot import Robot
 from gtau.signals.decimation import Decimator, decimation_factor
 from gtau.signals.experiment import Experiment, LoggedRun, Payload, check_robot, read_experiment
 from gtau.signals.filters import cutoff_frequency
-from gtau.signals.preparation import Preparation, Prepared, choose_preparation, prepare
+from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, prepare
 from gtau.signals.run import Run, arrange, read_run
 
 if TYPE_CHECKING:
     from gtau.estimation.results.result import Result
 
-PART = 1 << 19  # samples of a run that are worth a part of their own
+SHARD = 1 << 19  # samples of a run that are worth a part of their own
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Shard:
     """Some stretches of a run, with all that is needed to reduce them.
 
     It can be sent to another process, which then has no more of the run than these stretches are made from: of a run
@@ -48,23 +48,23 @@ class Part:
         Its model is made once in a process.
     columns : tuple of str
         Standard parameters wanted, the columns of the factors.
-    prepared, decimator : Prepared, Decimator
+    prepared, decimator : PreparedRun, Decimator
         The run, and the filter of its rows.
     stretches : range
         Which of the run's ``STRETCHES`` jackknife stretches.
     load : ndarray, optional
         Values of the columns that give the torques transmitted by the joints; see :func:`stream_rows`.
-    weigh : Weigh, optional
+    weigh : HuberWeights, optional
         Weights of the rows; see :func:`reduce_run`.
     """
 
     robot: Robot
     columns: tuple[str, ...]
-    prepared: Prepared
+    prepared: PreparedRun
     decimator: Decimator
     stretches: range
     load: np.ndarray | None = None
-    weigh: Weigh | None = None
+    weigh: HuberWeights | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         each = self.prepared
@@ -74,7 +74,7 @@ class Part:
         return self.__dict__ | {"prepared": replace(each, run=each.run.only(needed))}
 
 
-Mapper = Callable[[Callable[[Part], Factors], Sequence[Part]], Iterable[Factors]]
+Mapper = Callable[[Callable[[Shard], Factors], Sequence[Shard]], Iterable[Factors]]
 """Applies a function to parts and gives what it returns in their order, each as soon as it is there, as ``map`` does.
 
 The builtin ``map`` is the one that computes here and now; others may compute elsewhere or remember.
@@ -82,7 +82,7 @@ The builtin ``map`` is the one that computes here and now; others may compute el
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
-def reduce_part(part: Part) -> Factors:
+def reduce_shard(part: Shard) -> Factors:
     """Factors of the stretches of a part, in any process; parts of a run are put together by :func:`joined`."""
     model = model_of(part.robot)
     return reduce_run(model, part.columns, part.prepared, part.decimator, part.load, part.weigh, part.stretches)
@@ -95,14 +95,14 @@ def model_of(robot: Robot) -> InverseDynamics:
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
+class Dataset:
     """All runs of an experiment, read and reduced, before any estimation."""
 
     robot: Robot
     model: InverseDynamics
     base: BaseParameters
     preparation: Preparation
-    prepared: tuple[Prepared, ...]
+    prepared: tuple[PreparedRun, ...]
     factors: tuple[Factors, ...]
     mapper: Mapper = map
 
@@ -118,21 +118,21 @@ class Data:
         runs = (f"{each.run.name}: {note}" for each in self.prepared for note in (*each.run.notes, *each.notes))
         return (*(f"robot '{self.robot.name}': {note}" for note in robot), *runs)
 
-    def assembly(
+    def system(
         self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None
-    ) -> Assembly:
+    ) -> System:
         """The estimation problem with this friction; if need be without delays, or with other known payload values."""
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
         slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
-        return assemble(self.model, self.base, self.factors, payloads, slowest, friction)
+        return assemble_system(self.model, self.base, self.factors, payloads, slowest, friction)
 
     def parts(
-        self, loads: Sequence[np.ndarray] | None = None, weigh: Sequence[Weigh] | None = None
-    ) -> list[list[Part]]:
+        self, loads: Sequence[np.ndarray] | None = None, weigh: Sequence[HuberWeights] | None = None
+    ) -> list[list[Shard]]:
         """What is to be reduced, the parts of every run."""
         return [
             [
-                Part(
+                Shard(
                     self.robot,
                     self.base.standard,
                     each,
@@ -150,8 +150,8 @@ class Data:
         self,
         loads: Sequence[np.ndarray] | None = None,
         progress: Progress = silent,
-        weigh: Sequence[Weigh] | None = None,
-    ) -> Data:
+        weigh: Sequence[HuberWeights] | None = None,
+    ) -> Dataset:
         """The same runs reduced to factors, with the torques of ``loads`` (one a run) in load-dependent friction.
 
         ``weigh`` (one a run) gives the rows weights; see :func:`reduce_run`.
@@ -160,7 +160,7 @@ class Data:
         sizes = [len(part.prepared) * len(part.stretches) // STRETCHES for run in parts for part in run]
         done, total, factors = 0, sum(sizes), []
         progress("model along the runs", done, total)
-        for found, size in zip(self.mapper(reduce_part, [part for run in parts for part in run]), sizes, strict=True):
+        for found, size in zip(self.mapper(reduce_shard, [part for run in parts for part in run]), sizes, strict=True):
             factors.append(found)
             done += size
             progress("model along the runs", done, total)
@@ -170,7 +170,7 @@ class Data:
 
 def cut(samples: int) -> list[range]:
     """Stretches of a run of so many samples, in parts that are worth the while."""
-    parts = min(max(samples // PART, 1), STRETCHES)
+    parts = min(max(samples // SHARD, 1), STRETCHES)
     edges = [STRETCHES * k // parts for k in range(parts + 1)]
     return [range(*pair) for pair in pairwise(edges)]
 
@@ -230,7 +230,7 @@ def reduce_runs(
     decimator: Literal["fir", "chebyshev"] = "fir",
     progress: Progress = silent,
     mapper: Mapper = map,
-) -> Data:
+) -> Dataset:
     """Prepare all runs and reduce them to triangular factors.
 
     ``mapper`` says where that is done.
@@ -248,10 +248,10 @@ def reduce_runs(
     progress("base parameters", 0, 1)
     base = base_parameters(model)
     prepared = prepare_runs(model, runs, preparation)
-    return Data(robot, model, base, preparation, prepared, (), mapper).reduced(progress=progress)
+    return Dataset(robot, model, base, preparation, prepared, (), mapper).reduced(progress=progress)
 
 
-def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[Prepared, ...]:
+def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
     """Prepare runs whose joints stand in the model's order.
 
     Raises
@@ -259,11 +259,11 @@ def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Prepa
     GtauError
         Where nothing moves in a run, or its log is shorter than its filters.
     """
-    rubbing = _rubbing(model)
-    return tuple(within_limits(model.robot, prepare(run, preparation, rubbing)) for run in runs)
+    friction_speed_ratios = _friction_speed_ratios(model)
+    return tuple(within_limits(model.robot, prepare(run, preparation, friction_speed_ratios)) for run in runs)
 
 
-def _rubbing(model: InverseDynamics) -> np.ndarray:
+def _friction_speed_ratios(model: InverseDynamics) -> np.ndarray:
     """Speeds of the joints (n_y, n) that a motor drives through couplings too: their friction acts in its row.
 
     The ratios do not change along a run. Where closures drive the joints, a motor's own joint is all.

@@ -16,7 +16,7 @@ from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import Held, Prepared
+from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store, store
 
 STRETCHES = 20
@@ -26,7 +26,7 @@ EXTRA = len(TERMS) + CURRENTS
 
 
 @dataclass(frozen=True, eq=False)
-class Weigh:
+class HuberWeights:
     """Huber's weights: rows whose residual is above ``limit`` (n,) count less, in proportion.
 
     Residuals of joint j are ``rows @ coefficients[j]``, of ``[W_j terms_j v_j v_j' v_j'']``, (n, p).
@@ -76,10 +76,10 @@ def joined(parts: Sequence[Factors]) -> Factors:
 def reduce_run(
     idm: InverseDynamics,
     columns: tuple[str, ...],
-    prepared: Prepared | Held,
+    prepared: PreparedRun | InMemoryRun,
     decimator: Decimator,
     load: np.ndarray | None = None,
-    weigh: Weigh | None = None,
+    weigh: HuberWeights | None = None,
     stretches: range = range(STRETCHES),
 ) -> Factors:
     """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.

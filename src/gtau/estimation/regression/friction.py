@@ -55,7 +55,7 @@ def transmitted(names: Sequence[str]) -> np.ndarray:
     return np.array([name.split("_", 1)[0] not in ("fv", "fs", "off") for name in names], dtype=float)
 
 
-def needed_terms(problem: Problem) -> tuple[str, ...]:
+def select_friction_terms(problem: Problem) -> tuple[str, ...]:
     """Terms that the Bayesian information criterion asks for, joint by joint.
 
     Each joint's current is fitted by its own regressor alone, with every subset of its terms in
@@ -84,7 +84,7 @@ def needed_terms(problem: Problem) -> tuple[str, ...]:
     return tuple(chosen)
 
 
-def told_terms(problem: Problem, friction: Friction, solve: Callable[[Problem], Solution]) -> tuple[str, ...]:
+def prune_friction_terms(problem: Problem, friction: Friction, solve: Callable[[Problem], Solution]) -> tuple[str, ...]:
     """The terms whose deviations by the jackknife are less than a third of them, the worst left out first."""
     terms = tuple(name for name in friction.terms if name in problem.parameters)
     while terms:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.preparation import Prepared
+from gtau.signals.preparation import PreparedRun
 from gtau.signals.storage import block, spans
 
 BEYOND = 0.02  # of a joint's range outside its limits, which a user may want to know
@@ -17,7 +17,7 @@ FAR_BEYOND = 1.0  # and so much that it is another unit, another joint or anothe
 TOO_FAST = 3.0  # rms speed in limits of speed, which no controller lets pass
 
 
-def within_limits(robot: Robot, prepared: Prepared) -> Prepared:
+def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
     """The run, with a note on every joint that leaves its limits.
 
     Raises

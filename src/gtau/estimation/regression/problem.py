@@ -32,7 +32,7 @@ class Problem:
         Names of theta, (n_theta,).
     joints : tuple of str
         Actuated joints, (n,).
-    units : ndarray
+    blocks : ndarray
         (U, n, p, n_theta + 4), rows or triangular factors.
     rows : ndarray
         (U, n) number of equations behind each block.
@@ -42,7 +42,7 @@ class Problem:
 
     parameters: tuple[str, ...]
     joints: tuple[str, ...]
-    units: np.ndarray
+    blocks: np.ndarray
     rows: np.ndarray
     slowest: float
 
@@ -54,7 +54,7 @@ class Problem:
     @cached_property
     def triangles(self) -> tuple[np.ndarray, ...]:
         """Each joint's triangular factor over all units, n arrays (., n_theta + 4)."""
-        return tuple(triangle(*self.units[:, j]) for j in range(len(self.joints)))
+        return tuple(triangle(*self.blocks[:, j]) for j in range(len(self.joints)))
 
     @cached_property
     def own_columns(self) -> tuple[list[int], ...]:
@@ -121,7 +121,7 @@ class Problem:
         """The same problem with the parameters ``names`` set to zero."""
         keep = [k for k, name in enumerate(self.parameters) if name not in set(names)]
         columns = [*keep, *range(self.n_theta, self.n_theta + 4)]
-        less = replace(self, parameters=tuple(self.parameters[k] for k in keep), units=self.units[..., columns])
+        less = replace(self, parameters=tuple(self.parameters[k] for k in keep), blocks=self.blocks[..., columns])
         # the triangles of fewer columns follow from those of all: the units need not be looked at again
         less.__dict__["triangles"] = tuple(triangle(R[:, columns]) for R in self.triangles)
         # columns that depended on others still do if these are all there

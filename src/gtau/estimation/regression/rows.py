@@ -10,7 +10,7 @@ import numpy as np
 from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.signals.decimation import Block, Decimator
-from gtau.signals.preparation import Held, Prepared, Sampled
+from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
@@ -37,7 +37,7 @@ class Rows:
 def stream_rows(
     idm: InverseDynamics,
     regressor: Regressor,
-    prepared: Prepared | Held,
+    prepared: PreparedRun | InMemoryRun,
     decimator: Decimator,
     load: np.ndarray | None = None,
     outputs: range | None = None,
@@ -48,7 +48,7 @@ def stream_rows(
     ----------
     idm, regressor : InverseDynamics, Regressor
         The model, and the columns wanted of it.
-    prepared, decimator : Prepared or Held, Decimator
+    prepared, decimator : PreparedRun or Held, Decimator
         The run, and its filter.
     load : ndarray, optional
         Values of the columns (columns,) that give the torques transmitted by the joints, for friction
@@ -85,8 +85,8 @@ def stream_rows(
 
 
 def _along(
-    idm: InverseDynamics, prepared: Prepared | Held, blocks: Iterable[Block], last: int
-) -> Iterator[tuple[Block, Sampled, np.ndarray]]:
+    idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block], last: int
+) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
     """The blocks, each with its samples and configurations; these are made for longer stretches, which is faster.
 
     Samples from ``last`` on are not looked at.

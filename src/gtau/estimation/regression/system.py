@@ -40,11 +40,11 @@ class CarriedPayload:
 
 
 @dataclass(frozen=True, eq=False)
-class Assembly:
+class System:
     """The problem, and what its parameters are.
 
     ``unexcited`` are base parameters that these motions cannot tell from those before them; they are
-    not part of the problem, but of ``whole``. ``places`` (U, 2) say where the problem's units stand: the
+    not part of the problem, but of ``whole``. ``block_positions`` (U, 2) say where the problem's units stand: the
     number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, n, p, n_theta + 4) lead
     from the columns of the runs' factors to those of ``whole``.
     """
@@ -55,7 +55,7 @@ class Assembly:
     payloads: tuple[CarriedPayload, ...]
     unexcited: tuple[str, ...]
     friction: Friction
-    places: np.ndarray
+    block_positions: np.ndarray
     maps: np.ndarray
 
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
@@ -92,14 +92,14 @@ def known_values(payload: Payload) -> dict[str, float]:
     return {**mass, **payload.parameters}
 
 
-def assemble(
+def assemble_system(
     idm: InverseDynamics,
     base: BaseParameters,
     factors: Sequence[Factors],
     payloads: Sequence[Payload | None],
     slowest: float,
     friction: Friction,
-) -> Assembly:
+) -> System:
     """Join the runs' factors into one problem.
 
     A payload is a further body on the robot's tool (eq. 18), so its columns are
@@ -133,7 +133,7 @@ def assemble(
     names = [*base.names, *(name for each in carried for name in each.unknown), *drifts, *friction.terms]
     position = {name: k for k, name in enumerate(names)}
     n_b, n_theta = base.count, len(names)
-    units, maps = [], []
+    blocks, maps = [], []
     for run, factor in enumerate(factors):
         # from the columns of the factor to those of the problem
         M = np.zeros((n_b + EXTRA, n_theta + 1 + CURRENTS))
@@ -155,13 +155,13 @@ def assemble(
                     M_j[n_b + t, position[f"{term}_{joint}"]] = 1.0
             of_joints.append(M_j)
         maps.append(of_joints)
-        units.append(np.stack([factor.R[:, j] @ M_j for j, M_j in enumerate(of_joints)], axis=1))
+        blocks.append(np.stack([factor.R[:, j] @ M_j for j, M_j in enumerate(of_joints)], axis=1))
     rows = np.concatenate([factor.rows for factor in factors])
     filled = rows.sum(axis=1) > 0
-    places = np.array(
+    block_positions = np.array(
         [(run, (s + 0.5) / len(each.rows)) for run, each in enumerate(factors) for s in range(len(each.rows))]
     )
-    problem = Problem(tuple(names), idm.actuated, np.concatenate(units)[filled], rows[filled], slowest)
+    problem = Problem(tuple(names), idm.actuated, np.concatenate(blocks)[filled], rows[filled], slowest)
     for joint, rows in zip(idm.actuated, problem.total_rows, strict=True):
         if rows < FEWEST_ROWS:
             raise GtauError(
@@ -169,8 +169,8 @@ def assemble(
                 "add runs in which it moves, or longer ones."
             )
     unexcited = _unexcited(problem)
-    return Assembly(
-        problem.without(unexcited), problem, base, carried, unexcited, friction, places[filled], np.array(maps)
+    return System(
+        problem.without(unexcited), problem, base, carried, unexcited, friction, block_positions[filled], np.array(maps)
     )
 
 
@@ -206,7 +206,7 @@ def _unexcited(problem: Problem) -> tuple[str, ...]:
     return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)
 
 
-def require_scale(robot: Robot, assembly: Assembly, payloads: Sequence[Payload | None], method: str) -> None:
+def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | None], method: str) -> None:
     """Check that the runs can fix the scale of the drive gains of a ``robot`` (section 3.3).
 
     Raises
@@ -227,7 +227,7 @@ def require_scale(robot: Robot, assembly: Assembly, payloads: Sequence[Payload |
             "the same payload; "
             f"add a run without payload, {other}."
         )
-    problem = assembly.problem
+    problem = system.problem
     stacked = np.concatenate(
         [R[:, : problem.n_theta + 1] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)]
     )

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.estimation.diagnostics.delays import delay_verdicts
-from gtau.estimation.diagnostics.misspecification import Suspicion, suspicion
-from gtau.estimation.diagnostics.position_ripple import Locked
+from gtau.estimation.diagnostics.misspecification import Misspecification, find_misspecification
+from gtau.estimation.diagnostics.position_ripple import PositionRipple
 from gtau.estimation.diagnostics.prior_checks import against_limits, against_payloads, against_priors, shared
-from gtau.estimation.diagnostics.saturation import saturated, saturations
+from gtau.estimation.diagnostics.saturation import find_saturation, saturated
 from gtau.estimation.diagnostics.swapped_channels import against_swapped
 from gtau.estimation.diagnostics.verdict import (
     GIVEN,
@@ -23,11 +23,11 @@ from gtau.estimation.diagnostics.verdict import (
     parameter_verdict,
 )
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Data
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import UNITS
 from gtau.estimation.regression.legs import leg_differences
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import Assembly, known_values
+from gtau.estimation.regression.system import System, known_values
 from gtau.estimation.results.estimate import Consistency, Estimate, PayloadEstimate, TorqueError, torque_unit, unit_of
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
@@ -40,8 +40,8 @@ FRICTION = ("fv", "fs", "off")
 
 
 def make_result(
-    data: Data,
-    assembly: Assembly,
+    dataset: Dataset,
+    system: System,
     method: str,
     solution: Solution,
     covariance: np.ndarray,
@@ -49,7 +49,7 @@ def make_result(
     known: Mapping[str, Verdict],
     prior_gains: Mapping[str, float],
     freedom: np.ndarray | None,
-    locked: Locked | None,
+    locked: PositionRipple | None,
     consistency: Consistency | None = None,
     progress: Progress = silent,
 ) -> Result:
@@ -57,7 +57,7 @@ def make_result(
 
     Parameters
     ----------
-    data, assembly, method : Data, Assembly, str
+    dataset, assembly, method : Dataset, Assembly, str
         What was identified, and by which estimator.
     solution, covariance : Solution, ndarray
         Estimates with all base parameters, and the covariance of (theta, gains, delays).
@@ -69,40 +69,42 @@ def make_result(
         Gains expected, N m/A or N/A, by joint; may be empty.
     freedom : ndarray, optional
         Degrees of freedom behind the deviations of (theta, gains, delays); None for very many.
-    locked : Locked, optional
+    locked : PositionRipple, optional
         What of the errors repeats at the same positions, where that was looked for.
     consistency : Consistency, optional
         Standard parameters that rigid bodies can have.
     progress : callable, optional
         Told of the stage, what is done of it, and all there is to do, while looking for what explains the errors.
     """
-    robot, problem, joints, base = data.robot, assembly.problem, data.model.actuated, data.base
+    robot, problem, joints, base = dataset.robot, system.problem, dataset.model.actuated, dataset.base
     n_theta, n = problem.n_theta, len(joints)
     std = np.sqrt(np.diag(covariance))
     gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
     units = [torque_unit(robot, joint) for joint in joints]
-    of_current = data.runs[0].kind == "current"
-    names = tuple(run.name for run in data.runs)
+    of_current = dataset.runs[0].kind == "current"
+    names = tuple(run.name for run in dataset.runs)
     along = [
-        (prepared, data.preparation.decimator, factors.distances)
-        for prepared, factors in zip(data.prepared, data.factors, strict=True)
+        (prepared, dataset.preparation.decimator, factors.distances)
+        for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
         if factors.distances is not None
     ]
     verdicts = (GIVEN,) * n
     torques = np.abs(solution.gains) * problem.signal
     if gain_std.any():
         repeating = locked is not None and locked.found
-        verdicts = gain_verdicts(problem, solution, gain_std, assembly.places, names, repeating)
+        verdicts = gain_verdicts(problem, solution, gain_std, system.block_positions, names, repeating)
         if any(each != GOOD for each in verdicts) or lack_of_fit(problem, solution) > LACKING:
-            verdicts = accused(against_swapped(verdicts, data), suspicion(data, assembly, solution, progress))
-            verdicts = saturated(verdicts, saturations(data, assembly, solution))
+            verdicts = accused(
+                against_swapped(verdicts, dataset), find_misspecification(dataset, system, solution, progress)
+            )
+            verdicts = saturated(verdicts, find_saturation(dataset, system, solution))
         verdicts = against_priors(against_payloads(verdicts, known), robot, solution.gains, prior_gains)
     elif lack_of_fit(problem, solution) > LACKING:
-        verdicts = against_swapped(verdicts, data)
+        verdicts = against_swapped(verdicts, dataset)
     verdicts = shared(against_limits(verdicts, robot, torques), joints)
     delay_outcomes = delay_verdicts(problem, solution) if delay_std.any() else (GOOD,) * n
     found, free = _named(problem, solution.theta, std), _freedoms(problem, freedom)
-    spread = _spread(assembly, solution.theta)
+    spread = _spread(system, solution.theta)
 
     def parameter(k: int, values: Mapping[str, tuple[float, float]]) -> Estimate:
         name, (kind, body) = base.names[k], base.standard[k].split("_", 1)
@@ -113,7 +115,7 @@ def make_result(
     return Result(
         robot=robot,
         method=method,
-        kind=data.runs[0].kind,
+        kind=dataset.runs[0].kind,
         drive_gains={
             joint: Estimate(
                 joint,
@@ -140,25 +142,25 @@ def make_result(
         essential={name: parameter(k, essential) for k, name in enumerate(base.names) if name in essential},
         friction={
             name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]), freedom=free.get(name))
-            for name, unit in _terms(assembly, robot)
+            for name, unit in _terms(system, robot)
             if name in found
         },
-        payloads=payload_estimates(data, assembly, solution.theta, covariance, known, freedom),
+        payloads=payload_estimates(dataset, system, solution.theta, covariance, known, freedom),
         residuals=tuple(
             TorqueError(joint, float(abs(solution.gains[k]) * solution.sigma[k]), float(torques[k]), units[k])
             for k, joint in enumerate(joints)
         ),
         covariance_names=(*problem.parameters, *(f"gain_{j}" for j in joints), *(f"delay_{j}" for j in joints)),
         covariance=covariance,
-        preparation=data.preparation,
+        preparation=dataset.preparation,
         statistics={
             **solution.statistics,
             "lack_of_fit": lack_of_fit(problem, solution),
         },
         runs=names,
         notes=(
-            *data.notes,
-            *_unlike_legs(data, assembly, solution.theta, covariance),
+            *dataset.notes,
+            *_unlike_legs(dataset, system, solution.theta, covariance),
             *(_locked(locked, joints, solution) if locked is not None else ()),
         ),
         consistency=consistency,
@@ -167,7 +169,7 @@ def make_result(
     )
 
 
-def accused(verdicts: tuple[Verdict, ...], found: Suspicion | None) -> tuple[Verdict, ...]:
+def accused(verdicts: tuple[Verdict, ...], found: Misspecification | None) -> tuple[Verdict, ...]:
     """Verdicts on the gains where something in the robot's description is suspected, if nothing worse was found."""
     if found is None:
         return verdicts
@@ -178,8 +180,8 @@ def accused(verdicts: tuple[Verdict, ...], found: Suspicion | None) -> tuple[Ver
 
 
 def payload_estimates(
-    data: Data,
-    assembly: Assembly,
+    dataset: Dataset,
+    system: System,
     theta: np.ndarray,
     covariance: np.ndarray,
     masses: Mapping[str, Verdict],
@@ -190,11 +192,11 @@ def payload_estimates(
     ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
     known payloads, by name; ``freedom`` as in :func:`make_result`.
     """
-    robot = data.robot
-    found = _named(assembly.problem, theta, np.sqrt(np.diag(covariance)))
-    free = _freedoms(assembly.problem, freedom)
+    robot = dataset.robot
+    found = _named(system.problem, theta, np.sqrt(np.diag(covariance)))
+    free = _freedoms(system.problem, freedom)
     payloads = []
-    for each in assembly.payloads:
+    for each in system.payloads:
         known = known_values(each.payload)
         label = {kind: name for name, kind in each.unknown.items()}
         estimates = {}
@@ -209,7 +211,7 @@ def payload_estimates(
                 estimates[kind] = Estimate(
                     kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=free.get(label[kind])
                 )
-        name, run = each.payload.name, data.runs[each.run].name
+        name, run = each.payload.name, dataset.runs[each.run].name
         payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
     return tuple(payloads)
 
@@ -222,23 +224,23 @@ def _freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
     return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))
 
 
-def _terms(assembly: Assembly, robot: Robot) -> list[tuple[str, str]]:
+def _terms(system: System, robot: Robot) -> list[tuple[str, str]]:
     """Further friction terms and their units."""
-    split = [(name, *name.split("_", 1)) for name in assembly.friction.terms]
+    split = [(name, *name.split("_", 1)) for name in system.friction.terms]
     return [(name, UNITS[robot.joint(joint).kind][term]) for name, term, joint in split]
 
 
-def _unlike_legs(data: Data, assembly: Assembly, theta: np.ndarray, covariance: np.ndarray) -> list[str]:
+def _unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance: np.ndarray) -> list[str]:
     """Whether legs of the same geometry differ in what they are built of (the paper's check after section 3.1).
 
     Their frictions always differ, and the table shows them.
     """
-    place = {name: k for k, name in enumerate(assembly.problem.parameters)}
-    names = [name for name in data.base.names if name in place]
+    place = {name: k for k, name in enumerate(system.problem.parameters)}
+    names = [name for name in dataset.base.names if name in place]
     index = [place[name] for name in names]
     if not np.diag(covariance)[index].all():
         return []
-    found = leg_differences(data.robot, data.base, names, theta[index], covariance[np.ix_(index, index)])
+    found = leg_differences(dataset.robot, dataset.base, names, theta[index], covariance[np.ix_(index, index)])
     differences = [
         (float(relative), name, each)
         for each in found
@@ -256,7 +258,7 @@ def _unlike_legs(data: Data, assembly: Assembly, theta: np.ndarray, covariance: 
     ]
 
 
-def _locked(found: Locked, joints: tuple[str, ...], solution: Solution) -> list[str]:
+def _locked(found: PositionRipple, joints: tuple[str, ...], solution: Solution) -> list[str]:
     """What repeats at the same positions, and what that does to the gains."""
     if not found.found:
         return []
@@ -271,10 +273,10 @@ def _locked(found: Locked, joints: tuple[str, ...], solution: Solution) -> list[
     ]
 
 
-def _spread(assembly: Assembly, theta: np.ndarray) -> dict[str, float]:
+def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
     """Standard deviation between runs of each friction parameter that may drift."""
     deviations: dict[str, list[float]] = {}
-    for name, value in zip(assembly.problem.parameters, theta, strict=True):
+    for name, value in zip(system.problem.parameters, theta, strict=True):
         if "@" in name:
             deviations.setdefault(name.split("@")[0], []).append(float(value))
     # the deviations of all runs add up to zero, and the last is not listed

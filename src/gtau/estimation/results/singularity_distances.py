@@ -12,7 +12,7 @@ import numpy as np
 from gtau.documents.files import write_atomically
 from gtau.model.singularities import TYPES
 from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import Prepared
+from gtau.signals.preparation import PreparedRun
 from gtau.signals.storage import rows_at
 
 
@@ -39,12 +39,12 @@ class NearestPose:
     pose: Mapping[str, float]
 
 
-def distances_of(prepared: Prepared, decimator: Decimator, values: np.ndarray) -> Distances:
+def distances_of(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Distances:
     """The distances ``values`` (K, 2) with the times of the run's decimated samples."""
     return Distances(prepared.run.name, rows_at(prepared.time, decimator.instants(len(prepared))), values)
 
 
-def nearest_poses(prepared: Prepared, decimator: Decimator, values: np.ndarray) -> Iterator[NearestPose]:
+def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Iterator[NearestPose]:
     """Where a run comes nearest to singularities of each type that the robot can have."""
     instants = decimator.instants(len(prepared.time))
     for kind, distances in zip(TYPES, values.T, strict=True):

@@ -131,7 +131,7 @@ def _go(f, now, guess, guessed, target, going):  # type: ignore[no-untyped-def] 
 
 
 @compiled
-def travel(f, c, q, begin, end, reached):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def advance_to(f, c, q, begin, end, reached):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Move the columns ``begin`` to ``end`` of ``c`` (n_c, N) towards those of ``q`` (n, N), in place.
 
     ``reached`` (N,) tells which arrive.
@@ -155,7 +155,7 @@ def travel(f, c, q, begin, end, reached):  # type: ignore[no-untyped-def]  # pra
 
 
 @compiled
-def march(f, c, q, starts, length, filled):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def follow_path(f, c, q, starts, length, filled):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Fill ``c`` (n_c, N) along ``q`` (n, N) from each of ``starts``: ``length`` samples, or as many as can be reached.
 
     The first guess is the parabola through the last three samples.

@@ -29,7 +29,7 @@ FUNCTIONS: Mapping[str, Callable[..., float]] = {
 RESERVED = frozenset({COORDINATE, "pi", *FUNCTIONS})
 """Names that a constant cannot have."""
 
-Linear = tuple[float, float]
+LinearisedWindow = tuple[float, float]
 """``(coefficient, constant)`` of an expression linear in the joint coordinate ``q``."""
 
 
@@ -60,7 +60,7 @@ def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
     return constant
 
 
-def linear(text: str, names: Mapping[str, float] | None = None) -> Linear:
+def linear(text: str, names: Mapping[str, float] | None = None) -> LinearisedWindow:
     """Coefficient and constant of an expression linear in the joint coordinate, such as ``q - a``.
 
     Parameters and errors are those of `evaluate`; here the text may hold ``q``.
@@ -92,7 +92,7 @@ def linear(text: str, names: Mapping[str, float] | None = None) -> Linear:
     return result
 
 
-def _value(node: ast.expr, names: Mapping[str, float]) -> Linear:
+def _value(node: ast.expr, names: Mapping[str, float]) -> LinearisedWindow:
     match node:
         case ast.Constant(value=float() | int() as number) if not isinstance(number, bool):
             return 0.0, float(number)
@@ -117,7 +117,7 @@ def _value(node: ast.expr, names: Mapping[str, float]) -> Linear:
             )
 
 
-def _named(name: str, names: Mapping[str, float]) -> Linear:
+def _named(name: str, names: Mapping[str, float]) -> LinearisedWindow:
     if name == COORDINATE:
         return 1.0, 0.0
     if name == "pi":
@@ -127,7 +127,7 @@ def _named(name: str, names: Mapping[str, float]) -> Linear:
     return 0.0, names[name]
 
 
-def _operation(operator: ast.operator, left: Linear, right: Linear) -> Linear:
+def _operation(operator: ast.operator, left: LinearisedWindow, right: LinearisedWindow) -> LinearisedWindow:
     (p, a), (q, b) = left, right
     match operator:
         case ast.Add():
@@ -149,7 +149,7 @@ def _operation(operator: ast.operator, left: Linear, right: Linear) -> Linear:
             raise ValueError("only the operators + - * / ** are read here")
 
 
-def _call(name: str, arguments: list[Linear]) -> float:
+def _call(name: str, arguments: list[LinearisedWindow]) -> float:
     count = 2 if name == "atan2" else 1
     if len(arguments) != count:
         raise ValueError(f"{name} takes {count} value{'s' if count > 1 else ''}, {len(arguments)} are written")

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.readers.expressions import RESERVED, Linear, evaluate, linear
+from gtau.robots.readers.expressions import RESERVED, LinearisedWindow, evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
 from gtau.robots.robot import GROUND, Robot
 
@@ -98,7 +98,7 @@ def _row(number: int, cells: list[str], header: list[str], constants: dict[str, 
     values = dict(zip(header, cells, strict=True))
     name = values["j"]
 
-    def read(column: str) -> Linear:
+    def read(column: str) -> LinearisedWindow:
         text = re.sub(rf"\bq_?{re.escape(name)}\b", "q", values[column])
         try:
             return linear(text, constants)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.robots.assembly import assemble
 from gtau.robots.geometry import compose, pose_of, rounded, turn
+from gtau.robots.home import close_home
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.urdf import turning
 from gtau.robots.readers.xml_document import read_xml
@@ -54,7 +54,7 @@ def read_mjcf(path: str | Path) -> Robot:
         if (root := read_xml(path)).tag != "mujoco":
             raise GtauError(f"the outermost element is <{root.tag}>, not <mujoco>; give an MJCF file.")
         robot = replace(_robot(_compiled(path), path), name=root.get("model") or path.stem)
-        return assemble(without_idle_pins(robot))
+        return close_home(without_idle_pins(robot))
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 

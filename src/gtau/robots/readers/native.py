@@ -10,7 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationIn
 
 from gtau.documents.yaml_document import Document, parse_yaml, read_yaml, validate
 from gtau.errors import GtauError
-from gtau.robots.readers.expressions import RESERVED, Linear, evaluate, linear
+from gtau.robots.readers.expressions import RESERVED, LinearisedWindow, evaluate, linear
 from gtau.robots.robot import (
     INERTIAL,
     STANDARD_GRAVITY,
@@ -31,12 +31,12 @@ def _number(text: str, info: ValidationInfo) -> float:
     return evaluate(text, info.context)
 
 
-def _coordinate(text: str, info: ValidationInfo) -> Linear:
+def _coordinate(text: str, info: ValidationInfo) -> LinearisedWindow:
     return linear(text, info.context)
 
 
 Number = Annotated[float, BeforeValidator(_number)]
-Coordinate = Annotated[Linear, BeforeValidator(_coordinate)]
+Coordinate = Annotated[LinearisedWindow, BeforeValidator(_coordinate)]
 """A number that may hold the joint coordinate ``q``."""
 Triple = tuple[Number, Number, Number]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.assembly import assemble
+from gtau.robots.home import close_home
 from gtau.robots.readers.expressions import evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
 from gtau.robots.robot import GROUND, STANDARD_GRAVITY, Attachment, Closure, Robot
@@ -86,7 +86,7 @@ def _robot(text: str, path: Path) -> Robot:
         name[1] if name and name[1] else path.stem, tree, closures=closures, gravity=gravity, source=path.name,
         notes=notes,
     )  # fmt: skip
-    return assemble(robot)
+    return close_home(robot)
 
 
 def _without_comments(text: str) -> str:

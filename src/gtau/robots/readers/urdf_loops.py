@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 from gtau.documents.yaml_document import Document, read_yaml, unknown, validate
 from gtau.errors import GtauError
-from gtau.robots.assembly import assemble
+from gtau.robots.home import close_home
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.urdf import UrdfTree, read_urdf_tree
 from gtau.robots.robot import Attachment, Closure, Robot
@@ -89,7 +89,7 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
             source=f"{Path(urdf).name} with {Path(loops).name}",
             notes=tree.notes,
         )
-        return assemble(without_idle_pins(robot))
+        return close_home(without_idle_pins(robot))
     except GtauError as error:
         raise error if str(error).startswith(str(document.path)) else GtauError(f"{document.path}: {error}") from None
 

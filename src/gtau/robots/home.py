@@ -26,7 +26,7 @@ STARTS = 40
 STALLED = 15  # steps that hardly help, and a start is given up
 
 
-def assemble(robot: Robot) -> Robot:
+def close_home(robot: Robot) -> Robot:
     """Find a home in which the loops close, motors and all, for a robot whose file gives none that does.
 
     Levenberg-Marquardt over all coordinates, from the robot's home, and if that does not close within the position
