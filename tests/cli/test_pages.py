@@ -222,7 +222,9 @@ def test_a_figure_of_torques_is_titled_with_its_run() -> None:
 
     time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
     predicted = torques * [1.1, 1.01]
-    prediction = Prediction(("left", "elbow_joint"), time, torques, predicted, np.ones((50, 2), dtype=bool))
+    prediction = Prediction(
+        ("left", "elbow_joint"), time, torques, predicted, np.ones((50, 2), dtype=bool), np.ones((50, 2), dtype=bool)
+    )
     figure = torques_figure(prediction, ["N m", "N m"], 0.0, 1.0, "loaded")
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["loaded: joint left", "", "elbow_joint", ""]
     assert [axes.get_ylim()[1] for axes in figure.axes[1::2]] == pytest.approx([0.115, 0.0115])  # each its own

@@ -89,6 +89,36 @@ def test_predictions_are_the_plant_s_torques(result: Result) -> None:
             assert error.relative == 100 * error.rms / error.signal
 
 
+def test_validation_errors_of_all_samples_stand_beside_those_away_from_reversals(result: Result) -> None:
+    run = PLANT.run("check", seed=7)
+    found = result.predict(run)
+    assert found.valid.mean() > found.keep.mean()
+    for j, error in enumerate(result.validate(run)):
+        every = (found.predicted - found.measured)[found.valid[:, j], j]
+        assert error.rms_all == pytest.approx(np.sqrt(np.mean(every**2)))
+        assert error.rms_all == pytest.approx(error.rms, rel=0.2)  # the friction of this plant is ideal at reversals
+        assert error.relative_all == pytest.approx(100 * error.rms_all / error.signal_all)
+    gap = np.ones(run.position.shape, dtype=bool)
+    gap[1000:1200] = False
+    with_gap = result.predict(replace(run, valid=gap))
+    lost = found.valid.all(axis=1) & ~with_gap.valid.all(axis=1)
+    seconds = with_gap.time[lost]
+    assert 0.2 <= np.ptp(seconds) < 0.3
+    assert run.time[1000] - 0.05 < seconds[0] < run.time[1000]
+
+
+def test_a_prediction_is_shown_in_one_line(result: Result) -> None:
+    assert repr(result.predict(PLANT.run("check", seed=7))).count("\n") == 0
+    assert len(repr(result.predict(PLANT.run("check", seed=7)))) < 100
+
+
+def test_nearest_singular_poses_are_timed_from_the_run_s_start() -> None:
+    runs = [PLANT.run("free", seed=1), PLANT.run("loaded", payload=STEEL, seed=2)]
+    late = [replace(run, time=run.time + 1000.0) for run in (runs[0], replace(runs[1], payload=KNOWN))]
+    for pose in identify(load_robot("five-bar"), late).singularities:
+        assert 0.0 <= pose.time <= runs[0].time[-1] - runs[0].time[0]
+
+
 def test_a_payload_that_the_model_knows_needs_no_more_than_its_name(result: Result) -> None:
     run = PLANT.run("check", seed=7, payload=STEEL)
     named, described = (replace(run, payload=Payload(name="steel", mass=mass)) for mass in (None, STEEL["m"]))

@@ -67,7 +67,9 @@ def document(outcome: DemoOutcome, out: Path, duration: float, files: list[str])
                 for gains, mass in outcome.weighings.items()
             },
         },
-        "validation": [asdict(each) | {"relative": each.relative} for each in outcome.errors],
+        "validation": [
+            asdict(each) | {"relative": each.relative, "relative_all": each.relative_all} for each in outcome.errors
+        ],
         "tracking": table_document(outcome.comparison),
         "files": files,
         "commands": list(COMMANDS),
@@ -101,9 +103,14 @@ def report(found: Mapping[str, Any], tracking: str) -> str:
     for gains, label in (("prior", "case 1: manufacturer's gains"), ("identified", "case 2: identified gains")):
         mass = second[gains]
         lines.append(f"  {label:<48}{mass['value']:>12.4f}{mass['std']:>8.4f}{mass['error']:>10.2f}")
-    lines += ["", f"{'Predicting a run that was not used':<50}{'rms N':>12}{'error':>8}{'error %':>10}"]
     lines += [
-        f"  {'joint ' + each['joint']:<48}{each['signal']:>12.1f}{each['rms']:>8.2f}{each['relative']:>10.2f}"
+        "",
+        "Predicting a run that was not used: rms error of the forces, away from reversals and over all samples",
+        f"  {'joint':<10}{'force, N':>12}{'error, N':>12}{'error %':>10}{'all, N':>12}{'all %':>10}",
+    ]
+    lines += [
+        f"  {each['joint']:<10}{each['signal']:>12.1f}{each['rms']:>12.2f}{each['relative']:>10.2f}"
+        f"{each['rms_all']:>12.2f}{each['relative_all']:>10.2f}"
         for each in found["validation"]
     ]
     lines += [

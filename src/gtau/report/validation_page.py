@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +18,11 @@ from gtau.report.figures import torques_figure
 from gtau.report.style import save_figure
 from gtau.signals.run import Run
 
+WIDTH = 80
+REVERSALS = (
+    "The model holds away from reversals, where Coulomb friction does not change sign; identification uses only those "
+    "samples. All samples: the reversals too."
+)
 CAUTION = (
     "A small error does not prove the gains: both sides carry them. Weigh a known payload ('gtau payload') for that."
 )
@@ -40,24 +46,33 @@ def validate_run(result: Result, run: Run) -> Validation:
 
 def describe_validations(validations: Sequence[Validation]) -> dict[str, Any]:
     """Torque errors as a JSON document: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent."""
-    return {
-        "runs": [
-            {"log": each.run.name, "joints": [asdict(error) | {"relative": error.relative} for error in each.errors]}
-            for each in validations
-        ]
-    }
+
+    def entry(error: TorqueError) -> dict[str, Any]:
+        return asdict(error) | {"relative": error.relative, "relative_all": error.relative_all}
+
+    return {"runs": [{"log": each.run.name, "joints": [entry(error) for error in each.errors]} for each in validations]}
 
 
 def validation_page(document: dict[str, Any]) -> str:
     """The description as text."""
     lines = []
     for run in document["runs"]:
-        lines += [run["log"], f"  {'joint':<22}{'error rms':>12}{'signal rms':>12}{'error %':>9}   unit"]
         lines += [
-            f"  {each['joint']:<22}{each['rms']:>12.4g}{each['signal']:>12.4g}{each['relative']:>9.2f}   {each['unit']}"
-            for each in run["joints"]
+            run["log"],
+            f"  {'':<22}{'away from reversals':>28}{'all samples':>19}",
+            f"  {'joint':<22}{'error':>10}{'torque':>10}{'%':>8}{'error':>11}{'%':>8}   unit, rms",
         ]
-    return "\n".join([*lines, CAUTION])
+        lines += [_row(each) for each in run["joints"]]
+    return "\n".join([*lines, *textwrap.wrap(REVERSALS, WIDTH), *textwrap.wrap(CAUTION, WIDTH)])
+
+
+def _row(each: dict[str, Any]) -> str:
+    every = "-" if each["rms_all"] is None else f"{each['rms_all']:.4g}"
+    relative = "-" if each["relative_all"] is None else f"{each['relative_all']:.2f}"
+    return (
+        f"  {each['joint']:<22}{each['rms']:>10.4g}{each['signal']:>10.4g}{each['relative']:>8.2f}{every:>11}"
+        f"{relative:>8}   {each['unit']}"
+    )
 
 
 def write_torques(validations: Sequence[Validation], folder: Path) -> list[Path]:

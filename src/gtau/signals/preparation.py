@@ -103,6 +103,11 @@ class PreparedRun:
         at, margin = self.kept[start:stop], filter_margin(self.run.rate, self.preparation.cutoff)
         return range(max(0, at.start - margin), min(len(self.run.time), at.stop + margin))
 
+    def valid(self, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Whether speeds and accelerations rest on good samples only, (M, n), for the samples of :meth:`samples`."""
+        at = self.kept[start:stop]
+        return _valid(self.run, self.preparation, at.start, at.stop)
+
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
         """Samples from ``start`` to before ``stop`` of those that are used; what stands around them is seen to."""
         at = self.kept[start:stop]
@@ -115,11 +120,7 @@ class PreparedRun:
             np.einsum("yi,ij,yj->y", self.friction_speed_ratios, self.speeds, self.friction_speed_ratios)
         )
         slow = np.abs(qd @ self.friction_speed_ratios.T) < limit
-        usable = (
-            ~(slow @ (np.abs(self.friction_speed_ratios) > 1e-9))
-            & self.moves
-            & _valid(run, preparation, at.start, at.stop)
-        )
+        usable = ~(slow @ (np.abs(self.friction_speed_ratios) > 1e-9)) & self.moves & self.valid(start, stop)
         return SampleWindow(
             block(run.time, at.start, at.stop), q, qd, qdd, command[mine], command_d, command_dd, usable
         )  # fmt: skip

@@ -73,24 +73,37 @@ class PayloadEstimate:
 
 @dataclass(frozen=True)
 class TorqueError:
-    """How well torques ``v g_tau`` are met at a joint: rms of error and of signal, N m or N."""
+    """How well the model reproduces a joint's torque ``v g_tau``: rms of error and signal, N m or N.
+
+    ``rms`` and ``signal`` are taken over the rows that identification uses, away from the joint's reversals, where
+    Coulomb friction is not modelled; ``rms_all`` and ``signal_all`` over all valid rows, reversals included. The
+    latter are None for the residuals of a fit, which has no other rows.
+    """
 
     joint: str
     rms: float
     signal: float
     unit: str
+    rms_all: float | None = None
+    signal_all: float | None = None
 
     @property
     def relative(self) -> float:
-        """Error over signal, per cent."""
+        """Error over signal away from reversals, per cent."""
         return 100 * self.rms / self.signal
+
+    @property
+    def relative_all(self) -> float | None:
+        """Error over signal of all valid rows, reversals included, per cent."""
+        return None if self.rms_all is None or not self.signal_all else 100 * self.rms_all / self.signal_all
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Decimated torques along a run: ``time`` (K,), ``predicted`` and ``measured`` (K, n), ``keep`` (K, n).
+    """Decimated torques along a run: ``time`` (K,) in s, ``predicted`` and ``measured`` (K, n) in N m or N.
 
-    ``keep`` is False near reversals and gaps, where the model's friction does not hold.
+    ``keep`` (K, n) is False near a joint's reversals, where the model's friction does not hold, and near gaps;
+    ``valid`` (K, n) is False near gaps and repaired samples only.
     """
 
     joints: tuple[str, ...]
@@ -98,6 +111,13 @@ class Prediction:
     predicted: np.ndarray
     measured: np.ndarray
     keep: np.ndarray
+    valid: np.ndarray
+
+    def __repr__(self) -> str:
+        return (
+            f"Prediction({len(self.time)} rows of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
+            f"{self.time[-1]:.4g} s)"
+        )
 
 
 @dataclass(frozen=True)

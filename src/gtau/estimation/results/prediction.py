@@ -49,7 +49,7 @@ def predict(result: Result, run: Run) -> Prediction:
     regressor = model.columns(base.standard)
     gains = np.array([result.drive_gains[joint].value for joint in model.actuated])
     delays = np.array([result.delays[joint].value for joint in model.actuated])
-    time, predicted, measured, keep = [], [], [], []
+    time, predicted, measured, keep, valid = [], [], [], [], []
     load = chi * transmitted(base.names)
     terms = np.array([[_value(result.friction, f"{term}_{joint}") for joint in model.actuated] for term in TERMS])
     for part in stream_rows(model, regressor, prepared, decimator, load):
@@ -59,11 +59,13 @@ def predict(result: Result, run: Run) -> Prediction:
         predicted.append(tau.T)
         measured.append((gains[:, None] * (v - delays[:, None] * v_d + delays[:, None] ** 2 / 2 * v_dd)).T)
         keep.append(part.keep.T)
+        # the samples that the decimation filter sees: ``keep`` of those that are valid, slow or not
+        first = decimator.factor * part.outputs.start
+        last = decimator.factor * (part.outputs.stop - 1) + 2 * decimator.support
+        valid.append(decimator.keep(prepared.valid(first, last + 1)))
     if not np.any([each.any() for each in keep]):
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
-    return Prediction(
-        model.actuated, np.concatenate(time), np.concatenate(predicted), np.concatenate(measured), np.concatenate(keep)
-    )  # fmt: skip
+    return Prediction(model.actuated, *(np.concatenate(each) for each in (time, predicted, measured, keep, valid)))
 
 
 def _value(estimates: Mapping[str, Estimate], name: str) -> float:
@@ -71,12 +73,16 @@ def _value(estimates: Mapping[str, Estimate], name: str) -> float:
 
 
 def torque_errors(result: Result, prediction: Prediction) -> tuple[TorqueError, ...]:
-    """Rms of error and signal of each joint over the kept instants."""
+    """Rms of error and signal of each joint that moves: over the kept rows, and over all valid ones."""
+
+    def rms(values: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(values**2)))
+
     errors = []
+    difference = prediction.measured - prediction.predicted
     for j, joint in enumerate(prediction.joints):
-        kept = prediction.keep[:, j]
-        measured, predicted = prediction.measured[kept, j], prediction.predicted[kept, j]
+        kept, valid = prediction.keep[:, j], prediction.valid[:, j]
         if kept.any():
-            rms, signal = (float(np.sqrt(np.mean(x**2))) for x in (measured - predicted, measured))
-            errors.append(TorqueError(joint, rms, signal, torque_unit(result.robot, joint)))
+            used, every = ((rms(difference[rows, j]), rms(prediction.measured[rows, j])) for rows in (kept, valid))
+            errors.append(TorqueError(joint, *used, torque_unit(result.robot, joint), *every))
     return tuple(errors)

@@ -30,7 +30,10 @@ class Distances:
 
 @dataclass(frozen=True)
 class NearestPose:
-    """Where a run comes nearest to a singularity of ``type`` 1 or 2, its distance, time (s) and pose (rad or m)."""
+    """Where a run comes nearest to a singularity of ``type`` 1 or 2: distance, time (s) since the run's start, pose.
+
+    The pose is in rad or m.
+    """
 
     run: str
     type: int
@@ -53,7 +56,8 @@ def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarra
             at = int(instants[k])
             q = prepared.samples(at, at + 1).q[0]
             pose = {joint: float(value) for joint, value in zip(prepared.run.joints, q, strict=True)}
-            yield NearestPose(prepared.run.name, kind, float(distances[k]), float(prepared.time[at]), pose)
+            since_start = float(prepared.time[at] - prepared.run.time[0])
+            yield NearestPose(prepared.run.name, kind, float(distances[k]), since_start, pose)
 
 
 def write_distances(runs: Sequence[Distances], path: str | Path) -> None:
