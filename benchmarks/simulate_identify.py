@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
+from test_simulation_control import described
 
 from gtau.estimation.identify import identify
 from gtau.simulation.experiment_files import simulate_experiment
-from test_simulation_control import described
 
 # A payload known in full fixes the gains of joints that gravity does not load.
 BLOCK = {"mx": 0.2, "my": 0.1, "mz": 0.5, "xx": 0.15, "yy": 0.17, "zz": 0.08, "xy": 0.0, "xz": 0.0, "yz": 0.0}
