@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
-from test_simulation_control import described
+from test_control import described
 
 from gtau.estimation.identify import identify
 from gtau.simulation.experiment_files import simulate_experiment
