@@ -18,7 +18,7 @@ from gtau.estimation.results.result import Result
 from gtau.fleet import fleet
 from gtau.fleet.fleet import Member, Report, identify_fleet, read_fleet
 from gtau.fleet.gains import fleet_table
-from gtau.parallel.executor import serial_executor
+from gtau.parallel.executor import serial_map
 from gtau.report.fleet_page import fleet_page
 
 ONE = EXPERIMENT.split("validation")[0]
@@ -94,7 +94,7 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
     bad.parent.mkdir()
     bad.write_text(ONE)
     members = (*some(cells, 1, 2), Member("bad", bad))
-    reports = identify_fleet(members, tmp_path, serial_executor)
+    reports = identify_fleet(members, tmp_path, serial_map)
     assert [report.model is None for report in reports] == [False, False, True]
     assert "there is no file" in reports[2].sentence
     page = fleet_page(fleet_table(reports))
@@ -106,7 +106,7 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
         raise ZeroDivisionError("oops")
 
     monkeypatch.setattr("gtau.estimation.identify.identify", broken)
-    (report,) = identify_fleet(some(cells, 3), tmp_path, serial_executor)
+    (report,) = identify_fleet(some(cells, 3), tmp_path, serial_map)
     assert "this should not have happened (ZeroDivisionError: oops); please report it" in report.sentence
     assert fleet_table([report]).refused[0][0] == report.member.name
 
@@ -130,7 +130,7 @@ def test_going_on_after_an_interruption(cells: Path, tmp_path: Path) -> None:
         identify_fleet(members, tmp_path, interrupted)
     name = members[0].name
     assert {path.name for path in (tmp_path / "models").iterdir()} == {f"{name}.json", f"{name}.key"}
-    reports = identify_fleet(members, tmp_path, serial_executor)
+    reports = identify_fleet(members, tmp_path, serial_map)
     assert [report.seconds > 0 for report in reports] == [False, True]
 
 
@@ -140,8 +140,8 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
         (tmp_path / name).write_bytes((cells / "robot_1" / name).read_bytes())
     (tmp_path / "e.yaml").write_text(ONE)
     member = Member("one", tmp_path / "e.yaml")
-    (first,) = identify_fleet([member], tmp_path, serial_executor)
-    (again,) = identify_fleet([member], tmp_path, serial_executor)
+    (first,) = identify_fleet([member], tmp_path, serial_map)
+    (again,) = identify_fleet([member], tmp_path, serial_map)
     assert again.model == first.model
     assert again.seconds == 0
     method = "ml"
@@ -159,7 +159,7 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
         (tmp_path / "five-bar").write_text(native_text(load_robot("five-bar")).replace("0.35", "0.36"))
         (tmp_path / "five-bar").rename(tmp_path / "other.yaml")
         (tmp_path / "e.yaml").write_text(ONE.replace("robot: five-bar", "robot: other.yaml"))
-    (other,) = identify_fleet([member], tmp_path, serial_executor, method)
+    (other,) = identify_fleet([member], tmp_path, serial_map, method)
     assert other.seconds > 0
     assert other.model != first.model
 
@@ -190,7 +190,7 @@ def test_a_fleet_file(cells: Path, tmp_path: Path) -> None:
     (tmp_path / "fleet.yaml").write_text(f"experiment: one.yaml\nfolders: {cells}/robot_[12]\n")
     members = read_fleet([tmp_path / "fleet.yaml"])
     assert [(m.name, m.logs) for m in members] == [(f"robot_{k}", cells / f"robot_{k}") for k in (1, 2)]
-    reports = identify_fleet(members, tmp_path, serial_executor)
+    reports = identify_fleet(members, tmp_path, serial_map)
     alone = identify(cells / "robot_2" / "experiment.yaml")
     assert reports[1].model is not None
     assert reports[1].model["drive_gains"][0]["value"] == alone.drive_gains["left"].value

@@ -13,11 +13,10 @@ from five_bar_logs import STEEL, Plant, five_bar
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Shard, reduce_runs, reduce_shard
-from gtau.estimation.regression.factors import Factors, HuberWeights
-from gtau.parallel import cache
-from gtau.parallel.cache import cache_folder, caching_executor
+from gtau.estimation.regression.factors import FACTORS_VERSION, Factors, HuberWeights
+from gtau.parallel.cache import cache_folder, caching_map, factors_key
 from gtau.parallel.content_hash import content_key
-from gtau.parallel.executor import in_turn, serial_executor
+from gtau.parallel.executor import ShardMap, in_order, serial_map
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run
 
@@ -37,7 +36,7 @@ def parts(runs: list[Run]) -> list[Shard]:
 
 
 class Counted:
-    """A spread that counts what it is given, and fails or is interrupted where it is told to."""
+    """A shard map that counts what it is given, and is interrupted where asked to."""
 
     def __init__(self, stop_before: int | None = None) -> None:
         self.parts: list[Shard] = []
@@ -55,8 +54,8 @@ def same(a: Factors, b: Factors) -> bool:
     return all(np.array_equal(getattr(a, f.name), getattr(b, f.name), equal_nan=True) for f in fields(Factors))
 
 
-def mapped(spread, parts: list[Shard], folder: Path) -> list[Factors]:
-    return list(in_turn(caching_executor(spread, folder, worth=0))(reduce_shard, parts))
+def mapped(shard_map: ShardMap, parts: list[Shard], folder: Path, **more: int) -> list[Factors]:
+    return list(in_order(caching_map(shard_map, folder, worth=0, **more))(reduce_shard, parts))
 
 
 def test_what_was_computed_is_not_computed_again(parts: list[Shard], tmp_path: Path) -> None:
@@ -69,7 +68,7 @@ def test_what_was_computed_is_not_computed_again(parts: list[Shard], tmp_path: P
 
 
 def test_results_are_those_without(runs: list[Run], tmp_path: Path) -> None:
-    mapper = in_turn(caching_executor(serial_executor, tmp_path, worth=0))
+    mapper = in_order(caching_map(serial_map, tmp_path, worth=0))
     found = [identify(five_bar().robot, runs, mapper=each) for each in (map, mapper, mapper)]
     assert list(tmp_path.iterdir())
     for other in found[1:]:
@@ -86,7 +85,7 @@ def test_of_an_interrupted_job_the_finished_parts_stay(parts: list[Shard], tmp_p
 
 @pytest.mark.parametrize("place", [0, 31, 32, 200, -200, -1])
 def test_a_damaged_entry_is_computed_again(parts: list[Shard], tmp_path: Path, place: int) -> None:
-    straight = mapped(serial_executor, parts[:1], tmp_path)
+    straight = mapped(serial_map, parts[:1], tmp_path)
     (entry,) = tmp_path.iterdir()
     good = entry.read_bytes()
     for bad in (bytearray(good), good[:place], b""):
@@ -133,15 +132,14 @@ def changes(part: Shard) -> dict[str, Shard]:
     return found
 
 
-def test_any_change_of_the_inputs_changes_the_key(parts: list[Shard], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_change_of_the_inputs_changes_the_key(parts: list[Shard]) -> None:
     changed = changes(parts[0])
     assert {"run position", "run command", "run time"} <= changed.keys()
-    keys = {name: content_key((reduce_shard, part)) for name, part in changed.items()}
-    keys["nothing"] = content_key((reduce_shard, parts[0]))
-    keys["another function"] = content_key((content_key, parts[0]))
+    keys = {name: factors_key(reduce_shard, part) for name, part in changed.items()}
+    keys["nothing"] = factors_key(reduce_shard, parts[0])
+    keys["another function"] = factors_key(content_key, parts[0])
+    keys["another version"] = factors_key(reduce_shard, parts[0], version=FACTORS_VERSION + 1)
     assert len(set(keys.values())) == len(keys)
-    monkeypatch.setattr("gtau.parallel.content_hash.program", lambda: "the next version")
-    assert content_key((reduce_shard, parts[0])) not in keys.values()
 
 
 def test_another_payload_or_name_needs_no_new_factors(parts: list[Shard], tmp_path: Path) -> None:
@@ -163,23 +161,23 @@ def test_what_is_refused_is_not_stored(parts: list[Shard], tmp_path: Path) -> No
 
 
 def test_short_parts_are_not_worth_it(parts: list[Shard], tmp_path: Path) -> None:
-    list(in_turn(caching_executor(serial_executor, tmp_path))(reduce_shard, parts))
+    list(in_order(caching_map(serial_map, tmp_path))(reduce_shard, parts))
     assert not list(tmp_path.iterdir())
 
 
-def test_the_cache_is_bounded(parts: list[Shard], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mapped(serial_executor, parts[:1], tmp_path)
+def test_the_cache_is_bounded(parts: list[Shard], tmp_path: Path) -> None:
+    mapped(serial_map, parts[:1], tmp_path)
     (first,) = tmp_path.iterdir()
-    monkeypatch.setattr(cache, "LARGEST", int(3.5 * first.stat().st_size))
+    largest = int(3.5 * first.stat().st_size)
     for k in range(1, len(parts)):
-        mapped(serial_executor, [parts[0], parts[k]], tmp_path)  # the first is used every time
+        mapped(serial_map, [parts[0], parts[k]], tmp_path, largest=largest)  # the first is used every time
     assert len(list(tmp_path.iterdir())) == 3
     assert first.exists()
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(parts: list[Shard], tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    assert len(mapped(serial_executor, parts[:2], tmp_path / "file" / "cache")) == 2
+    assert len(mapped(serial_map, parts[:2], tmp_path / "file" / "cache")) == 2
 
 
 def test_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

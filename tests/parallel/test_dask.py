@@ -1,4 +1,4 @@
-"""Factors from Dask workers: real processes, one of them killed, and everything that a cluster may lack."""
+"""Work on Dask workers: real processes, one of them killed, and everything that a cluster may lack."""
 
 from __future__ import annotations
 
@@ -9,31 +9,27 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
-from spread_work import away, fragile, refusing
+from shard_functions import away, fragile, refusing, slow_reduce_shard
 
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
-from gtau.estimation.regression import dataset as data
-from gtau.estimation.regression.dataset import reduce_shard
-from gtau.parallel import dask_executor as workers
-from gtau.parallel.dask_executor import connected, on_workers
-from gtau.parallel.executor import in_turn
+from gtau.estimation.regression.dataset import read_runs, reduce_runs, reduce_shard
+from gtau.estimation.regression.factors import STRETCHES
+from gtau.parallel import dask_executor
+from gtau.parallel.dask_executor import connected, dask_map
 from gtau.parallel.process_executor import LIMITS, ignore_sigint
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 
 distributed = pytest.importorskip("distributed")
-
-
-def slow_reduce_part(part: data.Shard) -> data.Factors:
-    """Slow enough that a worker is killed in the middle; in the worker's own process."""
-    time.sleep(0.1)
-    return reduce_shard(part)
 
 
 @pytest.fixture(scope="module")
@@ -64,34 +60,35 @@ def numbers(result) -> np.ndarray:
     return np.array([[each.value or 0.0, each.std or 0.0] for each in estimates])
 
 
-def test_a_worker_killed_in_the_middle_changes_nothing(client, experiment: Path, monkeypatch) -> None:
-    monkeypatch.setattr(data, "PART", 200)  # many parts
-    expected = numbers(identify(experiment))
-    before, killed = client.run(os.getpid), []
-
-    def kill_one(function, parts):
-        assert len(parts) > 20
-        for k, result in on_workers(slow_reduce_part, parts, client):
-            if not killed:
-                killed.append(min(before.values()))
-                os.kill(killed[0], signal.SIGKILL)
-            yield k, result
-
-    found = numbers(identify(experiment, mapper=in_turn(kill_one)))
-    assert killed
+def test_a_worker_killed_in_the_middle_changes_nothing(client, experiment: Path) -> None:
+    described = read_experiment(experiment)
+    dataset = reduce_runs(load_robot("five-bar"), read_runs(described, described.runs))
+    shards = [
+        replace(whole, stretches=range(k, k + 1)) for run in dataset.parts() for whole in run for k in range(STRETCHES)
+    ]
+    before, killed, found = client.run(os.getpid), [], {}
+    for k, result in dask_map(slow_reduce_shard, shards, client):
+        if not killed:
+            killed.append(min(before.values()))
+            os.kill(killed[0], signal.SIGKILL)
+        found[k] = result
     assert killed[0] not in client.run(os.getpid).values()
-    assert found == pytest.approx(expected, rel=1e-10, abs=1e-12)
+    assert sorted(found) == list(range(2 * STRETCHES))
+    for k, shard in enumerate(shards):
+        expected = reduce_shard(shard)
+        assert np.array_equal(found[k].R, expected.R)  # to the last bit
+        assert np.array_equal(found[k].distances, expected.distances)
 
 
-def test_refusals_and_lost_items_are_told_and_the_others_are_done(client) -> None:
-    for function, says in ((refusing, "no three."), (fragile, "workers died at it")):
-        found = dict(on_workers(function, range(5), client))
+def test_refused_and_lost_shards_are_reported_and_the_others_are_done(client) -> None:
+    for function, says in ((refusing, "no three."), (fragile, "it killed one Dask worker after the other")):
+        found = dict(dask_map(function, range(5), client))
         assert says in str(found.pop(3))
         assert found == {k: k * k for k in (0, 1, 2, 4)}
 
 
 def test_an_error_that_goes_away_is_tried_again(client, tmp_path: Path) -> None:
-    assert dict(on_workers(away, [tmp_path], client)) == {0: "read"}
+    assert dict(dask_map(away, [tmp_path], client)) == {0: "read"}
 
 
 def test_a_worker_that_does_not_see_the_log_is_named(client, tmp_path: Path) -> None:
@@ -99,34 +96,33 @@ def test_a_worker_that_does_not_see_the_log_is_named(client, tmp_path: Path) -> 
     path = write_log(tmp_path / "log.csv", Plant(noise=0.01).run("log", seconds=3.0))
     run = read_run(path, signals)
     path.rename(tmp_path / "elsewhere.csv")
-    (refused,) = dict(on_workers(refusing, [run], client)).values()
+    (refused,) = dict(dask_map(refusing, [run], client)).values()
     says = (
         rf"on the Dask worker tcp://\S+, there is no log {path}; share its folder with all workers under that path, or"
     )
     assert re.match(says, str(refused))
 
 
-def test_an_error_that_stays_is_told(client, tmp_path: Path) -> None:
-    (refused,) = dict(on_workers(away, [tmp_path / "missing"], client)).values()
-    assert re.match(r"the Dask worker tcp://\S+ failed \(.*No such file.*\); see to its disks", str(refused))
+def test_an_error_that_stays_is_reported(client, tmp_path: Path) -> None:
+    (refused,) = dict(dask_map(away, [tmp_path / "missing"], client)).values()
+    assert re.match(r"the Dask worker tcp://\S+ failed \(.*No such file.*\); check its disks", str(refused))
 
 
-def test_workers_that_do_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "LONELY", 2.0)
+def test_workers_that_do_not_come_back() -> None:
     with ignore_sigint():
         cluster = distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
     with cluster, distributed.Client(cluster) as client:
-        made = on_workers(time.sleep, [0.01, 60], client)
+        made = dask_map(time.sleep, [0.01, 60], client, without_workers=2.0)
         next(made)
         cluster.scale(0)
-        with pytest.raises(GtauError, match="the Dask scheduler has had no workers for 2 s; see whether they"):
+        with pytest.raises(GtauError, match="the Dask scheduler has had no workers for 2 s; check workers and network"):
             next(made)
 
 
 def test_what_is_not_wanted_any_more_is_cancelled(client) -> None:
-    made = on_workers(time.sleep, [0.01] + 200 * [0.5], client)
+    made = dask_map(time.sleep, [0.01] + 200 * [0.5], client)
     next(made)
     made.close()
     deadline = time.monotonic() + 20
@@ -134,7 +130,7 @@ def test_what_is_not_wanted_any_more_is_cancelled(client) -> None:
         assert time.monotonic() < deadline
         time.sleep(0.05)
     begun = time.monotonic()
-    assert dict(on_workers(refusing, [1, 2], client)) == {0: 1, 1: 4}
+    assert dict(dask_map(refusing, [1, 2], client)) == {0: 1, 1: 4}
     assert time.monotonic() - begun < 20  # two hundred sleeps would be 50 s
 
 
@@ -144,10 +140,10 @@ def test_a_scheduler_that_stops(experiment: Path) -> None:
             n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
     with distributed.Client(cluster) as client:
-        made = on_workers(time.sleep, [0.01, 60], client)
+        made = dask_map(time.sleep, [0.01, 60], client)
         next(made)
         cluster.close()
-        with pytest.raises(GtauError, match="the Dask scheduler went away"):
+        with pytest.raises(GtauError, match="the Dask scheduler stopped or cancelled the work; start it"):
             next(made)
 
 
@@ -155,10 +151,9 @@ def test_a_scheduler_that_stops(experiment: Path) -> None:
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "foo://127.0.0.1:1", ""])
-def test_a_scheduler_that_is_not_there(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "PATIENCE", 0.5)
+def test_a_scheduler_that_is_not_there(address: str) -> None:
     says = f"the Dask scheduler '{address}' cannot be reached"
-    with pytest.raises(GtauError, match=says), connected(address):
+    with pytest.raises(GtauError, match=says), connected(address, patience=0.5):
         pass
 
 
@@ -168,12 +163,11 @@ def test_a_worker_is_no_scheduler(client) -> None:
         pass
 
 
-def test_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "PATIENCE", 1.0)
+def test_without_workers() -> None:
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None, silence_logs="CRITICAL") as cluster,
         pytest.raises(GtauError, match=f"'{cluster.scheduler_address}' has no workers; start some"),
-        connected(cluster.scheduler_address),
+        connected(cluster.scheduler_address, patience=1.0),
     ):
         pass
 
@@ -181,15 +175,15 @@ def test_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_another_version_of_gtau_on_the_workers(client, monkeypatch: pytest.MonkeyPatch) -> None:
     address = client.scheduler.address
     with connected(address) as connection:
-        assert dict(on_workers(refusing, [1], connection)) == {0: 1}
-    monkeypatch.setattr(workers, "installed", lambda: "9.9.9")
+        assert dict(dask_map(refusing, [1], connection)) == {0: 1}
+    monkeypatch.setattr(dask_executor, "installed", lambda: "9.9.9")
     with pytest.raises(GtauError, match=r"has gtau .* and this machine 9.9.9; install the same"), connected(address):
         pass
-    late = dict(on_workers(refusing, [1], client))[0]  # what a worker says that came later
+    late = dict(dask_map(refusing, [1], client))[0]  # what a worker says that came later
     assert "this machine 9.9.9; install the same version everywhere" in str(late)
 
 
-def test_workers_without_gtau(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_without_gtau() -> None:
     from importlib.metadata import PackageNotFoundError
 
     cluster = SimpleNamespace(
@@ -197,7 +191,7 @@ def test_workers_without_gtau(monkeypatch: pytest.MonkeyPatch) -> None:
         run=lambda function, name, on_error: {"tcp://far:1": PackageNotFoundError("gtau")},
     )
     with pytest.raises(GtauError, match="the Dask worker tcp://far:1 has no gtau; install gtau"):
-        workers._check_workers(cluster, "tcp://far:2")
+        dask_executor._check_workers(cluster, "tcp://far:2", patience=1.0, ours="1.0")
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:

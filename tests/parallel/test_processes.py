@@ -1,4 +1,4 @@
-"""Work spread over processes, some of which die."""
+"""Work in processes of this machine, some of which die, and the order of its results."""
 
 from __future__ import annotations
 
@@ -10,55 +10,56 @@ import time
 from pathlib import Path
 
 import pytest
-from spread_work import fragile, limits, square
+import shard_functions
+from shard_functions import fragile, limits, square
 
 from gtau.errors import GtauError
-from gtau.parallel.executor import in_turn, serial_executor
-from gtau.parallel.process_executor import in_processes
+from gtau.parallel.executor import in_order, serial_map
+from gtau.parallel.process_executor import process_map
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_item_once(jobs: int) -> None:
-    assert sorted(in_processes(square, range(12), jobs)) == [(k, k * k) for k in range(12)]
+    assert sorted(process_map(square, range(12), jobs)) == [(k, k * k) for k in range(12)]
 
 
-def test_an_item_that_kills_its_process_is_told_and_the_others_are_done() -> None:
-    found = dict(in_processes(fragile, range(8), 2))
+def test_a_shard_that_kills_its_process_is_reported_and_the_others_are_done() -> None:
+    found = dict(process_map(fragile, range(8), 2))
     assert "died" in str(found.pop(3))
     assert found == {k: k * k for k in range(8) if k != 3}
 
 
 def test_a_process_has_one_thread() -> None:
-    assert dict(in_processes(limits, range(2), 2)) == {0: "1", 1: "1"}
+    assert dict(process_map(limits, range(2), 2)) == {0: "1", 1: "1"}
 
 
-def test_results_in_turn() -> None:
+def test_results_in_order() -> None:
     def backwards(function, items):
         return [(k, function(items[k])) for k in reversed(range(len(items)))]
 
-    assert list(in_turn(backwards)(square, range(5))) == [0, 1, 4, 9, 16]
-    assert list(in_turn(serial_executor)(square, range(5))) == [0, 1, 4, 9, 16]
+    assert list(in_order(backwards)(square, range(5))) == [0, 1, 4, 9, 16]
+    assert list(in_order(serial_map)(square, range(5))) == [0, 1, 4, 9, 16]
 
 
 def test_an_error_in_its_turn_is_raised() -> None:
     with pytest.raises(GtauError, match="no two"):
-        list(in_turn(lambda function, items: [(0, 1), (1, GtauError("no two."))])(square, range(2)))
+        list(in_order(lambda function, items: [(0, 1), (1, GtauError("no two."))])(square, range(2)))
 
 
 def test_ctrl_c_ends_all_processes_at_once_and_without_a_word(tmp_path: Path) -> None:
     code = """
 import sys, pathlib
 sys.path.insert(0, sys.argv[1])
-from gtau.parallel.process_executor import in_processes
-from spread_work import slow
+from gtau.parallel.process_executor import process_map
+from shard_functions import slow
 if __name__ == "__main__":
     try:
-        list(in_processes(slow, [pathlib.Path(sys.argv[2]) / str(k) for k in range(4)], 2))
+        list(process_map(slow, [pathlib.Path(sys.argv[2]) / str(k) for k in range(4)], 2))
     except KeyboardInterrupt:
         sys.exit(130)
 """
     (tmp_path / "main.py").write_text(code)
-    command = [sys.executable, "main.py", str(Path(__file__).parent), str(tmp_path)]
+    command = [sys.executable, "main.py", str(Path(shard_functions.__file__).parent), str(tmp_path)]
     pipe = subprocess.PIPE
     process = subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
     while len(list(tmp_path.glob("[0-9]"))) < 2:

@@ -40,8 +40,8 @@ def fleet(
     with refusals(json_):
         from gtau.fleet.fleet import identify_fleet, read_fleet
         from gtau.fleet.gains import fleet_table
-        from gtau.parallel.dask_executor import connected, on_workers
-        from gtau.parallel.process_executor import in_processes
+        from gtau.parallel.dask_executor import connected, dask_map
+        from gtau.parallel.process_executor import process_map
         from gtau.report.fleet_page import fleet_document, fleet_page, write_fleet
 
         if method in (Method.wls, Method.ols):
@@ -53,10 +53,10 @@ def fleet(
         try:
             with progress_bar() as progress, ExitStack() as stack:
                 if dask is not None:
-                    spread = partial(on_workers, client=stack.enter_context(connected(dask)))
+                    shard_map = partial(dask_map, client=stack.enter_context(connected(dask)))
                 else:
-                    spread = partial(in_processes, jobs=min(jobs or os.cpu_count() or 1, len(members)))
-                reports = identify_fleet(members, folder, spread, method.value, progress)
+                    shard_map = partial(process_map, jobs=min(jobs or os.cpu_count() or 1, len(members)))
+                reports = identify_fleet(members, folder, shard_map, method.value, progress)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"what is finished stays in {folder / 'models'}, and the same command goes on"

@@ -78,11 +78,11 @@ def identify(
     with refusals(json_):
         from gtau.estimation.identify import identify as run
         from gtau.estimation.results.model_file import to_document
-        from gtau.parallel.cache import cache_folder, caching_executor
-        from gtau.parallel.dask_executor import where_to_work
-        from gtau.parallel.executor import in_turn
+        from gtau.parallel.cache import cache_folder, caching_map
+        from gtau.parallel.dask_executor import shard_map_at
+        from gtau.parallel.executor import in_order
 
-        with progress_bar() as progress, where_to_work(dask) as spread:
+        with progress_bar() as progress, shard_map_at(dask) as shard_map:
             result = run(
                 experiment,
                 method=None if method is None else method.value,
@@ -90,7 +90,7 @@ def identify(
                 as_paper=as_paper,
                 consistent=consistent,
                 progress=progress,
-                mapper=in_turn(spread if no_cache else caching_executor(spread, cache_folder())),
+                mapper=in_order(shard_map if no_cache else caching_map(shard_map, cache_folder())),
             )
         if out is not None:
             from gtau.estimation.results.singularity_distances import write_distances

@@ -16,8 +16,8 @@ from gtau.documents.files import in_order, matching, write_atomically
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import model_text
-from gtau.parallel.content_hash import content_key
-from gtau.parallel.executor import Spread
+from gtau.parallel.content_hash import content_key, program_digest
+from gtau.parallel.executor import ShardMap
 from gtau.progress import Progress, silent
 from gtau.robots.load import load_robot
 from gtau.signals.experiment import Experiment, read_experiment
@@ -150,7 +150,7 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
 
 
 def identify_fleet(
-    members: Sequence[Member], out: Path, spread: Spread, method: str = "ml", progress: Progress = silent
+    members: Sequence[Member], out: Path, shard_map: ShardMap, method: str = "ml", progress: Progress = silent
 ) -> tuple[Report, ...]:
     """Identify every robot of a fleet; what is finished stays and is not computed again.
 
@@ -163,9 +163,9 @@ def identify_fleet(
         The robots.
     out : Path
         An existing folder.
-    spread : callable
-        Where to work: :func:`gtau.parallel.process_executor.in_processes` or
-        :func:`gtau.parallel.dask_executor.on_workers`.
+    shard_map : callable
+        Where to work: :func:`gtau.parallel.process_executor.process_map` or
+        :func:`gtau.parallel.dask_executor.dask_map`.
     method : str
         See :func:`gtau.identify`.
     progress : callable
@@ -180,7 +180,7 @@ def identify_fleet(
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
     items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
-    for k, found in spread(partial(_identify_member, method), items):
+    for k, found in shard_map(partial(_identify_member, method), items):
         made = Identified(sentence=str(found)) if isinstance(found, GtauError) else found
         reports[k] = _keep(out, members[k], made)
         progress("robots", len(reports), len(members))
@@ -201,7 +201,7 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
             )
         inputs = experiment.model_copy(update={"validation": ()})
         names = [log.name for run in inputs.runs for log in run.log]
-        key = content_key((method, inputs, names, replace(load_robot(experiment.robot), source="")))
+        key = content_key((program_digest(), method, inputs, names, replace(load_robot(experiment.robot), source="")))
         if key == known:
             return Identified(key)
         return Identified(key, model_text(identify(experiment, method=method)), "", time.perf_counter() - begun)

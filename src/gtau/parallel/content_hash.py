@@ -1,4 +1,4 @@
-"""Keys that name content: equal for equal inputs wherever they lie, different after any change."""
+"""Keys of content: equal for equal inputs wherever they lie, different after any change."""
 
 from __future__ import annotations
 
@@ -18,39 +18,44 @@ from gtau.errors import GtauError
 from gtau.signals.storage import BLOCK, block, spans
 
 Digests = dict[int, tuple[object, bytes]]
-LIBRARIES = ("casadi", "numba", "numpy", "polars", "scipy")  # that have a part in the numbers
+LIBRARIES = ("casadi", "numba", "numpy", "polars", "scipy")
 
 
 def content_key(value: Any, digests: Digests | None = None) -> str:
-    """Key of a value, a hexadecimal text.
+    """Compute the SHA-256 of a value's content, a hexadecimal text.
 
-    Of files and folders the bytes count and not the names; of functions the name, with the source of the whole
-    package and the versions of the libraries that compute.
+    Files and folders count by their bytes, not by their names; functions by their names, not by their source.
 
     Parameters
     ----------
     value : object
         Dataclasses, pydantic models, mappings, sequences, arrays, numbers, texts, paths and functions, nested.
     digests : dict, optional
-        Digests of large arrays already read, by their address, which is added to: for many keys over the same arrays.
+        Digests of large arrays already read, by their address; added to. It spares reading them again for every key.
 
     Raises
     ------
     GtauError
         Where a file cannot be read.
     TypeError
-        For an object that has no content to speak of.
+        For an object without content.
     """
-    found = hashlib.sha256(program().encode())
+    found = hashlib.sha256()
     _fold(found, value, {} if digests is None else digests)
     return found.hexdigest()
 
 
 @cache
-def program() -> str:
-    """Digest of the package's source and of the versions of the libraries below it."""
+def library_versions() -> tuple[str, ...]:
+    """Return the versions of the libraries that compute the numbers."""
+    return tuple(f"{name} {version(name)}" for name in LIBRARIES)
+
+
+@cache
+def program_digest() -> str:
+    """Digest the source of the package and the versions of the libraries: any edit changes it."""
     root = Path(__file__).parents[1]
-    found = hashlib.sha256(" ".join(version(name) for name in LIBRARIES).encode())
+    found = hashlib.sha256(" ".join(library_versions()).encode())
     for path in sorted(root.rglob("*.py")):
         found.update(str(path.relative_to(root)).encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
     return found.hexdigest()
@@ -71,7 +76,7 @@ def _fold(found: Any, value: Any, digests: Digests) -> None:
             found.update(_of_path(value).encode())
         case np.ndarray():
             if value.dtype.hasobject:
-                raise TypeError("an array of objects has no content to name it by")
+                raise TypeError("an array of objects has no content key")
             found.update(f"{value.dtype.str} {value.shape} ".encode())
             found.update(_of_array(value, digests))
         case Mapping():
@@ -97,12 +102,12 @@ def _fold(found: Any, value: Any, digests: Digests) -> None:
             for name in kind.model_fields:
                 _fold(found, (name, getattr(value, name)), digests)
         case _:
-            raise TypeError(f"a {kind.__qualname__} has no content to name it by")
+            raise TypeError(f"a {kind.__qualname__} has no content key")
     found.update(b")")
 
 
 def _of_array(array: np.ndarray, digests: Digests) -> bytes:
-    """Digest of an array's bytes, read in blocks: it may be a file mapped into memory."""
+    """Digest an array's bytes, read in blocks: it may be a memory-mapped file."""
     if id(array) in digests:
         return digests[id(array)][1]
     found, rows = hashlib.sha256(), np.atleast_1d(array)
@@ -114,7 +119,7 @@ def _of_array(array: np.ndarray, digests: Digests) -> bytes:
 
 
 def _of_path(path: Path) -> str:
-    """Digest of a file's bytes, or of the names and digests of a folder's files."""
+    """Digest a file's bytes, or the names and digests of a folder's files."""
     try:
         if path.is_dir():
             parts = in_order(each for each in path.iterdir() if each.is_file())

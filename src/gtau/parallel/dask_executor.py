@@ -1,4 +1,4 @@
-"""Work spread over the workers of a Dask scheduler, or over a cluster of processes made for it."""
+"""Work on the workers of a Dask scheduler, or on a cluster of processes made for it."""
 
 from __future__ import annotations
 
@@ -7,33 +7,40 @@ import os
 import pickle
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import closing, contextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gtau.errors import GtauError, missing_extra
-from gtau.parallel.executor import Spread, serial_executor
+from gtau.parallel.executor import ShardMap, serial_map, submit_shards
 from gtau.parallel.process_executor import LIMITS, ignore_sigint
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 PATIENCE = 15.0  # s to wait for a scheduler, and for its first worker
-LONELY = 60.0  # s without any worker, which may be starting again
+WITHOUT_WORKERS = 60.0  # s until the work is given up: workers may be starting again
 RETRIES = 2  # after an error that is not gtau's own: a network drive that was away, a full disk
-_ONE_AT_A_TIME = threading.Lock()  # in a process: symbolic expressions are not made for threads
+_ONE_AT_A_TIME = threading.Lock()  # in a process: CasADi's symbolic expressions are not thread-safe
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Client]:
-    """A client of the scheduler at ``address``, or of processes of this machine where that is ``local``.
+def connected(address: str, patience: float = PATIENCE) -> Iterator[Client]:
+    """Open a client of the scheduler at ``address``, or of processes of this machine where that is ``local``.
 
-    On leaving, work that is still going on is cancelled.
+    Leaving cancels the work that is still going on.
+
+    Parameters
+    ----------
+    address : str
+        ``tcp://host:8786``, or ``local``.
+    patience : float
+        Seconds to wait for the scheduler, and for its first worker.
 
     Raises
     ------
@@ -56,15 +63,15 @@ def connected(address: str) -> Iterator[Client]:
         with cluster, Client(cluster) as client:
             yield client
         return
-    _check_scheduler(address)
-    with _quiet("distributed.client"), Client(address, timeout=PATIENCE) as client:
-        _check_workers(client, address)
+    _check_scheduler(address, patience)
+    with _silenced("distributed.client"), Client(address, timeout=patience) as client:
+        _check_workers(client, address, patience, installed())
         yield client
 
 
 @contextmanager
-def _quiet(logger: str) -> Iterator[None]:
-    """What goes wrong with a scheduler is said in a sentence, and not with a traceback in a log."""
+def _silenced(logger: str) -> Iterator[None]:
+    """Silence a log: what goes wrong with a scheduler is reported in one sentence, without a traceback."""
     known = logging.getLogger(logger)
     before = known.level
     known.setLevel(logging.CRITICAL + 1)
@@ -75,24 +82,24 @@ def _quiet(logger: str) -> Iterator[None]:
 
 
 @contextmanager
-def where_to_work(address: str | None) -> Iterator[Spread]:
-    """The spread over the workers at ``address``, or the one that works here; raises as :func:`connected`."""
+def shard_map_at(address: str | None) -> Iterator[ShardMap]:
+    """Open the shard map of the workers at ``address``, or of this process; raises as :func:`connected`."""
     if address is None:
-        yield serial_executor
+        yield serial_map
         return
     with connected(address) as client:
-        yield partial(on_workers, client=client)
+        yield partial(dask_map, client=client)
 
 
-def _check_scheduler(address: str) -> None:
-    """Ask for its name: a client that cannot be made leaves threads behind."""
+def _check_scheduler(address: str, patience: float) -> None:
+    """Ask for its name: a client that fails to connect leaves threads behind."""
     import asyncio
 
     from distributed import rpc
 
     async def identity() -> dict[str, Any]:
         async with rpc(address) as scheduler:
-            return await asyncio.wait_for(scheduler.identity(), PATIENCE)
+            return await asyncio.wait_for(scheduler.identity(), patience)
 
     try:
         found = asyncio.run(identity())["type"]
@@ -108,23 +115,22 @@ def _check_scheduler(address: str) -> None:
         )
 
 
-def _check_workers(client: Client, address: str) -> None:
+def _check_workers(client: Client, address: str, patience: float, ours: str) -> None:
     try:
-        client.wait_for_workers(1, timeout=PATIENCE)
+        client.wait_for_workers(1, timeout=patience)
     except TimeoutError:
         raise GtauError(
             f"the Dask scheduler '{address}' has no workers; start some with 'dask worker {address} --nthreads 1'."
         ) from None
-    found = client.run(version, "gtau", on_error="return")
-    for worker, theirs in found.items():
+    for worker, theirs in client.run(version, "gtau", on_error="return").items():
         if isinstance(theirs, PackageNotFoundError):
-            raise GtauError(f"the Dask worker {worker} has no gtau; install gtau {installed()} there.")
-        if theirs != installed():
-            raise _other_version(worker, theirs, installed())
+            raise GtauError(f"the Dask worker {worker} has no gtau; install gtau {ours} there.")
+        if theirs != ours:
+            raise _other_version(worker, theirs, ours)
 
 
 def installed() -> str:
-    """The version of gtau in this process."""
+    """Return the version of gtau in this process."""
     return version("gtau")
 
 
@@ -134,68 +140,75 @@ def _other_version(worker: str, theirs: str, ours: str) -> GtauError:
     )
 
 
-def on_workers(
-    function: Callable[[Item], Made], items: Sequence[Item], client: Client
+def dask_map(
+    function: Callable[[Item], Made],
+    shards: Sequence[Item],
+    client: Client,
+    without_workers: float = WITHOUT_WORKERS,
 ) -> Iterator[tuple[int, Made | GtauError]]:
-    """Call a function for every item on the workers; what a worker that dies was at is done by another one.
+    """Map a function over shards on the workers; a shard whose worker dies goes to another worker.
+
+    Parameters
+    ----------
+    function : callable
+        Of one shard.
+    shards : sequence
+        Sent pickled, to be opened by a worker only.
+    client : Client
+        From :func:`connected`.
+    without_workers : float
+        Seconds without any worker until the work is given up.
 
     Yields
     ------
     int, object
-        Number of an item and what became of it, in the order in which they are finished; a GtauError for an item
-        that gtau refused, or that one worker after the other died of.
+        Index of a shard and its result, in the order in which they finish; a GtauError for a shard that gtau
+        refused, or that killed one worker after the other.
+
+    Raises
+    ------
+    GtauError
+        Where the scheduler stops or its workers are gone for too long.
     """
-    died = []
-    for k, result in _on_workers(function, items, client):
-        if isinstance(result, Lost):
-            died.append(k)  # perhaps of what another item did to its worker
+    sent = {k: pickle.dumps(shard) for k, shard in enumerate(shards)}
+    killed = {}
+    for k, result in _results(function, sent, client, without_workers):
+        if isinstance(result, WorkersDied):
+            killed[k] = sent[k]  # perhaps another shard killed the workers
         else:
             yield k, result
-    for k in died:
-        yield from ((k, result) for _, result in _on_workers(function, [items[k]], client))
+    for k, shard in killed.items():
+        yield from _results(function, {k: shard}, client, without_workers)
 
 
-class Lost(GtauError):
-    """Workers died at an item."""
+class WorkersDied(GtauError):
+    """Workers died while they worked on a shard."""
 
 
-def _on_workers(
-    function: Callable[[Item], Made], items: Sequence[Item], client: Client
+def _results(
+    function: Callable[[Item], Made], sent: Mapping[int, bytes], client: Client, without_workers: float
 ) -> Iterator[tuple[int, Made | GtauError]]:
-    sent = [pickle.dumps(item) for item in items]  # to be opened by a worker, and not by the scheduler on the way
-    begun = client.map(partial(_work, function, installed()), sent, pure=False, retries=RETRIES)
-    number = {future.key: k for k, future in enumerate(begun)}
-    finished: Queue[Future[Any]] = Queue()
-    for future in begun:
-        future.add_done_callback(finished.put)
-    try:
-        for _ in begun:
-            future = _next(finished, client)
-            yield number[future.key], _result(future)
-            future.release()
-    finally:
-        if client.status == "running":
-            client.cancel([future for future in begun if not future.done()])
-
-
-def _next(finished: Queue[Future[Any]], client: Client) -> Future[Any]:
-    """The next one that is finished; raises GtauError where for too long there has been no worker to finish one."""
+    executor = client.get_executor(pure=False, retries=RETRIES)
     seen = time.monotonic()
-    while True:
-        try:
-            return finished.get(timeout=1.0)
-        except Empty:
-            if client.status == "running" and client.scheduler_info()["workers"]:
-                seen = time.monotonic()
-            elif time.monotonic() > seen + LONELY:
-                raise GtauError(
-                    f"the Dask scheduler has had no workers for {LONELY:.0f} s; see whether they or the network "
-                    "are down, start them, and the same command again."
-                ) from None
+
+    def check() -> None:
+        nonlocal seen
+        if client.status == "running" and client.scheduler_info()["workers"]:
+            seen = time.monotonic()
+        elif time.monotonic() > seen + without_workers:
+            raise GtauError(
+                f"the Dask scheduler has had no workers for {without_workers:.0f} s; check workers and network, "
+                "and run the same command again."
+            )
+
+    with closing(submit_shards(executor, partial(_work, function, installed()), sent, check)) as finished:  # type: ignore[type-var]
+        for k, future in finished:
+            seen = time.monotonic()
+            yield k, _result(future)
 
 
 def _work(function: Callable[[Item], Made], expected: str, sent: bytes) -> Made | GtauError:
-    """What a worker does; a refusal is a result, as there is no use in trying again."""
+    """Work on a shard, on a worker; a refusal is a result, as there is no use in trying again."""
     from distributed import get_worker
 
     address = get_worker().address
@@ -207,31 +220,32 @@ def _work(function: Callable[[Item], Made], expected: str, sent: bytes) -> Made 
         except GtauError as error:
             return error
         except OSError as error:
-            raise OSError(f"the Dask worker {address} failed ({error}); see to its disks and network.") from None
+            raise OSError(f"the Dask worker {address} failed ({error}); check its disks and network.") from None
 
 
 def _opened(sent: bytes, address: str) -> Any:
-    """An item as it was before it was sent; what it needs of a log is read now."""
+    """Unpickle a shard; the rows of a log that it needs are read now."""
     try:
         return pickle.loads(sent)
     except GtauError as error:
         raise GtauError(f"on the Dask worker {address}, {error}") from None
 
 
-def _result(future: Future[Any]) -> Any:
-    from distributed import CancelledError, KilledWorker
+def _result(future: Any) -> Any:
+    from distributed import CancelledError as DaskCancelledError
+    from distributed import KilledWorker
     from distributed.comm.core import CommClosedError
 
     try:
         return future.result()
     except KilledWorker as killed:
-        return Lost(
-            f"Dask workers died at it, one after the other, the last one {killed.last_worker.address}, most often for "
-            "want of memory; give them more."
+        return WorkersDied(
+            f"it killed one Dask worker after the other, the last one {killed.last_worker.address}, most often for "
+            "lack of memory; give them more."
         )
-    except (CancelledError, CommClosedError):
+    except (CancelledError, DaskCancelledError, CommClosedError):
         raise GtauError(
-            "the Dask scheduler went away or cancelled the work; start it, and the same command again."
+            "the Dask scheduler stopped or cancelled the work; start it, and run the same command again."
         ) from None
-    except OSError as error:  # again and again
+    except OSError as error:  # at every attempt
         return GtauError(str(error))

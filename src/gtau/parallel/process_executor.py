@@ -1,15 +1,14 @@
-"""Work spread over processes of this machine."""
+"""Work in processes of this machine."""
 
 from __future__ import annotations
 
-import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TypeVar
 
 from gtau.errors import GtauError
-from gtau.parallel.executor import serial_executor
+from gtau.parallel.executor import serial_map, submit_shards
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -17,76 +16,71 @@ LIMITS = {"GTAU_THREADS": "1", "POLARS_MAX_THREADS": "1"}
 """Environment of a worker process: one thread each, as there are as many processes as cores."""
 
 
-def in_processes(
-    function: Callable[[Item], Made], items: Sequence[Item], jobs: int
+def process_map(
+    function: Callable[[Item], Made], shards: Sequence[Item], jobs: int
 ) -> Iterator[tuple[int, Made | GtauError]]:
-    """Call a function for every item in ``jobs`` processes; with one job, in this one.
+    """Map a function over shards in ``jobs`` processes; with one job, in this one.
 
     Yields
     ------
     int, object
-        Number of an item and what became of it, in the order in which they are finished; a GtauError for an item
-        whose process died twice, the second time with nothing else in it.
+        Index of a shard and its result, in the order in which they finish; a GtauError for a shard whose process
+        died twice, the second time with nothing else in it.
     """
     if jobs == 1:
-        yield from serial_executor(function, items)
+        yield from serial_map(function, shards)
         return
-    left = dict(enumerate(items))
+    left = dict(enumerate(shards))
     while left:
-        yield from _finished(_until_broken(function, left, jobs), left)
-        # A process died. Items are begun in order, so it was at one of the first that are left.
-        for k, item in list(left.items())[: jobs + 1]:
-            yield from _finished(_until_broken(function, {k: item}, 1), left)
-            if left.pop(k, None) is not None:
-                yield k, GtauError("the process that worked on it died, most often for want of memory; give it more.")
+        yield from _until_death(function, left, tuple(left), jobs)
+        # A process died. Shards are handed out in order, so it was at one of the first that are left.
+        for k in tuple(left)[: handed_out(jobs)]:
+            yield from _until_death(function, left, (k,), 1)
+            if k in left:
+                del left[k]
+                yield k, GtauError("its process died twice, most often for lack of memory; give it more.")
 
 
-def _finished(made: Iterator[tuple[int, Made]], left: dict[int, Item]) -> Iterator[tuple[int, Made]]:
-    with closing(made):  # type: ignore[type-var]
-        for k, result in made:
-            del left[k]
-            yield k, result
+def handed_out(jobs: int) -> int:
+    """Return how many shards loky hands to its workers at once, at most: those at work, as many again, and one."""
+    return 2 * jobs + 1
 
 
-def _until_broken(function: Callable[[Item], Made], items: dict[int, Item], jobs: int) -> Iterator[tuple[int, Made]]:
-    """Results in processes of their own, until all are there or a process dies."""
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from concurrent.futures.process import BrokenProcessPool
-    from multiprocessing import active_children, get_context
+def _until_death(
+    function: Callable[[Item], Made], left: dict[int, Item], indices: Iterable[int], jobs: int
+) -> Iterator[tuple[int, Made]]:
+    """Work on some of the shards ``left``, and remove those that finish, until all have or a process dies."""
+    from loky import BrokenProcessPool, ProcessPoolExecutor
 
-    pool, others = ProcessPoolExecutor(min(jobs, len(items)), get_context("spawn"), _begin), active_children()
+    shards = {k: left[k] for k in indices}
+    executor = ProcessPoolExecutor(min(jobs, len(shards)), env=LIMITS)
     try:
         with ignore_sigint():
-            futures = {pool.submit(function, item): k for k, item in items.items()}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    except BrokenProcessPool:
-        pass
+            finished = submit_shards(executor, function, shards)
+        for k, future in finished:
+            if not isinstance(future.exception(), BrokenProcessPool):
+                del left[k]
+                yield k, future.result()
     except BaseException:
-        for child in active_children():
-            if child not in others:
-                child.terminate()
+        executor.shutdown(kill_workers=True)
         raise
-    finally:
-        pool.shutdown(cancel_futures=True)
+    executor.shutdown()
 
 
 @contextmanager
 def ignore_sigint() -> Iterator[None]:
-    """Processes and threads begun within do not hear Ctrl-C; whoever began them does, if need be afterwards."""
+    """Shield processes and threads begun within from Ctrl-C; whoever began them ends them, if need be afterwards."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     from multiprocessing.resource_tracker import ensure_running
 
+    from loky.backend.resource_tracker import ensure_running as ensure_loky_running
+
     ensure_running()  # now: where it begins, it unblocks signals
+    ensure_loky_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _begin() -> None:
-    """A worker's first step."""
-    os.environ.update(LIMITS)

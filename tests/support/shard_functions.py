@@ -1,10 +1,11 @@
-"""Work for other processes, in a module that is quick to import."""
+"""Functions of a shard for other processes, in a module that is quick to import."""
 
 from __future__ import annotations
 
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 from gtau.errors import GtauError
 
@@ -41,3 +42,11 @@ def limits(_: int) -> str:
 def slow(path: Path) -> None:
     path.touch()
     time.sleep(60)
+
+
+def slow_reduce_shard(shard: Any) -> Any:
+    """Reduce slowly enough that a worker is killed in the middle."""
+    from gtau.estimation.regression.dataset import reduce_shard
+
+    time.sleep(0.1)
+    return reduce_shard(shard)

@@ -1,0 +1,43 @@
+"""The format version of cached factors: their numbers do not change without a new one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from five_bar_logs import CHI, STEEL, Plant, five_bar
+
+from gtau.estimation.regression.dataset import reduce_runs, reduce_shard
+from gtau.estimation.regression.factors import FACTORS_VERSION, Factors, HuberWeights
+
+DIGESTS = {  # by version; where the test fails and the change is meant, raise FACTORS_VERSION and add its line here
+    1: {
+        "plain": [548472.0233, 118437.6313, 130.0, 0.06927239076, 0.0],
+        "chebyshev": [3633189.409, 242663.6166, 144.0, 1.530114318, 0.0],
+        "load and weights": [57065.4501, 6386.118777, 130.0, 0.06927239076, -0.3016761166],
+    },
+}
+
+
+def digest(factors: Factors) -> list[float]:
+    """Sums over every entry: of the triangles' Gram matrices plain and weighted, of rows, distances and residuals."""
+    gram = factors.R.swapaxes(-1, -2) @ factors.R
+    weights = np.cos(np.arange(gram.size)).reshape(gram.shape)
+    found = [float(np.trace(gram, axis1=-2, axis2=-1).sum()), float((weights * gram).sum()), float(factors.rows.sum())]
+    for array in (factors.distances, factors.residuals):
+        kept = np.zeros(1) if array is None or not len(array) else np.nan_to_num(np.asarray(array, dtype=float))
+        found.append(float(kept.ravel() @ np.cos(np.arange(kept.size))))
+    return found
+
+
+@pytest.mark.parametrize("kind", ["plain", "chebyshev", "load and weights"])
+def test_the_numbers_of_factors_are_those_of_their_version(kind: str) -> None:
+    run = Plant(delays=(1e-3, 1e-3)).run("loaded", 3.0, payload=STEEL)
+    dataset = reduce_runs(five_bar().robot, [run], decimator="chebyshev" if kind == "chebyshev" else "fir")
+    ((shard,),) = dataset.parts()
+    if kind == "load and weights":
+        columns = np.array([CHI.get(name, 0.0) for name in shard.columns])
+        weights = HuberWeights(np.full((2, len(columns) + 5), 0.01), np.full(2, 0.05))
+        shard = replace(shard, load=columns, weigh=weights)
+    assert digest(reduce_shard(shard)) == pytest.approx(DIGESTS[FACTORS_VERSION][kind], rel=1e-7, abs=1e-6)
