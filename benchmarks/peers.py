@@ -15,7 +15,7 @@ import pinocchio as pin
 import polars as pl
 
 from gtau.excitation.evaluation import Grid
-from gtau.excitation.task import Task
+from gtau.excitation.task import DesignProblem
 from gtau.robots.robot import Robot
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
@@ -178,7 +178,7 @@ def _least_squares(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
 class ExcitationByHand:
     """The criterion of an excitation task sample by sample, and its gradient by finite differences."""
 
-    def __init__(self, task: Task, grid: Grid) -> None:
+    def __init__(self, task: DesignProblem, grid: Grid) -> None:
         self.task, self.grid = task, grid
         robot = task.model.robot
         self.loop = PinocchioLoop(robot, random_parameters(robot, np.random.default_rng(1)))

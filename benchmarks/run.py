@@ -43,7 +43,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.load import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import InMemoryRun, Sampled
+from gtau.signals.preparation import InMemoryRun, SampleWindow
 from gtau.signals.run import Run
 
 
@@ -132,7 +132,7 @@ def prepared(robot: Robot, samples: int) -> InMemoryRun:
     time = np.arange(samples) / 1000.0
     run = Run.__new__(Run)
     object.__setattr__(run, "name", "made up")
-    return InMemoryRun(run, Sampled(time, *path, command, command, command, np.ones(path[0].shape, dtype=bool)))
+    return InMemoryRun(run, SampleWindow(time, *path, command, command, command, np.ones(path[0].shape, dtype=bool)))
 
 
 def reduction(robot: Robot, samples: int, few: int) -> list[Row]:

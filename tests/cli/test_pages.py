@@ -20,7 +20,7 @@ from gtau.simulation.simulation_file import (
     Fourier,
     Friction,
     JointHardware,
-    Motion,
+    MotionEntry,
     Points,
     RandomMotion,
     SimulatedRun,
@@ -49,7 +49,7 @@ def run(*arguments: str) -> str:
         ("experiment-file.md", [Experiment, Signals, SampleRate, Units, Payload, Prior]),
         (
             "simulation-file.md",
-            [Simulation, JointHardware, RandomMotion, Points, Fourier, Motion, SimulatedRun, Friction],
+            [Simulation, JointHardware, RandomMotion, Points, Fourier, MotionEntry, SimulatedRun, Friction],
         ),
     ],
 )

@@ -24,7 +24,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import follow
 from gtau.robots.load import load_robot
 from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import InMemoryRun, Sampled
+from gtau.signals.preparation import InMemoryRun, SampleWindow
 from gtau.signals.run import Run
 
 
@@ -211,7 +211,7 @@ def test_factors_are_those_of_all_rows(rng):
     usable = rng.uniform(size=q.shape) < 0.999
     run = Run.__new__(Run)
     object.__setattr__(run, "name", "made up")
-    prepared = InMemoryRun(run, Sampled(time, q, qd, qdd, command, command_d, command_dd, usable))
+    prepared = InMemoryRun(run, SampleWindow(time, q, qd, qdd, command, command_d, command_dd, usable))
     names = tuple(idm.parameter_names[k] for k in range(3, len(idm.parameter_names), 2))
     decimator = Decimator(5)
     factors = reduce_run(idm, names, prepared, decimator)
@@ -251,14 +251,14 @@ def test_compiled_code_knows_its_sources(tmp_path):
         ).stdout
 
     copy = tmp_path / "gtau"
-    copy.mkdir()
-    for file in ("__init__.py", "model/__init__.py", *(f"model/{path.name}" for path in source.glob("model/_*.py"))):
-        (copy / file).parent.mkdir(exist_ok=True)
+    interpreter = [f"model/interpreter/{path.name}" for path in source.glob("model/interpreter/*.py")]
+    for file in ("__init__.py", "errors.py", "model/__init__.py", *interpreter):
+        (copy / file).parent.mkdir(exist_ok=True, parents=True)
         (copy / file).write_bytes((source / file).read_bytes())
     before = name(tmp_path)
     assert before.startswith("interpret_")
     assert name(tmp_path) == before
-    with (copy / "model" / "_lanes.py").open("a") as file:
+    with (copy / "model" / "interpreter" / "lanes.py").open("a") as file:
         file.write("# another edition\n")
     assert name(tmp_path) != before
 

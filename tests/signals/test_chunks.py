@@ -16,7 +16,6 @@ import polars as pl
 import pytest
 from five_bar_logs import JOINTS, Plant, five_bar
 
-import gtau.estimation.regression.dataset
 import gtau.signals.log_file
 import gtau.signals.storage
 from gtau.errors import GtauError
@@ -243,15 +242,14 @@ def test_parts_of_a_run_give_the_factors_of_the_whole(kind: str) -> None:
             assert (np.abs(a - b) <= 1e-10 * size[..., :, None] * size[..., None, :]).all()
 
 
-def test_long_runs_are_cut_and_their_parts_mapped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_runs_are_cut_and_their_parts_mapped() -> None:
     assert cut(100) == [range(STRETCHES)]
     assert [len(cut(k << 19)) for k in (1, 2, 19, 20, 1000)] == [1, 2, 19, 20, 20]
     assert [s for part in cut(7 << 19) for s in part] == list(range(STRETCHES))
     run = Plant(noise=0.01).run("r")
     whole = reduce_runs(five_bar().robot, [run])
-    monkeypatch.setattr(gtau.estimation.regression.dataset, "PART", 1000)
     seen: list[tuple[str, int, int]] = []
-    data = reduce_runs(five_bar().robot, [run], progress=lambda *what: seen.append(what), mapper=sent)
+    data = reduce_runs(five_bar().robot, [run], progress=lambda *what: seen.append(what), mapper=sent, shard=1000)
     done = [(now, total) for what, now, total in seen if what == "model along the runs"]
     assert len(done) == 1 + 4  # and 900 or more samples in each part
     assert done[-1][0] == done[-1][1]

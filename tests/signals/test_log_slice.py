@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ import polars as pl
 import pytest
 from five_bar_logs import EXPERIMENT, Plant, five_bar, write_log
 
-import gtau.estimation.regression.dataset
 import gtau.signals.log_file
 import gtau.signals.log_slice
 import gtau.signals.resampling
@@ -168,9 +168,7 @@ def test_no_more_is_read_than_is_needed(
 
 
 @pytest.mark.parametrize(("from_log", "kind"), [(False, "fir"), (True, "fir"), (True, "chebyshev")])
-def test_a_part_needs_nothing_of_the_run_but_what_it_gets(
-    from_log: bool, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_part_needs_nothing_of_the_run_but_what_it_gets(from_log: bool, kind: str, tmp_path: Path) -> None:
     """The factors are those of one process, although what was not sent is not a number."""
     run = Plant(noise=0.01).run("r", seconds=40.0)
     if from_log:
@@ -179,8 +177,7 @@ def test_a_part_needs_nothing_of_the_run_but_what_it_gets(
         experiment = read_experiment(tmp_path / "experiment.yaml")
         (run,) = read_runs(experiment, experiment.runs)
     whole = reduce_runs(five_bar().robot, [run], decimator=kind)
-    monkeypatch.setattr(gtau.estimation.regression.dataset, "PART", len(whole.prepared[0]) // 4)
-    ((*parts,),) = whole.parts()
+    ((*parts,),) = replace(whole, shard=len(whole.prepared[0]) // 4).parts()
     assert len(parts) == 4
     expected = joined([reduce_shard(part) for part in parts])
     found = joined([reduce_shard(_bare(part)) for part in parts])

@@ -26,7 +26,7 @@ from gtau.simulation.drive import Drive, Sensors, hardware
 from gtau.simulation.experiment_files import simulate_experiment
 from gtau.simulation.motions import make_trajectory, moves_through
 from gtau.simulation.plant import Plant
-from gtau.simulation.simulation_file import Motion, read_simulation
+from gtau.simulation.simulation_file import MotionEntry, read_simulation
 from gtau.simulation.trajectories import Envelope, envelope, sines
 
 RATE = 1000.0
@@ -124,8 +124,8 @@ def test_a_log_reads_back_as_it_was_made(slide, tmp_path):
     np.testing.assert_array_equal(back.command, out.run.command)
 
 
-def motion(**kind) -> Motion:
-    return Motion(**kind)
+def motion(**kind) -> MotionEntry:
+    return MotionEntry(**kind)
 
 
 def test_the_five_kinds_of_trajectory(slide, tmp_path):

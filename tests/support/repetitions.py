@@ -13,13 +13,13 @@ from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import assemble_system
 from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.forecast import expected_runs
-from gtau.excitation.task import Task
+from gtau.excitation.task import DesignProblem
 from gtau.signals.filters import differentiate
 from gtau.signals.preparation import choose_preparation, prepare
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def repeated_gains(task: Task, x: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+def repeated_gains(task: DesignProblem, x: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Drive gains (count, n) identified by maximum likelihood from logs with white current noise of ``task.sigma``.
 
     A row is nan where the iteration does not settle. Identification is linear in the currents up to the triangular

@@ -32,7 +32,7 @@ from gtau.signals.run import Run, arrange, read_run
 if TYPE_CHECKING:
     from gtau.estimation.results.result import Result
 
-SHARD = 1 << 19  # samples of a run that are worth a part of their own
+SHARD = 1 << 19  # samples of a shard, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +105,7 @@ class Dataset:
     prepared: tuple[PreparedRun, ...]
     factors: tuple[Factors, ...]
     mapper: Mapper = map
+    shard: int = SHARD
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -141,7 +142,7 @@ class Dataset:
                     None if loads is None else loads[k],
                     None if weigh is None else weigh[k],
                 )
-                for stretches in cut(len(each))
+                for stretches in cut(len(each), self.shard)
             ]
             for k, each in enumerate(self.prepared)
         ]
@@ -168,9 +169,9 @@ class Dataset:
         return replace(self, factors=tuple(joined([next(of_run) for _ in run]) for run in parts))
 
 
-def cut(samples: int) -> list[range]:
-    """Stretches of a run of so many samples, in parts that are worth the while."""
-    parts = min(max(samples // SHARD, 1), STRETCHES)
+def cut(samples: int, shard: int = SHARD) -> list[range]:
+    """Cut the stretches of a run into shards of at least ``shard`` samples."""
+    parts = min(max(samples // shard, 1), STRETCHES)
     edges = [STRETCHES * k // parts for k in range(parts + 1)]
     return [range(*pair) for pair in pairwise(edges)]
 
@@ -230,10 +231,11 @@ def reduce_runs(
     decimator: Literal["fir", "chebyshev"] = "fir",
     progress: Progress = silent,
     mapper: Mapper = map,
+    shard: int = SHARD,
 ) -> Dataset:
     """Prepare all runs and reduce them to triangular factors.
 
-    ``mapper`` says where that is done.
+    ``mapper`` reduces the shards, of at least ``shard`` samples each.
 
     Raises
     ------
@@ -248,7 +250,7 @@ def reduce_runs(
     progress("base parameters", 0, 1)
     base = base_parameters(model)
     prepared = prepare_runs(model, runs, preparation)
-    return Dataset(robot, model, base, preparation, prepared, (), mapper).reduced(progress=progress)
+    return Dataset(robot, model, base, preparation, prepared, (), mapper, shard).reduced(progress=progress)
 
 
 def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
