@@ -25,10 +25,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.estimation.diagnostics.delays import delay_verdicts
+from gtau.estimation.diagnostics.gain_verdicts import gain_verdicts
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, gain_verdicts
-from gtau.estimation.estimators.current_domain import ml
-from gtau.estimation.estimators.degrees_of_freedom import freedom
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome
+from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, STRETCHES, Factors
@@ -265,7 +266,7 @@ def judge(case: Case, system: System, solution: Solution, locked: PositionRipple
         names,
         solution.stacked[which] - expected,
         std[which],
-        freedom(problem, solution, True)[which],
+        degrees_of_freedom(problem, solution, True)[which],
         worst,
         np.array([each == GOOD for each in delay_verdicts(problem, solution)]),
     )

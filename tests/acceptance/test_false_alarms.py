@@ -9,9 +9,10 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import gtau.estimation.regression.dataset
-from gtau.estimation.diagnostics.verdict import INFLATED, Outcome
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
+from gtau.estimation.thresholds import INFLATED
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.load import load_robot

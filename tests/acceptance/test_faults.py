@@ -13,10 +13,11 @@ from orthoglide_logs import experiment
 
 import gtau.estimation.regression.dataset
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import INFLATED, Outcome, worst
+from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
 from gtau.estimation.results.result import Result
+from gtau.estimation.thresholds import INFLATED
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.load import load_robot
 from gtau.robots.robot import Mdh, Robot

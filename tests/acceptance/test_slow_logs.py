@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from orthoglide_logs import orthoglide
 
-from gtau.estimation.diagnostics.verdict import Outcome, lack_of_fit
-from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.diagnostics.gain_verdicts import lack_of_fit
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import FLATTEST, curved
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs

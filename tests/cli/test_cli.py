@@ -287,9 +287,11 @@ def test_a_refusal_is_a_document_too(here: Path, command: tuple[str, ...]) -> No
 
 
 def test_no_gain_to_believe_is_an_exit_code_of_its_own(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import gtau.estimation.diagnostics.verdict
+    import gtau.estimation.diagnostics.gain_verdicts
 
-    monkeypatch.setattr(gtau.estimation.diagnostics.verdict, "LOST_GAIN", 1e-6)  # every deviation is too large for it
+    monkeypatch.setattr(
+        gtau.estimation.diagnostics.gain_verdicts, "LOST_GAIN", 1e-6
+    )  # every deviation is too large for it
     result = run("identify", "experiment.yaml", "--out", "out")
     assert result.exit_code == 3
     assert result.stdout.count("not identifiable") >= len(JOINTS)
@@ -401,7 +403,7 @@ module.{function} = signing
 """
 
 
-@pytest.mark.parametrize(("module", "function"), [("identify", "reduce_runs"), ("data", "prepare")])
+@pytest.mark.parametrize(("module", "function"), [("identify", "reduce_runs"), ("regression.dataset", "prepare")])
 def test_interrupted_as_a_program(here: Path, module: str, function: str) -> None:
     write_log(here / "long.csv", Plant().run("long", seconds=300.0, seed=1))
     (here / "long.yaml").write_text(EXPERIMENT.replace("free.csv", "long.csv"))

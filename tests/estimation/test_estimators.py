@@ -10,13 +10,15 @@ import pytest
 import scipy.optimize
 
 from gtau.estimation.estimators import newton
-from gtau.estimation.estimators.current_domain import ml, ols, wls
-from gtau.estimation.estimators.essential_parameters import essential
+from gtau.estimation.estimators.essential_parameters import essential_parameters
+from gtau.estimation.estimators.least_squares import ols, wls
+from gtau.estimation.estimators.maximum_likelihood import ml
+from gtau.estimation.estimators.mixed_least_squares import mixed
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.estimators.total_least_squares import leave_one_out, mixed, tls
+from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.problem import Problem, delayed
-from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.regression.triangle import leave_one_out, triangle
 from gtau.signals.filters import differentiate, low_pass
 
 UNITS = 20
@@ -359,7 +361,7 @@ def with_idle(rng: np.random.Generator) -> Problem:
 
 def test_parameters_that_are_nothing_are_cancelled(rng: np.random.Generator) -> None:
     problem = with_idle(rng)
-    kept, solution, _ = essential(problem, problem.parameters, METHODS["wls"])
+    kept, solution, _ = essential_parameters(problem, problem.parameters, METHODS["wls"])
     assert kept.parameters == ("p1", "p3", "p5")
     std = np.sqrt(np.diag(solution.covariance))[:3]
     assert (np.abs(solution.theta - THETA[[0, 2, 4]]) < 4 * std).all()
@@ -373,13 +375,13 @@ def test_the_ratio_rule_holds_and_no_step_too_far(rng: np.random.Generator) -> N
         return np.sqrt(np.diag(solution.jackknife))[: of.n_theta] / np.abs(solution.theta)
 
     spread = relative(problem).max() / relative(problem).min()
-    assert essential(problem, problem.parameters, METHODS["wls"], ratio=spread * 1.01)[0] is problem
-    kept, _, _ = essential(problem, problem.parameters, METHODS["wls"], ratio=spread * 0.99)
+    assert essential_parameters(problem, problem.parameters, METHODS["wls"], ratio=spread * 1.01)[0] is problem
+    kept, _, _ = essential_parameters(problem, problem.parameters, METHODS["wls"], ratio=spread * 0.99)
     assert len(kept.parameters) == N_THETA - 1
 
 
 def test_only_candidates_are_cancelled(rng: np.random.Generator) -> None:
-    kept, _, _ = essential(with_idle(rng), ("p1", "p2", "p3", "p5"), METHODS["wls"])
+    kept, _, _ = essential_parameters(with_idle(rng), ("p1", "p2", "p3", "p5"), METHODS["wls"])
     assert kept.parameters == ("p1", "p3", "p4", "p5")
 
 

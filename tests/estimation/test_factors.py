@@ -11,9 +11,11 @@ from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant
 
 import gtau.estimation.regression.rows
 from gtau.errors import GtauError
-from gtau.estimation.estimators.current_domain import ml, ols, wls
+from gtau.estimation.estimators.least_squares import ols, wls
+from gtau.estimation.estimators.maximum_likelihood import ml
+from gtau.estimation.estimators.mixed_least_squares import mixed
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.estimators.total_least_squares import mixed, tls
+from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import STRETCHES, Factors

@@ -9,7 +9,7 @@ import pytest
 
 from gtau.estimation.diagnostics.gain_change import DOMINANT, worst_differences
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction

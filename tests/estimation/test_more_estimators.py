@@ -12,13 +12,16 @@ from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_lo
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.estimators.estimator import Gains
+from gtau.estimation.estimators.friction_selection import prune_friction_terms
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import one_step
-from gtau.estimation.estimators.ridge import standard_unknowns
+from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.identify import FOR_GAINS, WITH_GAINS, identify
+from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.friction import Friction, prune_friction_terms
+from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
 from gtau.robots.load import load_robot
 from gtau.signals.experiment import Payload, Prior
@@ -49,7 +52,7 @@ def gain_errors(result: Result) -> np.ndarray:
     return np.array([(each.value - truth) / each.std for each, truth in zip(found, GAINS, strict=True)])
 
 
-@pytest.mark.parametrize("method", FOR_GAINS)
+@pytest.mark.parametrize("method", [each.name for each in ESTIMATORS.values() if each.gains != Gains.GIVEN])
 def test_every_estimator_finds_the_gains(method: str, runs: list[Run]) -> None:
     result = identify(FIVE_BAR, runs, method=method)
     assert result.method == method
@@ -193,16 +196,16 @@ def test_compare(tmp_path: Path) -> None:
     assert answer.exit_code == 0, answer.stderr
     document = json.loads(answer.stdout)
     assert document["joints"] == list(JOINTS)
-    assert [each["method"] for each in document["estimators"]] == [*FOR_GAINS, *WITH_GAINS]
+    assert [each["method"] for each in document["estimators"]] == list(ESTIMATORS)
     for each in document["estimators"]:
         assert not each["refusal"]
         if each["method"] != "tls" or each["outcome"] == "good":  # TLS fails at times, and says so
             np.testing.assert_allclose(each["gains"], GAINS, rtol=0.03)
             assert max(each["residuals"]) < 10
-        assert (each["std"] is None) == (each["method"] in WITH_GAINS) == (each["outcome"] is None)
+        assert (each["std"] is None) == (ESTIMATORS[each["method"]].gains == Gains.GIVEN) == (each["outcome"] is None)
         assert each["seconds"] > 0
     said = CliRunner().invoke(app, ["compare", str(experiment)]).stdout
-    for method in (*FOR_GAINS, *WITH_GAINS):
+    for method in ESTIMATORS:
         assert f"\n{method} " in said
     assert "2.5 given" in said
 
@@ -215,7 +218,7 @@ def test_compared_gains_are_as_uncertain_as_the_mass_behind_them(tmp_path: Path)
     experiment.write_text(EXPERIMENT.replace("mass: 1.2}", "mass: 1.2, mass_std: 0.06}"))
     document = json.loads(CliRunner().invoke(app, ["compare", str(experiment), "--json"]).stdout)
     for each in document["estimators"]:
-        if each["method"] in FOR_GAINS and not each["refusal"]:
+        if ESTIMATORS[each["method"]].gains != Gains.GIVEN and not each["refusal"]:
             relative = np.abs(np.array(each["std"]) / np.array(each["gains"]))
             assert relative.min() > 0.045, each["method"]  # a mass known to 5 %
 

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
+from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.semidefinite import BASIS, MARGIN, Body, constrained_least_squares, pseudo_inertia
 from gtau.estimation.identify import identify
-from gtau.estimation.results.estimate import Consistency
 from gtau.estimation.results.result import Result
 from gtau.robots.load import load_robot
 from gtau.robots.robot import INERTIAL

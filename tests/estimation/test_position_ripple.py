@@ -9,7 +9,7 @@ import pytest
 from orthoglide_logs import RATE, experiment
 
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
-from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction

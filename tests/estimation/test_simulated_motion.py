@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators import simulated_motion as resimulation
-from gtau.estimation.estimators.current_domain import ml
 from gtau.estimation.estimators.didim import along_simulated_motion
 from gtau.estimation.estimators.instrumental_variables import Pair, instrumental, paired, with_instruments
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.simulated_motion import POLE, resimulated
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import base_parameters

@@ -13,13 +13,15 @@ from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.drift import worst_drifts
-from gtau.estimation.diagnostics.verdict import INFLATED, Outcome, known_verdict, parameter_verdict, worst
-from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.diagnostics.verdict import Outcome, known_verdict, parameter_verdict, worst
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.factors import STRETCHES
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.results.result import Estimate, Result
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.result import Result
+from gtau.estimation.thresholds import INFLATED
 from gtau.robots.load import load_robot
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run

@@ -10,8 +10,9 @@ from engines import closed_torques, random_parameters
 from robots_for_tests import OBLIQUE, four_bar, hexapod, home, planar_3rrr
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.leg_symmetry import leg_differences
 from gtau.estimation.regression.base_parameters import base_parameters, symmetric_order
-from gtau.estimation.regression.legs import identical_legs, leg_differences
+from gtau.estimation.regression.legs import identical_legs
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import pose_of
 from gtau.robots.home import close_home

@@ -12,7 +12,7 @@ from five_bar_logs import EXPERIMENT, Plant, write_log
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.estimation.regression.dataset import read_runs
+from gtau.estimation.experiment_runs import read_runs
 from gtau.signals.experiment import Experiment, read_experiment
 from gtau.signals.log_file import read_log
 from gtau.signals.log_slice import read_excerpt

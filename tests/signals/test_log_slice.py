@@ -17,7 +17,8 @@ import gtau.signals.log_slice
 import gtau.signals.resampling
 import gtau.signals.storage
 from gtau.errors import GtauError
-from gtau.estimation.regression.dataset import Shard, read_runs, reduce_runs, reduce_shard
+from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.regression.dataset import Shard, reduce_runs, reduce_shard
 from gtau.estimation.regression.factors import joined
 from gtau.signals.experiment import read_experiment
 from gtau.signals.log_slice import read_excerpt

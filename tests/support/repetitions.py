@@ -6,7 +6,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.current_domain import ml
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows

@@ -130,7 +130,7 @@ def validate(
 ) -> None:
     """Torque errors of a model on the validation runs of an experiment; with DIR also figures."""
     with refusals(json_):
-        from gtau.estimation.regression.dataset import experiment_of, read_runs
+        from gtau.estimation.experiment_runs import experiment_of, read_runs
         from gtau.estimation.results.result import Result
         from gtau.report.validation_page import describe_validations, validate_run, validation_page, write_torques
 

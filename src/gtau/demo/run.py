@@ -9,8 +9,8 @@ from typing import Any
 from gtau.demo.files import DESIGN, EXPERIMENT, LOGS, RATE, SECOND_PAYLOAD, VALIDATION, simulation_text
 from gtau.demo.page import DemoOutcome, document, report
 from gtau.documents.files import folder_of, write_atomically
+from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import read_runs
 from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.weigh import weigh
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.dataset import at_rate_of, prepare_runs, read_runs
+from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.regression.dataset import at_rate_of, prepare_runs
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses

@@ -1,4 +1,4 @@
-"""All estimators on the same data, beside each other."""
+"""All estimators on the same logs, beside each other."""
 
 from __future__ import annotations
 
@@ -12,20 +12,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.payload_checks import mass_uncertainty
-from gtau.estimation.diagnostics.position_ripple import position_ripple
-from gtau.estimation.diagnostics.prior_checks import against_limits, against_priors
-from gtau.estimation.diagnostics.verdict import Outcome, gain_verdicts, worst
-from gtau.estimation.estimators.current_domain import ml
-from gtau.estimation.estimators.didim import along_simulated_motion
-from gtau.estimation.estimators.huber import reweighted
-from gtau.estimation.estimators.instrumental_variables import instrumental
-from gtau.estimation.estimators.ridge import ridge
-from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.identify import FOR_GAINS, WITH_GAINS, with_friction
-from gtau.estimation.regression.dataset import read_runs, reduce_runs
+from gtau.estimation.diagnostics.verdict import Outcome, worst
+from gtau.estimation.estimators.estimator import Estimator, Gains, Given
+from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.identify import gains_for
+from gtau.estimation.pipeline import estimate
+from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import require_scale
 from gtau.progress import Progress, silent
 from gtau.robots.load import load_robot
@@ -58,9 +52,8 @@ class EstimatorComparison:
     rows: tuple[Row, ...]
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
 def compare(path: str | Path, progress: Progress = silent) -> EstimatorComparison:
-    """Identify an experiment with every estimator, all on the friction terms chosen for maximum likelihood.
+    """Identify an experiment with every estimator, each as :func:`gtau.identify` does.
 
     Raises
     ------
@@ -73,54 +66,32 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
     runs = read_runs(experiment, experiment.runs, progress)
     if runs[0].kind == "torque":
         raise GtauError(f"{path}: the logs hold torques, so there are no drive gains to compare; use 'gtau identify'.")
-    dataset = reduce_runs(robot, runs, progress=progress)
-    require_scale(dataset.robot, dataset.system(Friction()), [run.payload for run in dataset.runs], "ml")
-    dataset, system = with_friction(dataset, ml, progress)
-    names = [run.name for run in runs]
 
-    def row(method: str) -> Row:
-        along, mine, start = dataset, system, perf_counter()
+    def row(estimator: Estimator) -> Row:
+        start = perf_counter()
         try:
-            if method in WITH_GAINS:
-                prior = np.array([experiment.prior_gains[joint] for joint in robot.actuated])
-                solution = WITH_GAINS[method](mine.problem, prior)
-            else:
-                if method == "huber":
-                    along, mine = reweighted(dataset, mine, ml, progress)
-                elif method == "didim":
-                    along, mine = along_simulated_motion(dataset, mine, ml, progress)
-                solution = FOR_GAINS[method](mine.problem)
-                of_masses = mass_uncertainty(along, mine, solution, FOR_GAINS[method])
-                if method == "ridge":
-                    solution = ridge(dataset, mine, solution, experiment.priors)
-                elif method == "iv":
-                    _, solution = instrumental(dataset, mine, solution, True, progress)
+            given = Given(gains_for(estimator, robot, runs, experiment.prior_gains), experiment.priors, progress)
+            result = estimate(dataset, estimator, given, prior_gains=experiment.prior_gains)
         except GtauError as refusal:
-            return Row(method, refusal=str(refusal))
-        seconds = perf_counter() - start
-        residuals = _residuals(mine.problem, solution)
-        if method in WITH_GAINS:
-            return Row(method, solution.gains, None, residuals, seconds)
-        of_gains = slice(mine.problem.n_theta, mine.problem.n_theta + len(robot.actuated))
-        locked = position_ripple(along, mine, solution, free_gains=True)
-        std = np.sqrt(np.diag(solution.jackknife + of_masses + locked.covariance))[of_gains]
-        verdicts = gain_verdicts(mine.problem, solution, std, mine.block_positions, names, locked.found)
-        verdicts = against_priors(verdicts, robot, solution.gains, experiment.prior_gains)
-        verdicts = against_limits(verdicts, robot, np.abs(solution.gains) * mine.problem.signal)
-        return Row(method, solution.gains, std, residuals, seconds, worst(verdicts))
+            return Row(estimator.name, refusal=str(refusal))
+        seconds, gains = perf_counter() - start, list(result.drive_gains.values())
+        residuals = np.array([each.relative for each in result.residuals])
+        values = np.array([gain.value for gain in gains], dtype=float)
+        if estimator.gains == Gains.GIVEN:
+            return Row(estimator.name, values, None, residuals, seconds)
+        std = np.array([gain.std for gain in gains], dtype=float)
+        return Row(estimator.name, values, std, residuals, seconds, worst([gain.verdict for gain in gains]))
 
-    methods = [*FOR_GAINS, *(WITH_GAINS if experiment.prior_gains else ())]
-    rows = []
-    for k, method in enumerate(methods):
-        progress("estimators", k, len(methods))
-        rows.append(row(method))
-    progress("estimators", len(methods), len(methods))
+    with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
+        dataset = reduce_runs(robot, runs, progress=progress)
+        require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], "ml")
+        chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or experiment.prior_gains]
+        rows = []
+        for k, estimator in enumerate(chosen):
+            progress("estimators", k, len(chosen))
+            rows.append(row(estimator))
+        progress("estimators", len(chosen), len(chosen))
     return EstimatorComparison(robot.actuated, tuple(rows))
-
-
-def _residuals(problem: Problem, solution: Solution) -> np.ndarray:
-    """Current residuals, per cent of the currents' rms, (n,)."""
-    return np.asarray(100 * solution.sigma / problem.signal)
 
 
 def table(found: EstimatorComparison) -> str:

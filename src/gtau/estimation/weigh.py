@@ -8,12 +8,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.payload_checks import mass_uncertainty
-from gtau.estimation.estimators.current_domain import wls
-from gtau.estimation.estimators.degrees_of_freedom import freedom
+from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
+from gtau.estimation.estimators.friction_selection import select_friction
+from gtau.estimation.estimators.least_squares import wls
+from gtau.estimation.estimators.mass_uncertainty import mass_uncertainty
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.identify import given_gains, with_friction
-from gtau.estimation.regression.dataset import at_rate_of, experiment_of, read_runs, reduce_runs
+from gtau.estimation.experiment_runs import experiment_of, read_runs
+from gtau.estimation.identify import given_gains
+from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import PayloadEstimate
@@ -73,7 +75,7 @@ def weigh(
     def solve(problem: Problem) -> Solution:
         return wls(problem, g_tau)
 
-    dataset, system = with_friction(dataset, solve, progress)
+    dataset, system = select_friction(dataset, solve, progress)
     lost = [name for each in system.payloads for name in each.unknown if name in system.unexcited]
     if lost:
         raise GtauError(
@@ -85,7 +87,9 @@ def weigh(
     if covariance is not None:
         slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
-    estimates = payload_estimates(dataset, system, solution.theta, total, {}, freedom(system.problem, solution, False))
+    estimates = payload_estimates(
+        dataset, system, solution.theta, total, {}, degrees_of_freedom(system.problem, solution, False)
+    )
     return tuple(each for each in estimates if "m" not in each.known)
 
 

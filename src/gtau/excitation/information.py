@@ -1,6 +1,6 @@
 """What a motion tells about gains and parameters: the information matrix of the maximum-likelihood problem.
 
-The rows are those of :mod:`gtau.estimation.estimators.current_domain`, linearised at prior values,
+The rows are those of :mod:`gtau.estimation.estimators.maximum_likelihood`, linearised at prior values,
 
     e_j = v(t - d_j) - (W theta + known) / g_j,
 

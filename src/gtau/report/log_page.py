@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
-from gtau.estimation.results.estimate import torque_unit
 from gtau.estimation.results.singularity_distances import write_distances
 from gtau.report.style import BLACK, LINES, joint_label, light_grid, new_figure, require_matplotlib, save_figure, styled
 from gtau.robots.robot import Robot
+from gtau.robots.units import torque_unit
 from gtau.signals.storage import block, spans
 
 if TYPE_CHECKING:

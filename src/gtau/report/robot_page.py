@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from gtau.estimation.regression.base_parameters import base_parameters
-from gtau.estimation.results.estimate import unit_of
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
+from gtau.robots.units import unit_of
 
 
 def describe(robot: Robot) -> dict[str, Any]:

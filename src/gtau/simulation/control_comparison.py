@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import read_runs
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress

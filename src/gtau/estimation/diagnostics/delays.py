@@ -12,8 +12,7 @@ import numpy as np
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
-
-TOLD = 4.0  # standard errors: a smaller share of motion may be chance
+from gtau.estimation.thresholds import DELAY_MOTION
 
 
 def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -40,5 +39,6 @@ def delay_verdicts(problem: Problem, solution: Solution) -> tuple[Verdict, ...]:
         "take it for unknown, or move this joint faster; the drive gain does not rest on it",
     )
     return tuple(
-        GOOD if share > TOLD * error else lost for share, error in zip(*moving_share(problem, solution), strict=True)
+        GOOD if share > DELAY_MOTION * error else lost
+        for share, error in zip(*moving_share(problem, solution), strict=True)
     )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.estimators.newton import Iterate, modelled, residuals
+from gtau.estimation.estimators.newton import modelled, residuals
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 
@@ -43,7 +43,7 @@ def worst_drifts(problem: Problem, solution: Solution, block_positions: np.ndarr
     block_positions : ndarray
         Of the units, (U, 2): number of the run, and time from its beginning (0) to its end (1).
     """
-    state = Iterate(solution.theta, 1 / solution.gains, solution.delays)
+    state = solution.iterate
     e = residuals(problem.blocks, state, problem.n_theta)  # (U, n, p)
     tau = modelled(problem.blocks, state.theta) * state.b[:, None]
     weight = np.einsum("ujp,ujp->uj", tau, tau)

@@ -15,11 +15,10 @@ import numpy as np
 
 from gtau.estimation.diagnostics.linearisation import LinearisedWindow
 from gtau.estimation.diagnostics.score_test import score_tests
-from gtau.estimation.estimators.newton import Iterate, jacobian, modelled, residuals
+from gtau.estimation.estimators.newton import jacobian, modelled, residuals
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
-
-DOMINANT = 0.3  # share of the variance of all joints' errors; ripple gives at most 0.12
+from gtau.estimation.thresholds import DOMINANT
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ def worst_differences(problem: Problem, solution: Solution, block_positions: np.
 
 def _pieces(problem: Problem, solution: Solution) -> Iterator[LinearisedWindow]:
     """The units, each joint offered the current of its model once more."""
-    state = Iterate(solution.theta, 1 / solution.gains, solution.delays)
+    state = solution.iterate
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     for block in problem.blocks:
         e, J = residuals(block, state, problem.n_theta), jacobian(block, state, problem, True)

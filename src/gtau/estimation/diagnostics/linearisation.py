@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.estimators.newton import Iterate, jacobian, residuals
+from gtau.estimation.estimators.newton import jacobian, residuals
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS, EXTRA
@@ -77,7 +77,7 @@ def linearise(
     b, p = dataset.base.count, dataset.base.count + EXTRA
     kept = [system.whole.parameters.index(name) for name in problem.parameters]
     columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + 1 + CURRENTS)]
-    state = Iterate(solution.theta, 1 / solution.gains, solution.delays)
+    state = solution.iterate
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     with_load = any(term.startswith("fl_") for term in system.friction.terms)
     found = []

@@ -21,6 +21,7 @@ from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds import GRAVITY_SHARE, LENGTH_CHANGE, LENGTH_SHARE
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Attachment, Mdh, Placement, Robot
@@ -29,9 +30,6 @@ from gtau.signals.preparation import InMemoryRun
 STEP = 0.01  # relative change of a length, and of gravity
 SHORT = 0.02  # lengths below this share of the longest are not tried
 SAME = 1e-6  # relative difference of lengths that are meant to be the same
-BY_GRAVITY = 0.3  # of the variance of the errors: healthy robots stay below 0.2
-BY_LENGTH = 0.1  # of the variance of the errors: healthy robots stay below 0.05,
-WRONG = 0.005  # or need a relative change less than this, with errors so small that any flaw shows
 NEARLY = 0.8  # of the largest share: lengths that explain as much count as alike
 MOST = 12  # lengths that are tried, the longest first
 
@@ -53,7 +51,7 @@ def find_misspecification(
     found = [
         each
         for each in _explained(dataset, system, solution, progress)
-        if each.share > BY_GRAVITY or (each.share > BY_LENGTH and abs(each.change) > WRONG)
+        if each.share > GRAVITY_SHARE or (each.share > LENGTH_SHARE and abs(each.change) > LENGTH_CHANGE)
     ]
     most = max((each.share for each in found), default=0.0)
     likely = (each for each in found if each.share > NEARLY * most)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, known_verdict
-from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System, known_values, require_scale
-from gtau.estimation.results.estimate import unit_of
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.mass_uncertainty import with_payload
+from gtau.estimation.regression.system import known_values, require_scale
+from gtau.estimation.thresholds import PAYLOAD_MOVES
+from gtau.robots.units import unit_of
 from gtau.signals.experiment import Payload
-
-MOVED = 0.01  # share of a gain: a parameter that moves all by less is right enough, as models never are
 
 
 @dataclass(frozen=True)
@@ -29,9 +26,7 @@ class Freed:
     moves: float
 
 
-def weigh_known(
-    dataset: Dataset, system: System, solution: Solution, method: str, solve: Callable[[Problem], Solution]
-) -> dict[str, Verdict]:
+def weigh_known(fit: Fit, method: str) -> dict[str, Verdict]:
     """Estimate what is known of each payload, one value at a time, with gains from all else that is known.
 
     Of several values of a payload that the data contradict, the one is named that leaves least when it alone is freed.
@@ -42,39 +37,33 @@ def weigh_known(
     dict
         Verdicts by name, of payloads with a value that the others can be tested against.
     """
+    dataset = fit.dataset
     known = {run.payload.name: run.payload for run in dataset.runs if run.payload and run.payload.mass is not None}
     verdicts = {}
     for name, payload in known.items():
         tested = (*(("m",) if len(known) > 1 else ()), *payload.parameters)
-        freed = {kind: _freed(dataset, system, solution, method, solve, payload, kind) for kind in tested}
+        freed = {kind: _freed(fit, method, payload, kind) for kind in tested}
         told = {kind: found for kind, found in freed.items() if found is not None}
         if not told:
             continue
         kind = min(told, key=lambda kind: told[kind].left)
         found, unit = told[kind], unit_of(kind, dataset.robot, dataset.robot.tool)
-        small = kind != "m" and found.moves < MOVED
+        small = kind != "m" and found.moves < PAYLOAD_MOVES
         declared = known_values(payload)[kind]
         verdicts[name] = GOOD if small else known_verdict(kind, declared, found.value, found.std, unit)
     return verdicts
 
 
-def _freed(
-    dataset: Dataset,
-    system: System,
-    solution: Solution,
-    method: str,
-    solve: Callable[[Problem], Solution],
-    payload: Payload,
-    kind: str,
-) -> Freed | None:
+def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
     """What all else tells of a payload's parameter, if it does."""
+    dataset, system = fit.dataset, fit.system
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
-    payloads = _exchanged(dataset, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
+    payloads = with_payload(dataset, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
     other = dataset.system(system.friction, system.problem.slowest > 0, payloads)
     try:
         require_scale(dataset.robot, other, payloads, method)
-        free = solve(other.problem)
+        free = fit.solve(other.problem)
     except GtauError:
         return None  # without this value nothing gives the scale
     std = np.sqrt(np.diag(free.jackknife))
@@ -91,28 +80,5 @@ def _freed(
     value = float(free.theta[best])
     of_mass = payload.mass_std if mass is None else value * payload.mass_std / mass
     left = float(other.problem.total_rows @ np.log(free.sigma))
-    moves = float(np.abs(free.gains / solution.gains - 1).max())
+    moves = float(np.abs(free.gains / fit.solution.gains - 1).max())
     return Freed(value, float(np.hypot(std[best], of_mass)), left, moves)
-
-
-def mass_uncertainty(
-    dataset: Dataset, system: System, solution: Solution, solve: Callable[[Problem], Solution]
-) -> np.ndarray:
-    """Covariance of (theta, gains, delays) that the uncertainty of the known masses adds, one payload at a time."""
-    extra = np.zeros_like(solution.covariance)
-    masses = {run.payload.name: run.payload for run in dataset.runs if run.payload and run.payload.mass_std}
-    for payload in masses.values():
-        assert payload.mass is not None
-        heavier = payload.model_copy(update={"mass": payload.mass + payload.mass_std})
-        payloads = _exchanged(dataset, payload.name, heavier)
-        shift = (
-            solve(dataset.system(system.friction, system.problem.slowest > 0, payloads).problem).stacked
-            - solution.stacked
-        )
-        extra += np.outer(shift, shift)
-    return extra
-
-
-def _exchanged(dataset: Dataset, name: str, other: Payload) -> Sequence[Payload | None]:
-    """The runs' payloads, with ``other`` in the place of that called ``name``."""
-    return [other if run.payload and run.payload.name == name else run.payload for run in dataset.runs]

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.gain_change import DOMINANT, worst_differences
+from gtau.estimation.diagnostics.gain_change import worst_differences
+from gtau.estimation.diagnostics.gain_verdicts import lack_of_fit
 from gtau.estimation.diagnostics.linearisation import (
     LinearisedWindow,
     central_windows,
@@ -22,17 +23,16 @@ from gtau.estimation.diagnostics.linearisation import (
     linearise,
     stack,
 )
-from gtau.estimation.diagnostics.verdict import LACKING, lack_of_fit
-from gtau.estimation.estimators.newton import Iterate, to_gains
+from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.thresholds import DOMINANT, LACKING, RIPPLE_SHARE
 from gtau.signals.preparation import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
-FOUND = 0.3  # share of a joint's errors that is found again
 LARGEST = 10.0  # times the joint's error: how large such a torque may be, more or less
 
 
@@ -51,7 +51,7 @@ class PositionRipple:
     @property
     def found(self) -> bool:
         """Whether anything repeats."""
-        return bool(np.max(self.shares) >= FOUND)
+        return bool(np.max(self.shares) >= RIPPLE_SHARE)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -100,10 +100,10 @@ def position_ripple(dataset: Dataset, system: System, solution: Solution, free_g
     ]
     (_, rest), (step, before) = _left(again), _left(found)
     shares = 1 - rest / np.maximum(before, 1e-300)
-    if np.max(shares) < FOUND:
+    if np.max(shares) < RIPPLE_SHARE:
         return PositionRipple(shares, nothing.moves)
     moved, _ = _fit([first, second], heights)
-    state = Iterate(solution.theta, 1 / solution.gains, solution.delays)
+    state = solution.iterate
     return PositionRipple(shares, to_gains(state, system.problem.n_theta, free_gains) @ (moved - step))
 
 
@@ -131,3 +131,18 @@ def _left(pieces: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray]:
     e, J, _ = stack(pieces)
     step = least_squares_step(J, e)
     return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))
+
+
+def ripple_notes(found: PositionRipple, joints: Sequence[str], solution: Solution) -> list[str]:
+    """What repeats at the same positions, and what that does to the gains."""
+    if not found.found:
+        return []
+    j = int(np.argmax(found.shares))
+    moves = 100 * np.abs(found.moves[-2 * len(joints) : -len(joints)] / solution.gains)
+    k = int(np.argmax(moves))
+    of_gains = f" (that of the gain of joint '{joints[k]}' {moves[k]:.2g} %)" if moves[k] else ""
+    return [
+        f"errors repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance at joint '{joints[j]}'): "
+        "ripple of the motors, cables or springs, which the model lacks. They do the same in all runs, so no scatter "
+        f"shows it; the deviations contain by how much the estimates move when they are modelled{of_gains}"
+    ]

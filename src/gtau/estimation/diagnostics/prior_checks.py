@@ -11,23 +11,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
-from gtau.estimation.results.estimate import torque_unit
+from gtau.estimation.thresholds import EFFORT_FACTOR, PRIOR_FACTOR
 from gtau.robots.robot import Robot
+from gtau.robots.units import torque_unit
 
-UNLIKELY = 2.0  # times its prior, or less of it: no data sheet is that wrong
 THOUSAND = 2.0  # a factor between 1000 / 2 and 1000 * 2 is one of a thousand
-TOO_STRONG = 2.0  # rms torque in limits of effort
 BELIEVED = (Outcome.GIVEN, Outcome.GOOD, Outcome.WEAK)
 
 
-def against_priors(
+def check_priors(
     verdicts: Sequence[Verdict], robot: Robot, gains: np.ndarray, priors: Mapping[str, float]
 ) -> tuple[Verdict, ...]:
     """Verdicts where gains (n,) that have a prior (by joint, N m/A or N/A) are more than a factor of two off it."""
     found = list(verdicts)
     for j, joint in enumerate(robot.actuated):
         ratio = abs(gains[j] / priors[joint]) if joint in priors else 1.0
-        if 1 / UNLIKELY <= ratio <= UNLIKELY or found[j].outcome not in BELIEVED:
+        if 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR or found[j].outcome not in BELIEVED:
             continue
         found[j] = Verdict(
             Outcome.CONTRADICTORY,
@@ -46,12 +45,12 @@ def _units(ratio: float) -> str:
     return "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"
 
 
-def against_limits(verdicts: Sequence[Verdict], robot: Robot, torques: np.ndarray) -> tuple[Verdict, ...]:
+def check_limits(verdicts: Sequence[Verdict], robot: Robot, torques: np.ndarray) -> tuple[Verdict, ...]:
     """Verdicts where a joint's torque (n,), rms in N m or N, is more than twice its limit of effort."""
     found = list(verdicts)
     for j, joint in enumerate(robot.actuated):
         limit = robot.joint(joint).limits.effort
-        if limit is None or torques[j] <= TOO_STRONG * limit or found[j].outcome not in BELIEVED:
+        if limit is None or torques[j] <= EFFORT_FACTOR * limit or found[j].outcome not in BELIEVED:
             continue
         unit = torque_unit(robot, joint)
         found[j] = Verdict(
@@ -63,7 +62,7 @@ def against_limits(verdicts: Sequence[Verdict], robot: Robot, torques: np.ndarra
     return tuple(found)
 
 
-def against_payloads(verdicts: Sequence[Verdict], payloads: Mapping[str, Verdict]) -> tuple[Verdict, ...]:
+def check_payloads(verdicts: Sequence[Verdict], payloads: Mapping[str, Verdict]) -> tuple[Verdict, ...]:
     """Verdicts on the gains where that on a known payload, which they rest on, is contradictory."""
     wrong = [name for name, each in payloads.items() if each.outcome == Outcome.CONTRADICTORY]
     if not wrong:
@@ -74,7 +73,7 @@ def against_payloads(verdicts: Sequence[Verdict], payloads: Mapping[str, Verdict
     return tuple(each if each.outcome == Outcome.CONTRADICTORY else found for each in verdicts)
 
 
-def shared(verdicts: Sequence[Verdict], joints: Sequence[str]) -> tuple[Verdict, ...]:
+def share_doubts(verdicts: Sequence[Verdict], joints: Sequence[str]) -> tuple[Verdict, ...]:
     """Verdicts where no gain is good beside a contradictory one: all joints share the parameters of one model."""
     wrong = [joint for joint, each in zip(joints, verdicts, strict=True) if each.outcome == Outcome.CONTRADICTORY]
     if not wrong:

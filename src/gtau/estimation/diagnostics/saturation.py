@@ -19,12 +19,11 @@ from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds import SATURATION_SHARE, SATURATION_STD
 from gtau.signals.preparation import InMemoryRun
 
 PIECES = 10  # of a run, within which errors may hang together
 LARGE = 2.0  # rms currents: where the fall is told
-SIGNIFICANT = 10.0  # standard deviations of the fall; friction that grows with the load comes near
-EXPLAINED = 0.1  # share of the variance of the errors: healthy drives stay below 0.03
 
 
 @dataclass(frozen=True)
@@ -60,11 +59,13 @@ def find_saturation(dataset: Dataset, system: System, solution: Solution) -> tup
     return tuple(Saturation(*map(float, values)) for values in each)
 
 
-def saturated(verdicts: Sequence[Verdict], found: Sequence[Saturation]) -> tuple[Verdict, ...]:
+def check_saturation(verdicts: Sequence[Verdict], found: Sequence[Saturation]) -> tuple[Verdict, ...]:
     """Verdicts where the torque constant falls with the current, by as much as the errors say without doubt."""
     return tuple(
         verdict
-        if verdict.outcome not in (Outcome.GOOD, Outcome.WEAK) or each.t < SIGNIFICANT or each.share < EXPLAINED
+        if verdict.outcome not in (Outcome.GOOD, Outcome.WEAK)
+        or each.t < SATURATION_STD
+        or each.share < SATURATION_SHARE
         else Verdict(
             Outcome.CONTRADICTORY,
             f"its torque grows less than its current: {100 * each.share:.0f} % of the errors' variance would go if the "

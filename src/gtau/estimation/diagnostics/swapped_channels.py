@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -10,8 +11,7 @@ from gtau.estimation.diagnostics.linearisation import central_windows, least_squ
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import stream_rows
-
-BETTER = 0.5  # of the errors with a joint's own current are left with the other's: far more where columns are right
+from gtau.estimation.thresholds import SWAPPED
 
 
 def unexplained(dataset: Dataset) -> np.ndarray:
@@ -39,12 +39,12 @@ def unexplained(dataset: Dataset) -> np.ndarray:
     return left
 
 
-def against_swapped(verdicts: tuple[Verdict, ...], dataset: Dataset) -> tuple[Verdict, ...]:
+def check_swapped(verdicts: Sequence[Verdict], dataset: Dataset) -> tuple[Verdict, ...]:
     """Verdicts on the gains where the currents of two joints look swapped."""
     left, found, joints = unexplained(dataset), list(verdicts), dataset.model.actuated
     columns = "torques" if dataset.runs[0].kind == "torque" else "currents"
     for j, k in combinations(range(len(joints)), 2):
-        if left[j, k] < BETTER * left[j, j] and left[k, j] < BETTER * left[k, k]:
+        if left[j, k] < SWAPPED * left[j, j] and left[k, j] < SWAPPED * left[k, k]:
             found[j] = found[k] = Verdict(
                 Outcome.CONTRADICTORY,
                 f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: "

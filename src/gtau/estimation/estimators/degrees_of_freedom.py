@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.estimators.newton import Iterate, jacobian, stacked, to_gains, whitening
+from gtau.estimation.estimators.newton import jacobian, stacked, to_gains, whitening
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 
 
-def freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarray:
+def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarray:
     """Degrees of freedom of the deviations of (theta, gains, delays), (n_theta + 2 n,).
 
     Parameters
@@ -28,7 +28,7 @@ def freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarra
     free_gains : bool
         Whether the gains are estimated, or given.
     """
-    state, blocks = Iterate(solution.theta, 1 / solution.gains, solution.delays), len(problem.blocks)
+    state, blocks = solution.iterate, len(problem.blocks)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
 
     def rows(blocks: np.ndarray) -> np.ndarray:

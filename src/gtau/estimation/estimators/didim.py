@@ -1,8 +1,8 @@
 """DIDIM: parameters from the currents alone, the motion being simulated (Gautier, Janot and Vandanjon).
 
 The regressor is taken along the motion that the robot, simulated in closed loop with the current estimate, makes of its
-reference. No measured position enters it, so nothing is differentiated and no noise grows; what is estimated next is
-simulated again, until the gains stay.
+reference. No measured position enters it, so nothing is differentiated and no noise is amplified; what is estimated
+next is simulated again, until the gains settle. Choose it where encoders are coarse or noisy, beside ``iv``.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
+from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
@@ -59,3 +61,11 @@ def along_simulated_motion(
         "simulation and estimate do not settle, so the parameters found do not make the motion that was measured; "
         "use --method ml, or add runs that tell the parameters better."
     )
+
+
+def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
+    solver = ml_or_wls(given)
+    return fit_either(solver, *along_simulated_motion(dataset, system, solver, given.progress), given)
+
+
+DIDIM = Estimator("didim", "parameters from the currents, the motion simulated (DIDIM)", Gains.EITHER, ml_or_wls, _fit)

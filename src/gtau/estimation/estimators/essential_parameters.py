@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.estimation.estimators.estimator import Fit, Solve
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 
 
-def essential(
+def essential_parameters(
     problem: Problem,
     candidates: tuple[str, ...],
-    solve: Callable[[Problem], Solution],
+    solve: Solve,
     ratio: float | None = None,
     correlated: bool = True,
 ) -> tuple[Problem, Solution, np.ndarray]:
@@ -61,3 +62,40 @@ def essential(
             return problem, solution, std
         problem = problem.without([problem.parameters[index[worst]]])
         solution = solve(problem)
+
+
+@dataclass(frozen=True, eq=False)
+class Essential:
+    """The essential parameters: the problem they are left in, the solution, and their standard deviations (n_theta,).
+
+    ``loss`` is by how much the residual of the worst joint grows without the cancelled ones, per cent.
+    """
+
+    problem: Problem
+    solution: Solution
+    std: np.ndarray
+    loss: float
+
+
+def reduce_fit(fit: Fit, covariance: np.ndarray, ratio: float | None, correlated: bool, joint: bool) -> Essential:
+    """Cancel base parameters until the essential ones are left.
+
+    Parameters
+    ----------
+    fit : Fit
+        With all base parameters.
+    covariance : ndarray
+        Of its (theta, gains, delays).
+    ratio, correlated : float, bool
+        See :func:`essential_parameters`.
+    joint : bool
+        Estimate the gains again at each step, as the paper does, or keep them.
+    """
+    problem = fit.system.problem
+    candidates = tuple(name for name in fit.dataset.base.names if name in problem.parameters)
+    solve = fit.solve if joint else fit.solve_fixed
+    kept, reduced, std = essential_parameters(problem, candidates, solve, ratio, correlated)
+    if ratio is None:
+        # a kept parameter absorbs what the cancelled ones did: only the deviation with all of them there holds
+        std = np.sqrt(np.diag(covariance))[[problem.parameters.index(name) for name in kept.parameters]]
+    return Essential(kept, reduced, std, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1))

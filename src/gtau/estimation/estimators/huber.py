@@ -1,7 +1,7 @@
-"""Huber's estimator: rows that stand out count less, so that a few outliers do not decide.
+"""Huber's estimator: maximum likelihood in which rows with large residuals count less.
 
-Iteratively reweighted least squares. Which rows stand out is seen from their residuals, so the logs are
-streamed again with the weights of the pass before.
+Choose it where logs hold outliers, such as collisions or dropouts. Iteratively reweighted least squares: the weights
+follow from the residuals, so the logs are streamed again with the weights of the previous pass.
 """
 
 from __future__ import annotations
@@ -11,6 +11,9 @@ from functools import partial
 
 import numpy as np
 
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
+from gtau.estimation.estimators.least_squares import fit_free
+from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import Factors, HuberWeights
@@ -54,3 +57,12 @@ def _sizes(factors: Sequence[Factors]) -> Iterator[np.ndarray]:
     for each in factors:
         if each.residuals is not None:
             yield from (np.abs(block(each.residuals, *span)) for span in spans(len(each.residuals)))
+
+
+def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
+    return fit_free(ml, *reweighted(dataset, system, ml, given.progress))
+
+
+HUBER = Estimator(
+    "huber", "maximum likelihood with Huber's weights against outliers", Gains.ESTIMATED, lambda given: ml, _fit
+)

@@ -19,9 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.newton import Iterate, jacobian, moved, one_step, residuals, to_gains
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
+from gtau.estimation.estimators.newton import jacobian, moved, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.solution import Iterate, Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, ROWS, STRETCHES, Factors
 from gtau.estimation.regression.friction import TERMS
@@ -217,3 +219,19 @@ def _reduced(
             for k in range(2):
                 R[k, s, j, : len(of)] = np.hstack([of[:, (1 - k) * b : (2 - k) * b], of[:, 2 * b :]])
     return Factors(R[0], rows), Factors(R[1], rows)
+
+
+def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
+    solver, free_gains = ml_or_wls(given), given.gains is None
+    unrefined = solver(system.problem)
+    pair, solution = instrumental(dataset, system, unrefined, free_gains, given.progress)
+
+    def solve_fixed(problem: Problem) -> Solution:
+        return with_instruments(pair.of(problem.parameters), solution, free_gains=False)
+
+    return Fit(dataset, system, solution, solver, unrefined, solve_fixed, free_gains)
+
+
+IV = Estimator(
+    "iv", "instrumental variables along simulated motion (IDIM-IV)", Gains.EITHER, ml_or_wls, _fit, least_squares=False
+)

@@ -6,11 +6,11 @@ The errors are ``e_j = v(t - d_j) - (W_theta theta + known) / g_j``, the unknown
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.solution import Iterate, Solution
 from gtau.estimation.regression.problem import Problem, delayed
 from gtau.estimation.regression.triangle import triangle
 
@@ -20,15 +20,6 @@ ROUNDING = 1e-14  # of the terms that make up the residuals: no step can be told
 RANK = 1e-13  # of the largest singular value: less is rounding
 FLATTEST = 0.05  # least curvature that is believed, as a share of that of Gauss and Newton
 LARGEST_STEP = 1e8  # of leaving a unit out, in standard deviations: more, and only that unit tells
-
-
-@dataclass(frozen=True)
-class Iterate:
-    """Unknowns of the current-domain model."""
-
-    theta: np.ndarray
-    b: np.ndarray  # 1 / g
-    delays: np.ndarray
 
 
 def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -12,24 +12,65 @@ What the data leave open is taken close to a plausible robot: solid links of equ
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.newton import Iterate, jacobian, moved, residuals, stacked
-from gtau.estimation.estimators.ridge import StandardUnknowns, standard_unknowns
+from gtau.estimation.estimators.newton import jacobian, moved, residuals, stacked
 from gtau.estimation.estimators.semidefinite import constrained_least_squares, pseudo_inertia
-from gtau.estimation.estimators.solution import Solution, jackknife
+from gtau.estimation.estimators.solution import Iterate, Solution, jackknife
+from gtau.estimation.estimators.standard_parameters import StandardUnknowns, standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import leave_one_out, triangle
-from gtau.estimation.results.estimate import Consistency, Move
 from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Prior
 
 STEPS = 40
 SETTLED = 1e-3  # of a standard deviation
+
+
+@dataclass(frozen=True)
+class Move:
+    """What consistency did to a number: its value without and with it, and by how many standard deviations it moved."""
+
+    name: str
+    free: float
+    consistent: float
+    deviations: float
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """A robot that can exist.
+
+    Attributes
+    ----------
+    standard : dict
+        Every standard parameter by name, SI units.
+    payloads : dict
+        Label (``L3``) of each carried payload to its ten inertial parameters by kind.
+    gains : dict
+        Joint to (drive gain, standard deviation) found together with them; the deviation is 0 where given.
+    moves : tuple of Move
+        Every base parameter and gain, the most moved first.
+    eigenvalues : dict
+        Smallest eigenvalue of the pseudo-inertia of each body, SI units.
+    loss : dict
+        Joint to the growth of its residual, per cent.
+    open : tuple of str
+        Standard parameters that act on no actuated joint, chosen and not identified.
+    """
+
+    standard: Mapping[str, float]
+    payloads: Mapping[str, Mapping[str, float]]
+    gains: Mapping[str, tuple[float, float]]
+    moves: tuple[Move, ...]
+    eigenvalues: Mapping[str, float]
+    loss: Mapping[str, float]
+    open: tuple[str, ...]
 
 
 def consistent(

@@ -10,6 +10,15 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
+class Iterate:
+    """Unknowns in the domain of the currents: ``theta`` (n_theta,), ``b = 1 / g`` (n,) and ``delays`` (n,) in s."""
+
+    theta: np.ndarray
+    b: np.ndarray
+    delays: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Estimates of one method.
 
@@ -49,6 +58,11 @@ class Solution:
     def jackknife(self) -> np.ndarray:
         """Covariance by the delete-one jackknife, which allows for errors correlated in time."""
         return jackknife(self.replicates()) + self.of_prior
+
+    @property
+    def iterate(self) -> Iterate:
+        """The estimates as unknowns in the domain of the currents."""
+        return Iterate(self.theta, 1 / self.gains, self.delays)
 
     @property
     def stacked(self) -> np.ndarray:

@@ -1,4 +1,8 @@
-"""Two-stage least squares (2SLS): the currents are replaced by what their own joint's regressor explains of them."""
+"""Two-stage least squares (2SLS): currents are replaced by what their own joint's regressor explains of them.
+
+The start of maximum likelihood. Choose it to cross-check: it is consistent where currents are noisy, needs no
+iteration, and shares no weights with the others.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.newton import Iterate, finish, least_squares, one_step, residuals, stacked
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
+from gtau.estimation.estimators.least_squares import fit_free
+from gtau.estimation.estimators.newton import finish, least_squares, one_step, residuals, stacked
+from gtau.estimation.estimators.solution import Iterate, Solution
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem, delayed
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 
 
@@ -74,3 +82,10 @@ def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray)
     rows[:, :n_theta], rows[:, -1] = block[:, :n_theta], block[:, n_theta]
     rows[:, n_theta + j] = -block[:, problem.own_columns[j]] @ coefficients
     return rows
+
+
+def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
+    return fit_free(two_stage, dataset, system)
+
+
+TWO_STAGE = Estimator("2sls", "two-stage least squares", Gains.ESTIMATED, lambda given: two_stage, _fit)

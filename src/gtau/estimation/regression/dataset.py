@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -20,17 +19,13 @@ from gtau.estimation.regression.motion_limits import within_limits
 from gtau.estimation.regression.system import System, assemble_system
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.load import load_robot
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.decimation import Decimator, decimation_factor
-from gtau.signals.experiment import Experiment, LoggedRun, Payload, check_robot, read_experiment
+from gtau.signals.experiment import Payload
 from gtau.signals.filters import cutoff_frequency
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, prepare
-from gtau.signals.run import Run, arrange, read_run
-
-if TYPE_CHECKING:
-    from gtau.estimation.results.result import Result
+from gtau.signals.run import Run, arrange
 
 SHARD = 1 << 19  # samples of a shard, at least
 
@@ -174,43 +169,6 @@ def cut(samples: int, shard: int = SHARD) -> list[range]:
     parts = min(max(samples // shard, 1), STRETCHES)
     edges = [STRETCHES * k // parts for k in range(parts + 1)]
     return [range(*pair) for pair in pairwise(edges)]
-
-
-def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
-    """Read logged runs of an experiment file; raises GtauError."""
-    whole = 1000  # of a run
-
-    def read(k: int, run: LoggedRun) -> Run:
-        def advance(done: float) -> None:
-            progress("reading logs", round(whole * (k + done)), whole * len(runs))
-
-        return read_run(run.log, experiment.signals, run.payload, experiment.units, advance)
-
-    return tuple(read(k, run) for k, run in enumerate(runs))
-
-
-def experiment_of(model: Result, path: str | Path) -> Experiment:
-    """Read an experiment file that is to be used with an identified model.
-
-    Raises
-    ------
-    GtauError
-        Where the file is wrong, or its robot or signals are not those of the model.
-    """
-    experiment = read_experiment(path)
-    robot = load_robot(experiment.robot)
-    check_robot(experiment, robot)
-    if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
-        raise GtauError(
-            f"{path} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
-            "another geometry; give the model of this robot."
-        )
-    if experiment.signals.kind != model.kind:
-        raise GtauError(
-            f"the logs of {path} hold {experiment.signals.kind}s, but the model was identified from {model.kind}s; "
-            "give logs of the same kind."
-        )
-    return experiment
 
 
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:

@@ -10,7 +10,6 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
-from gtau.robots.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -118,65 +117,3 @@ class Prediction:
             f"Prediction({len(self.time)} rows of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
             f"{self.time[-1]:.4g} s)"
         )
-
-
-@dataclass(frozen=True)
-class Move:
-    """What consistency did to a number: its value without and with it, and by how many standard deviations it moved."""
-
-    name: str
-    free: float
-    consistent: float
-    deviations: float
-
-
-@dataclass(frozen=True)
-class Consistency:
-    """A robot that can exist.
-
-    Attributes
-    ----------
-    standard : dict
-        Every standard parameter by name, SI units.
-    payloads : dict
-        Label (``L3``) of each carried payload to its ten inertial parameters by kind.
-    gains : dict
-        Joint to (drive gain, standard deviation) found together with them; the deviation is 0 where given.
-    moves : tuple of Move
-        Every base parameter and gain, the most moved first.
-    eigenvalues : dict
-        Smallest eigenvalue of the pseudo-inertia of each body, SI units.
-    loss : dict
-        Joint to the growth of its residual, per cent.
-    open : tuple of str
-        Standard parameters that act on no actuated joint, chosen and not identified.
-    """
-
-    standard: Mapping[str, float]
-    payloads: Mapping[str, Mapping[str, float]]
-    gains: Mapping[str, tuple[float, float]]
-    moves: tuple[Move, ...]
-    eigenvalues: Mapping[str, float]
-    loss: Mapping[str, float]
-    open: tuple[str, ...]
-
-
-def unit_of(kind: str, robot: Robot, joint: str) -> str:
-    """SI unit of a parameter of ``kind`` at a joint or platform."""
-    if kind in ("xx", "xy", "xz", "yy", "yz", "zz"):
-        return "kg m2"
-    if kind in ("mx", "my", "mz"):
-        return "kg m"
-    if kind == "m":
-        return "kg"
-    turns = robot.joint(joint).kind == "revolute"
-    if kind == "ia":
-        return "kg m2" if turns else "kg"
-    if kind == "fv":
-        return "N m s/rad" if turns else "N s/m"
-    return torque_unit(robot, joint)
-
-
-def torque_unit(robot: Robot, joint: str) -> str:
-    """N m for a revolute joint, N for a prismatic one."""
-    return "N m" if robot.joint(joint).kind == "revolute" else "N"

@@ -6,28 +6,29 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
-from gtau.estimation.results.estimate import Consistency, Estimate, Move, PayloadEstimate, TorqueError, unit_of
+from gtau.estimation.estimators.physical_consistency import Consistency, Move
+from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
+from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
+from gtau.robots.units import unit_of
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import Preparation
 
-if TYPE_CHECKING:
-    from gtau.estimation.results.result import Result
-
+Model = TypeVar("Model", bound=IdentifiedModel)
 SCHEMA = "gtau-model/1"
 
 
-def to_document(result: Result) -> dict[str, Any]:
+def to_document(result: IdentifiedModel) -> dict[str, Any]:
     """The JSON document of a result; ``rel_std`` in per cent, null where a value is known."""
     preparation = result.preparation
     return {
@@ -130,17 +131,17 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
     return _estimate(estimate) | {"regrouping": estimate.regrouping, "spread": estimate.spread}
 
 
-def model_text(result: Result) -> str:
+def model_text(result: IdentifiedModel) -> str:
     """Text of the file of a result."""
     return json.dumps(to_document(result), indent=1, allow_nan=False) + "\n"
 
 
-def save(result: Result, path: str | Path) -> None:
+def save(result: IdentifiedModel, path: str | Path) -> None:
     """Write ``result`` to ``path``, atomically."""
     write_atomically(path, model_text(result))
 
 
-def load(path: str | Path, make: type[Result]) -> Result:
+def load(path: str | Path, make: type[Model]) -> Model:
     """Read a result, which ``make`` makes.
 
     Raises
@@ -182,7 +183,7 @@ def _damaged(path: str | Path, problem: str) -> GtauError:
     return GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
 
 
-def _problems(result: Result) -> Iterator[str]:
+def _problems(result: IdentifiedModel) -> Iterator[str]:
     joints, preparation = list(result.robot.actuated), result.preparation
     for what, estimates in (("drive gains", result.drive_gains), ("delays", result.delays)):
         if list(estimates) != joints:
@@ -205,7 +206,7 @@ def _problems(result: Result) -> Iterator[str]:
         yield "the preparation of the signals is not one that this version knows"
 
 
-def _result(document: Mapping[str, Any], path: str | Path, make: type[Result]) -> Result:
+def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) -> Model:
     preparation = document["preparation"]
     return make(
         robot=parse_native(document["robot_file"], path),

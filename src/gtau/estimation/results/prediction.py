@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,16 +11,15 @@ from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.friction import TERMS, transmitted
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import known_values
-from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError, torque_unit
+from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.robots.units import torque_unit
 from gtau.signals.preparation import prepare
 from gtau.signals.run import Run, arrange
 
-if TYPE_CHECKING:
-    from gtau.estimation.results.result import Result
 
-
-def predict(result: Result, run: Run) -> Prediction:
-    """Predicted and measured torques at the decimated instants of a run; see :meth:`Result.predict`."""
+def predict(result: IdentifiedModel, run: Run) -> Prediction:
+    """Predicted and measured torques at the decimated instants of a run; see :meth:`IdentifiedModel.predict`."""
     model, base = result.model, result.base
     run = arrange(run, model.actuated)
     if run.kind != result.kind:
@@ -72,7 +70,7 @@ def _value(estimates: Mapping[str, Estimate], name: str) -> float:
     return (estimates[name].value or 0.0) if name in estimates else 0.0
 
 
-def torque_errors(result: Result, prediction: Prediction) -> tuple[TorqueError, ...]:
+def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[TorqueError, ...]:
     """Rms of error and signal of each joint that moves: over the kept rows, and over all valid ones."""
 
     def rms(values: np.ndarray) -> float:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import INFLATED, Outcome
-from gtau.estimation.results.estimate import Consistency, Estimate, PayloadEstimate
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.results.estimate import Estimate, PayloadEstimate
+from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
-
-if TYPE_CHECKING:
-    from gtau.estimation.results.result import Result
+from gtau.estimation.thresholds import INFLATED
 
 WIDTH = 96
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
@@ -23,28 +23,16 @@ VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 ONLY_IN_SUMS = "  * known only in sums with others: the torques need it, but its own value cannot be told"
 TYPES = {1: "serial", 2: "parallel"}
 OF_TORQUES = " (the logs hold torques, whose gain is 1)"
-METHODS = {
-    "ml": "maximum likelihood in the current domain",
-    "huber": "maximum likelihood with Huber's weights against outliers",
-    "ridge": "maximum likelihood with priors on the standard parameters",
-    "iv": "instrumental variables along simulated motion (IDIM-IV)",
-    "didim": "parameters from the currents, the motion simulated (DIDIM)",
-    "2sls": "two-stage least squares",
-    "mixed": "mixed LS-TLS (regressor exact, currents noisy)",
-    "tls": "total least squares (the paper's)",
-    "wls": "weighted least squares with given gains",
-    "ols": "ordinary least squares with given gains",
-}
 
 
-def summary(result: Result) -> str:
+def summary(result: IdentifiedModel) -> str:
     """Drive gains, payloads, essential parameters, fit and notes, as text."""
     preparation = result.preparation
     low_pass = "none" if preparation.cutoff is None else f"{preparation.cutoff:.3g} Hz"
     lines = [
         "=" * WIDTH,
         f"Robot     {result.robot.name}",
-        f"Method    {METHODS[result.method]}{OF_TORQUES if result.kind == 'torque' else ''}",
+        f"Method    {ESTIMATORS[result.method].description}{OF_TORQUES if result.kind == 'torque' else ''}",
         *textwrap.wrap(f"Runs      {', '.join(result.runs)}", WIDTH, subsequent_indent=" " * 10),
         *([f"Payload   on '{result.robot.tool}'"] if result.payloads else []),
         f"Signals   bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, "
@@ -148,7 +136,7 @@ def _growth(loss: float) -> str:
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
 
 
-def _beliefs(result: Result) -> list[str]:
+def _beliefs(result: IdentifiedModel) -> list[str]:
     """What is not good, and what to do about it; one sentence for all joints that share it."""
     shared: dict[str, list[str]] = {}
     for joint, gain in result.drive_gains.items():

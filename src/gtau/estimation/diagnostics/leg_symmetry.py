@@ -1,0 +1,161 @@
+"""Whether legs of the same geometry were identified as alike (the paper's check after section 3.1)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.estimation.regression.base_parameters import BaseParameters
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.legs import identical_legs
+from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds import LEG_DIFFERENCE, LEG_DIFFERENCE_STD, LEG_PROBABILITY
+from gtau.robots.robot import Robot
+
+FRICTION = ("fv", "fs", "off")  # these always differ, and the table of parameters shows them
+
+
+@dataclass(frozen=True)
+class LegDifference:
+    """How far a leg's identified parameters are from the mean of the legs of the same geometry.
+
+    Attributes
+    ----------
+    leg : tuple of str
+        Names of its joints.
+    others : tuple of tuple of str
+        The legs that it is compared with.
+    compared : tuple of str
+        Names of its parameters that have counterparts of the same regrouping in all these legs.
+    deviations : ndarray
+        (compared,): differences from the mean of the others, in standard deviations of the difference.
+    relative : ndarray
+        (compared,): the same differences in per cent of the mean of the others.
+    distance : float
+        All differences together, in joint standard deviations (Mahalanobis).
+    probability : float
+        That legs which are alike differ by as much or more.
+    """
+
+    leg: tuple[str, ...]
+    others: tuple[tuple[str, ...], ...]
+    compared: tuple[str, ...]
+    deviations: np.ndarray
+    relative: np.ndarray
+    distance: float
+    probability: float
+
+    @property
+    def worst(self) -> tuple[str, float]:
+        """The parameter that differs most, and by how many standard deviations."""
+        k = int(np.abs(self.deviations).argmax())
+        return self.compared[k], float(self.deviations[k])
+
+
+def leg_differences(
+    robot: Robot,
+    base: BaseParameters,
+    names: Sequence[str],
+    parameters: np.ndarray,
+    covariance: np.ndarray,
+) -> list[LegDifference]:
+    """Compare every leg's identified parameters with those of the legs of the same geometry.
+
+    Parameters
+    ----------
+    robot : Robot
+    base : BaseParameters
+        Of the robot: only parameters that regroup the same standard ones, leg by leg, are compared.
+    names : sequence of str
+        Base parameters that were identified, all or the essential ones.
+    parameters : ndarray
+        Their values, (len(names),).
+    covariance : ndarray
+        (len(names), len(names)).
+
+    Returns
+    -------
+    list of LegDifference
+        One for each leg that has like ones (of two like legs only the first), in the order of the robot; empty for a
+        robot without like legs.
+    """
+    from scipy.stats import chi2
+
+    found = []
+    for group in identical_legs(robot):
+        if len(group) < 2:
+            continue
+        tables = [_by_meaning(leg, base, names) for leg in group]
+        shared = [meaning for meaning in tables[0] if all(meaning in table for table in tables)]
+        if not shared:
+            continue
+        for k in range(len(group) if len(group) > 2 else 1):
+            contrast = np.zeros((len(shared), len(names)))
+            for row, meaning in enumerate(shared):
+                for j, table in enumerate(tables):
+                    contrast[row, table[meaning]] = 1.0 if j == k else -1.0 / (len(group) - 1)
+            difference, spread = contrast @ parameters, contrast @ covariance @ contrast.T
+            others = np.minimum(contrast, 0.0) @ parameters
+            std = np.sqrt(np.diag(spread))
+            deviations = difference / std
+            correlation = spread / np.outer(std, std)
+            square = float(deviations @ np.linalg.pinv(correlation, rcond=1e-10, hermitian=True) @ deviations)
+            rank = int(np.linalg.matrix_rank(correlation, tol=1e-10, hermitian=True))
+            found.append(
+                LegDifference(
+                    group[k],
+                    tuple(leg for j, leg in enumerate(group) if j != k),
+                    tuple(names[tables[k][meaning]] for meaning in shared),
+                    deviations,
+                    100 * np.abs(np.divide(difference, others, out=np.full(len(shared), np.inf), where=others != 0)),
+                    float(np.sqrt(square)),
+                    float(chi2.sf(square, rank)),
+                )
+            )
+    return found
+
+
+def _by_meaning(leg: tuple[str, ...], base: BaseParameters, names: Sequence[str]) -> dict[str, int]:
+    """Positions in ``names`` of a leg's parameters, by what they regroup, joints counted from the leg's first."""
+    found = {}
+    for position, name in enumerate(names):
+        words = base.regroupings[name].split()
+        if words[0].split("_", 1)[1] in leg:
+            found[" ".join(_in_leg(word, leg) for word in words)] = position
+    return found
+
+
+def _in_leg(word: str, leg: tuple[str, ...]) -> str:
+    kind, _, joint = word.partition("_")
+    return f"{kind}_[{leg.index(joint)}]" if joint in leg else re.sub(r"^(\d+\.\d{3})\d*$", r"\1", word)
+
+
+def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance: np.ndarray) -> list[str]:
+    """Whether legs of the same geometry differ in what they are built of (the paper's check after section 3.1).
+
+    Their frictions always differ, and the table shows them.
+    """
+    place = {name: k for k, name in enumerate(system.problem.parameters)}
+    names = [name for name in dataset.base.names if name in place]
+    index = [place[name] for name in names]
+    if not np.diag(covariance)[index].all():
+        return []
+    found = leg_differences(dataset.robot, dataset.base, names, theta[index], covariance[np.ix_(index, index)])
+    differences = [
+        (float(relative), name, each)
+        for each in found
+        if each.probability < LEG_PROBABILITY
+        for name, relative, deviation in zip(each.compared, each.relative, each.deviations, strict=True)
+        if name.split("_")[0] not in FRICTION and relative > LEG_DIFFERENCE and abs(deviation) > LEG_DIFFERENCE_STD
+    ]
+    if not differences:
+        return []
+    relative, name, each = max(differences, key=lambda difference: difference[0])
+    size = f"{relative:.0f} %" if relative < 1000 else "more than ten times"
+    return [
+        f"legs of the same geometry differ, most in {name} of leg '{each.leg[0]}' ({size} off the mean of "
+        "the others): check that they are built alike"
+    ]

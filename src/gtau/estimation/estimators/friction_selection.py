@@ -1,0 +1,85 @@
+"""Which friction terms the data ask for, beyond the paper's viscous and Coulomb friction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.estimators.estimator import Solve
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.friction import TERMS, Friction, all_terms
+from gtau.estimation.regression.problem import Problem, delayed
+from gtau.estimation.regression.system import System
+from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.thresholds import FRICTION_TERM_GAIN, FRICTION_TERM_STD
+from gtau.progress import Progress
+
+LOAD_PASSES = 6  # of the logs, at most, for friction that depends on the torques transmitted
+LOAD_SETTLED = 1e-4  # relative change of the gains that ends them
+
+
+def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple[Dataset, System]:
+    """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
+
+    Terms that the joints' own equations ask for, but that all equations together do not tell, are left out again.
+    Returns the data, streamed again where a joint has load-dependent friction, and its problem.
+    """
+    joints, per_run = dataset.model.actuated, len(dataset.runs) > 1
+    friction = Friction(select_friction_terms(dataset.system(Friction(all_terms(joints), per_run)).problem), per_run)
+    if not any(term.startswith("fl_") for term in friction.terms):
+        system = dataset.system(friction)
+        return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
+    system = dataset.system(Friction(tuple(t for t in friction.terms if not t.startswith("fl_")), per_run))
+    gains = None
+    for _ in range(LOAD_PASSES):
+        solution = solve(system.problem)
+        settled = gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_SETTLED, atol=0)
+        gains = solution.gains
+        if settled:
+            break
+        dataset = dataset.reduced([system.load(k, solution.theta) for k in range(len(dataset.runs))], progress)
+        system = dataset.system(friction)
+    return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
+
+
+def select_friction_terms(problem: Problem) -> tuple[str, ...]:
+    """Terms that the Bayesian information criterion asks for, joint by joint.
+
+    Each joint's current is fitted by its own regressor alone, with every subset of its terms in
+    ``problem``; the subset of least ``r log(sigma^2) + k log(r)`` is taken. As the criterion believes in
+    independent errors, and real ones are correlated, a term must also lessen the error by 2 per cent.
+    """
+    chosen: list[str] = []
+    for j, joint in enumerate(problem.joints):
+        position = {name: k for k, name in enumerate(problem.parameters)}
+        offered = [f"{term}_{joint}" for term in TERMS if f"{term}_{joint}" in position]
+        rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
+        current = problem.triangles[j][:, problem.n_theta + 1 :] @ delayed(problem.own_delays[j])
+        rows = problem.total_rows[j]
+
+        def criterion(terms: tuple[str, ...]) -> float:
+            columns = problem.triangles[j][:, [*rest, *(position[name] for name in terms)]]  # noqa: B023
+            left = triangle(np.column_stack([columns, current]))[-1, -1]  # noqa: B023
+            price = max(np.log(rows), -2 * rows * np.log(1 - FRICTION_TERM_GAIN))  # noqa: B023
+            return float(rows * np.log(max(left**2, 1e-300)) + len(terms) * price)  # noqa: B023
+
+        subsets: list[tuple[str, ...]] = [()]
+        for name in offered:
+            subsets += [(*subset, name) for subset in subsets]
+        criteria = [criterion(subset) for subset in subsets]
+        chosen += subsets[int(np.argmin(criteria))]
+    return tuple(chosen)
+
+
+def prune_friction_terms(problem: Problem, friction: Friction, solve: Solve) -> tuple[str, ...]:
+    """The terms whose deviations by the jackknife are less than a third of them, the worst left out first."""
+    terms = tuple(name for name in friction.terms if name in problem.parameters)
+    while terms:
+        solution = solve(problem)
+        index = [problem.parameters.index(name) for name in terms]
+        relative = np.sqrt(np.diag(solution.jackknife)[index]) / np.abs(solution.theta[index])
+        worst = int(np.argmax(relative))
+        if relative[worst] <= FRICTION_TERM_STD:
+            break
+        problem = problem.without([terms[worst]])
+        terms = tuple(name for name in terms if name != terms[worst])
+    return terms

@@ -1,0 +1,88 @@
+"""Ordinary and weighted least squares with given drive gains (eqs. 24 to 28).
+
+Choose ``wls`` for logs of torques, or where the gains are known better than a payload can tell: each joint counts by
+its own residual standard deviation (eq. 28). ``ols`` (eq. 24) lets every joint's torque error count alike; it is there
+to compare with. All noise is taken to be the current's, of its own standard deviation in every joint,
+
+    e_j = v(t - d_j) - (W_theta theta + known) / g_j .
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solve
+from gtau.estimation.estimators.newton import solve
+from gtau.estimation.estimators.solution import Iterate, Solution
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import System
+
+
+def ols(problem: Problem, gains: np.ndarray) -> Solution:
+    """Ordinary least squares with given ``gains`` (n,): every joint's torque error counts alike (eq. 24)."""
+    return _with_given(problem, gains, lambda state, errors: np.abs(1 / state.b), "ordinary")
+
+
+def wls(problem: Problem, gains: np.ndarray) -> Solution:
+    """Weighted least squares with given ``gains`` (n,): joints weighted by their own error level (eq. 28)."""
+    weights = 1 / problem.own_sigma
+    return _with_given(problem, gains, lambda state, errors: weights, "weighted")
+
+
+def _with_given(
+    problem: Problem, gains: np.ndarray, weigh: Callable[[Iterate, np.ndarray], np.ndarray], name: str
+) -> Solution:
+    start = Iterate(np.zeros(problem.n_theta), 1 / np.asarray(gains, dtype=float), problem.own_delays)
+    solution = solve(problem, start, weigh, free_gains=False)
+    if not solution.settled:
+        raise GtauError(
+            f"{name} least squares did not settle, so the data do not fix the delays of the currents: "
+            f"{scarcity(problem)}check that position and current columns belong together, and add runs that move "
+            "every joint."
+        )
+    return solution
+
+
+def scarcity(problem: Problem) -> str:
+    """Equations and unknowns, and what gives more of the former."""
+    rows, unknowns = int(problem.total_rows.sum()), problem.n_theta + 2 * len(problem.joints)
+    return f"after filtering there are {rows} equations for {unknowns} unknowns; log longer runs, at a higher rate, "
+
+
+def fit_free(
+    solve_free: Solve,
+    dataset: Dataset,
+    system: System,
+    refined: Solution | None = None,
+    unrefined: Solution | None = None,
+) -> Fit:
+    """Fit with free gains, by ``solve_free`` or to a ``refined`` solution found from its ``unrefined`` one."""
+    unrefined = solve_free(system.problem) if unrefined is None else unrefined
+    solution = unrefined if refined is None else refined
+    return Fit(dataset, system, solution, solve_free, unrefined, partial(wls, gains=solution.gains), free_gains=True)
+
+
+def with_given(solver: Callable[[Problem, np.ndarray], Solution], given: Given) -> Solve:
+    """Fix the gains of a solver to those given."""
+    assert given.gains is not None
+    gains = given.gains
+    return lambda problem: solver(problem, gains)
+
+
+def _fit(solver: Callable[[Problem, np.ndarray], Solution], dataset: Dataset, system: System, given: Given) -> Fit:
+    solve_given = with_given(solver, given)
+    solution = solve_given(system.problem)
+    return Fit(dataset, system, solution, solve_given, solution, partial(wls, gains=solution.gains), free_gains=False)
+
+
+WLS = Estimator(
+    "wls", "weighted least squares with given gains", Gains.GIVEN, partial(with_given, wls), partial(_fit, wls), True
+)
+OLS = Estimator(
+    "ols", "ordinary least squares with given gains", Gains.GIVEN, partial(with_given, ols), partial(_fit, ols), True
+)

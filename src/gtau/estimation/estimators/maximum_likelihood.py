@@ -1,0 +1,75 @@
+"""Maximum likelihood of parameters, drive gains and delays in the domain of the current references.
+
+The default, and the estimator to choose unless something speaks for another. All noise is taken to be the current's,
+
+    e_j = v(t - d_j) - (W_theta theta + known) / g_j ,
+
+of a standard deviation sigma_j of its own in every joint, estimated from the current residuals alone. (From torque
+residuals of the homogeneous system a gain could buy small residuals by collapsing to zero.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solve
+from gtau.estimation.estimators.least_squares import fit_free, scarcity, with_given, wls
+from gtau.estimation.estimators.newton import solve
+from gtau.estimation.estimators.solution import Iterate, Solution
+from gtau.estimation.estimators.two_stage import two_stage
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds import MISFIT
+
+
+def ml(problem: Problem, prior: np.ndarray | None = None) -> Solution:
+    """Maximum likelihood of parameters, drive gains and delays, started from 2SLS.
+
+    Parameters
+    ----------
+    problem : Problem
+        All equations.
+    prior : ndarray, optional
+        Further equations (k, n_theta + 1): ``[P | y]`` for ``P theta = y`` with errors of unit variance.
+
+    Raises
+    ------
+    GtauError
+        Where the iteration does not settle though the model explains the currents. (Where it does not explain them,
+        the verdicts say so.)
+    """
+    first = two_stage(problem)
+    start = Iterate(first.theta, 1 / first.gains, first.delays)
+
+    def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
+        return 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
+
+    solution = solve(problem, start, weights, True, prior)
+    if not solution.settled and np.all(solution.sigma < MISFIT * problem.signal):
+        raise GtauError(
+            "the maximum-likelihood iteration did not settle, so the data do not fix the drive gains: "
+            f"{scarcity(problem)}check the signs and units of positions and currents, add runs that move every joint "
+            "or a heavier payload, or use --method wls with prior_gains."
+        )
+    return solution
+
+
+def ml_or_wls(given: Given) -> Solve:
+    """Maximum likelihood, or weighted least squares where the gains are given."""
+    return ml if given.gains is None else with_given(wls, given)
+
+
+def fit_either(solver: Solve, dataset: Dataset, system: System, given: Given) -> Fit:
+    """Fit by a solver of :func:`ml_or_wls`."""
+    return replace(fit_free(solver, dataset, system), free_gains=given.gains is None)
+
+
+def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
+    return fit_free(ml, dataset, system)
+
+
+ML = Estimator("ml", "maximum likelihood in the current domain", Gains.ESTIMATED, lambda given: ml, _fit)

@@ -1,0 +1,122 @@
+"""The standard parameters behind the base parameters, and what is known of them before the data.
+
+Their natural sizes follow from the robot's size and torques; the user may state values and bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.semidefinite import Body
+from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import System, known_values
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.robot import INERTIAL, STANDARD_GRAVITY, Robot
+from gtau.signals.experiment import Prior
+
+LOOSE = 10.0  # natural sizes: deviation of the prior on what nobody has stated
+SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
+
+
+@dataclass(frozen=True, eq=False)
+class StandardUnknowns:
+    """Unknowns x (c,) of the consistent fit, and ``theta = S x`` of the problem, (n_theta, c)."""
+
+    names: tuple[str, ...]
+    S: np.ndarray
+    bodies: tuple[Body, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    centre: np.ndarray
+    spread: np.ndarray
+    unit: np.ndarray
+    mass: float
+    length: float
+
+
+def standard_unknowns(
+    dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]
+) -> StandardUnknowns:
+    """The standard parameters behind the problem's, and what is known of them.
+
+    Raises
+    ------
+    GtauError
+        Where a prior names no standard parameter.
+    """
+    robot, problem = dataset.robot, system.whole
+    names = list(dataset.model.parameter_names)
+    position = {name: k for k, name in enumerate(names)}
+    bodies = [
+        Body(body, np.array([position[f"{kind}_{body}"] for kind in INERTIAL]), np.zeros(10))
+        for body in robot.bodies
+        if f"m_{body}" in position
+    ]
+    for each in system.payloads:
+        known = known_values(each.payload)
+        label = f"L{each.run + 1}"
+        first = len(names)
+        names += [f"{kind}_{label}" for kind in each.free]
+        places = [first + each.free.index(kind) if kind in each.free else -1 for kind in INERTIAL]
+        bodies.append(Body(label, np.array(places), np.array([known.get(kind, 0.0) for kind in INERTIAL])))
+    others = [name for name in problem.parameters[dataset.base.count :] if "@" in name or name in system.friction.terms]
+    names += others
+    S = np.zeros((problem.n_theta, len(names)))
+    S[: dataset.base.count, : len(position)] = dataset.base.matrix
+    row = {name: k for k, name in enumerate(problem.parameters)}
+    column = {name: k for k, name in enumerate(names)}
+    for each in system.payloads:
+        columns = [column[f"{kind}_L{each.run + 1}"] for kind in each.free]
+        S[np.ix_([row[name] for name in each.unknown], columns)] = each.sums
+    for name in others:
+        S[row[name], column[name]] = 1.0
+    length = characteristic_length(robot)
+    mass = _mass_scale(robot, problem, solution, length)
+    unit = np.array([_natural_size(name, robot, mass, length) for name in names])
+    centre, spread = np.zeros(len(names)), LOOSE * unit
+    lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
+    for body in bodies:
+        plausible = np.array([mass / len(robot.bodies) * (SLENDER * length) ** 2] * 10)
+        plausible[[1, 2, 4, 6, 7, 8]] = 0.0
+        plausible[9] = mass / len(robot.bodies)
+        centre[body.places[body.places >= 0]] = plausible[body.places >= 0]
+    for k, name in enumerate(names):
+        if name.split("_", 1)[0] in ("ia", "fv", "fs", "fl") and "@" not in name:
+            lower[k] = 0.0
+    for name, prior in priors.items():
+        if name not in column:
+            raise GtauError(
+                f"'priors' names '{name}', which is no standard parameter of robot '{robot.name}'; write kind and "
+                f"joint, such as '{names[0]}'."
+            )
+        k = column[name]
+        lower[k] = lower[k] if prior.min is None else prior.min
+        upper[k] = upper[k] if prior.max is None else prior.max
+        if prior.value is not None and prior.std is not None:
+            centre[k], spread[k] = prior.value, prior.std
+    return StandardUnknowns(tuple(names), S, tuple(bodies), lower, upper, centre, spread, unit, mass, length)
+
+
+def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:
+    """Mass that the largest rms torque would hold against gravity, kg."""
+    lever = [length if robot.joint(joint).kind == "revolute" else 1.0 for joint in problem.joints]
+    rms = [np.linalg.norm(R[:, problem.n_theta + 1]) for R in problem.triangles] / np.sqrt(problem.total_rows)
+    return float(np.max(np.abs(solution.gains) * rms / np.array(lever)) / STANDARD_GRAVITY)
+
+
+def _natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
+    kind, body = name.split("@", 1)[0].split("_", 1)
+    if kind in INERTIAL:
+        return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
+    turns = robot.joint(body).kind == "revolute"
+    if kind == "ia":
+        return mass * length**2 if turns else mass
+    if kind == "fl":
+        return 1.0
+    return mass * STANDARD_GRAVITY * (length if turns else 1.0)

@@ -1,0 +1,51 @@
+"""The runs of experiment files, read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gtau.errors import GtauError
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.progress import Progress, silent
+from gtau.robots.load import load_robot
+from gtau.signals.experiment import Experiment, LoggedRun, check_robot, read_experiment
+from gtau.signals.run import Run, read_run
+
+
+def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
+    """Read logged runs of an experiment file; raises GtauError."""
+    whole = 1000  # of a run
+
+    def read(k: int, run: LoggedRun) -> Run:
+        def advance(done: float) -> None:
+            progress("reading logs", round(whole * (k + done)), whole * len(runs))
+
+        return read_run(run.log, experiment.signals, run.payload, experiment.units, advance)
+
+    return tuple(read(k, run) for k, run in enumerate(runs))
+
+
+def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:
+    """Read an experiment file that is to be used with an identified model.
+
+    Raises
+    ------
+    GtauError
+        Where the file is wrong, or its robot or signals are not those of the model.
+    """
+    experiment = read_experiment(path)
+    robot = load_robot(experiment.robot)
+    check_robot(experiment, robot)
+    if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
+        raise GtauError(
+            f"{path} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
+            "another geometry; give the model of this robot."
+        )
+    if experiment.signals.kind != model.kind:
+        raise GtauError(
+            f"the logs of {path} hold {experiment.signals.kind}s, but the model was identified from {model.kind}s; "
+            "give logs of the same kind."
+        )
+    return experiment

@@ -1,0 +1,101 @@
+"""The identification itself: from the reduced runs to a result, the same for every estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from gtau.estimation.diagnostics.diagnose import diagnose
+from gtau.estimation.diagnostics.payload_checks import weigh_known
+from gtau.estimation.diagnostics.uncertainty import uncertainty_of
+from gtau.estimation.estimators.essential_parameters import reduce_fit
+from gtau.estimation.estimators.estimator import Estimator, Given
+from gtau.estimation.estimators.friction_selection import select_friction
+from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.friction import PAPER
+from gtau.estimation.results.build import build_result
+from gtau.estimation.results.result import Result
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is done beside the estimator.
+
+    Attributes
+    ----------
+    decimator : {"fir", "chebyshev"}
+        The compact FIR, or the paper's filter.
+    select_friction : bool
+        Select friction terms from the data, or take the paper's: viscous and Coulomb friction, the same in all runs.
+    delays : bool
+        Estimate a delay of each joint's current.
+    correlated : bool
+        Covariances by the block jackknife, which allows for residuals correlated in time, or by the method's formula.
+    ratio : float, optional
+        The paper's r_sigma for the essential parameters; without one the Bayesian information criterion decides.
+    joint_reduction : bool
+        Estimate the gains again together with the essential parameters, as the paper does.
+    """
+
+    decimator: Literal["fir", "chebyshev"] = "fir"
+    select_friction: bool = True
+    delays: bool = True
+    correlated: bool = True
+    ratio: float | None = None
+    joint_reduction: bool = False
+
+
+DEFAULT = Options()
+AS_PAPER = Options("chebyshev", select_friction=False, delays=False, correlated=False, ratio=10.0, joint_reduction=True)
+
+
+def estimate(
+    dataset: Dataset,
+    estimator: Estimator,
+    given: Given,
+    options: Options = DEFAULT,
+    prior_gains: Mapping[str, float] | None = None,
+    consistent: bool = False,
+) -> Result:
+    """Estimate parameters, drive gains and their uncertainties from reduced runs, and say what to believe.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The reduced runs (eqs. 19 and 20).
+    estimator : Estimator
+        From the registry.
+    given : Given
+        Gains, where the estimator takes them, and priors.
+    options : Options
+        What is done beside the estimator.
+    prior_gains : mapping, optional
+        Gains expected, N m/A or N/A, by joint, to hold the estimates against.
+    consistent : bool
+        Also find physically consistent standard parameters.
+
+    Raises
+    ------
+    GtauError
+        Where the data do not suit the estimator.
+    """
+    progress = given.progress
+    if options.select_friction:
+        dataset, system = select_friction(dataset, estimator.solver(given), progress)
+    else:
+        system = dataset.system(PAPER, options.delays)  # eqs. (29) to (33)
+    progress("estimation", 0, 1)
+    fit = estimator.fit(dataset, system, given)  # eqs. (24) to (28), or (34) to (39)
+    uncertainty = uncertainty_of(fit, options.correlated)
+    essential = reduce_fit(fit, uncertainty.covariance, options.ratio, options.correlated, options.joint_reduction)
+    payloads = weigh_known(fit, estimator.name) if fit.free_gains else {}
+    bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
+    progress("estimation", 1, 1)
+    if options.joint_reduction:  # the gains that go with the essential parameters
+        system = replace(fit.system, problem=essential.problem)
+        fit = replace(fit, system=system, solution=essential.solution)
+        uncertainty = replace(uncertainty, covariance=essential.solution.covariance)
+    diagnosis = diagnose(fit, uncertainty, payloads, prior_gains or {}, progress)
+    return build_result(fit, estimator, uncertainty, essential, diagnosis, bodies)

@@ -1,0 +1,114 @@
+"""An identified model: plain data that people read and programs load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
+from gtau.estimation.results.estimate import Estimate, Named, PayloadEstimate, TorqueError
+from gtau.estimation.results.singularity_distances import Distances, NearestPose
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.robot import Robot
+from gtau.signals.preparation import Preparation
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedModel:
+    """Drive gains, parameters and payloads of a robot, identified from its logs.
+
+    Attributes
+    ----------
+    robot : Robot
+        The robot.
+    method : str
+        One of :data:`gtau.estimation.estimators.registry.ESTIMATORS`.
+    drive_gains, delays : dict
+        Joint name to :class:`Estimate`.
+    friction : dict
+        Friction terms beyond the paper's that the data ask for; name to Estimate.
+    parameters, essential : dict
+        All base parameters, and those left by the reduction and re-estimated; name to Estimate. They differ for one
+        name: predict with ``parameters``, and read ``essential`` to see what these motions tell. The deviation of an
+        essential one is that with all parameters, as it absorbs what cancelled ones did; after the paper's ratio rule
+        it takes the cancelled ones for zero, as the rule does.
+    payloads : tuple of PayloadEstimate
+        One entry for each loaded run.
+    residuals : tuple of TorqueError
+        Over the rows used.
+    covariance : ndarray
+        (parameters, gains, delays), with rows named by ``covariance_names``; block jackknife.
+    preparation : Preparation
+        How the logs were filtered and decimated.
+    statistics : dict
+        Further figures of the method.
+    notes : tuple of str
+        What was repaired, left out, or is not to be trusted.
+    consistency : Consistency, optional
+        Standard parameters that rigid bodies can have, where they were asked for.
+    singularities : tuple of NearestPose
+        Where each run comes nearest to singularities of either type.
+    distances : tuple of Distances
+        The distances to singularities at each run's decimated samples; ``model.json`` does not hold them.
+    """
+
+    robot: Robot
+    method: str
+    kind: str
+    drive_gains: Mapping[str, Estimate]
+    delays: Mapping[str, Estimate]
+    parameters: Mapping[str, Estimate]
+    essential: Mapping[str, Estimate]
+    friction: Mapping[str, Estimate]
+    payloads: tuple[PayloadEstimate, ...]
+    residuals: tuple[TorqueError, ...]
+    covariance_names: tuple[str, ...]
+    covariance: np.ndarray
+    preparation: Preparation
+    statistics: Mapping[str, float]
+    runs: tuple[str, ...]
+    notes: tuple[str, ...]
+    consistency: Consistency | None = None
+    singularities: tuple[NearestPose, ...] = ()
+    distances: tuple[Distances, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("drive_gains", "delays", "parameters", "essential", "friction"):
+            object.__setattr__(self, name, Named(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())
+        head = f"{type(self).__name__}({self.robot.name!r}, {self.method!r}: drive gains {gains}; "
+        return (
+            f"{head}{len(self.parameters)} base parameters, {len(self.essential)} of them essential; "
+            "print(result.summary()) shows all)"
+        )
+
+    @cached_property
+    def model(self) -> InverseDynamics:
+        """The robot's model."""
+        return InverseDynamics(self.robot)
+
+    @cached_property
+    def base(self) -> BaseParameters:
+        """The robot's base parameters."""
+        return base_parameters(self.model)
+
+    @property
+    def params(self) -> dict[str, float]:
+        """Values of ``parameters`` by name, as predictions take them; 0 for one that the data cannot tell."""
+        return {name: estimate.value or 0.0 for name, estimate in self.parameters.items()}
+
+    def payload(self, name: str) -> dict[str, float]:
+        """Identified parameters of a payload by kind, the mean over its runs; empty for an unknown name."""
+        found: dict[str, list[float]] = {}
+        for each in self.payloads:
+            if each.name == name:
+                for kind, estimate in each.parameters.items():
+                    if estimate.value is not None:
+                        found.setdefault(kind, []).append(estimate.value)
+        return {kind: float(np.mean(values)) for kind, values in found.items()}
