@@ -79,7 +79,7 @@ def test_the_paper_s_deviations_rest_on_all_rows(runs: list[Run]) -> None:
     result = identify(FIVE_BAR, runs, as_paper=True)
     assert result.method == "tls"
     assert result.drive_gains["left"].freedom is None
-    with pytest.raises(GtauError, match=r"the paper has no method 'ml'.*choose from tls, ols, wls"):
+    with pytest.raises(GtauError, match=r"the paper has no method 'ml'.*choose from tls, wls, ols"):
         identify(FIVE_BAR, runs, "ml", as_paper=True)
 
 
