@@ -110,8 +110,48 @@ def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
     return ca.vertcat(*parts)
 
 
+@dataclass(frozen=True)
+class ClosureMaps:
+    """The functions of :class:`ClosureEquations` as expressions in ``c``, ``qd`` and ``qdd``.
+
+    ``residual`` (rows,), scaled ``G_p`` (rows, n_passive) and ``G_a`` (rows, n); ``moved`` (n_c,), ``size`` and
+    ``condition`` of a step of Newton's method; ``yd``, ``ydd`` (n_y,) and ``J`` (n_y, n), which want c closed.
+    """
+
+    c: ca.SX
+    qd: ca.SX
+    qdd: ca.SX
+    residual: ca.SX
+    G_p: ca.SX
+    G_a: ca.SX
+    moved: ca.SX
+    size: ca.SX
+    condition: ca.SX
+    yd: ca.SX
+    ydd: ca.SX
+    J: ca.SX
+    gap: ca.SX
+
+
 def closure_equations(layout: Coordinates) -> ClosureEquations:
     """Derive the closure equations of a robot from its geometry."""
+    maps = closure_maps(layout)
+    length = characteristic_length(layout.robot)
+    given, motion = [maps.c], [maps.condition, maps.yd, maps.ydd, maps.J.T]
+    return ClosureEquations(
+        maps.residual.shape[0],
+        length,
+        columns=compile_program(given, [maps.residual, maps.G_p.T, maps.G_a.T]),
+        step=compile_program(given, [maps.moved, maps.size, maps.condition]),
+        fast_step=compile_program(given, [maps.moved, maps.size]),
+        gap=compile_program(given, [maps.gap]),
+        motion=compile_program([maps.c, maps.qd, maps.qdd], motion),
+        scale=_scale(layout, length),
+    )
+
+
+def closure_maps(layout: Coordinates) -> ClosureMaps:
+    """Derive the closure equations, a step of Newton's method and eqs. (5) to (8) as expressions."""
     length = characteristic_length(layout.robot)
     given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
     c = _on_unit_quaternions(layout, given)
@@ -125,7 +165,6 @@ def closure_equations(layout: Coordinates) -> ClosureEquations:
     step = ca.SX(layout.n_y, 1)
     step[passive] = correction * unit[passive]
     moved = _on_unit_quaternions(layout, c + configuration_rates(layout, c, step))
-    size = _largest(correction)
     rounding = 1e-15 * _largest(c)  # of angles of many turns
 
     qd, qdd = ca.SX.sym("qd", len(actuated)), ca.SX.sym("qdd", len(actuated))
@@ -135,15 +174,20 @@ def closure_equations(layout: Coordinates) -> ClosureEquations:
     yd_all, ydd_all = J @ qd, J @ qdd
     drift, _ = solve(G_p, -ca.substitute(gamma, yd, yd_all), refine=True)
     ydd_all[passive] += drift * unit[passive]
-    return ClosureEquations(
-        G.shape[0],
-        length,
-        columns=compile_program([given], [residual, G_p.T, (G_a @ constant(np.diag(unit[actuated]))).T]),
-        step=compile_program([given], [moved, size, condition]),
-        fast_step=compile_program([given], [moved, size]),
-        gap=compile_program([given], [_largest(residual) - rounding]),
-        motion=compile_program([given, qd, qdd], [condition, yd_all, ydd_all, J.T]),
-        scale=_scale(layout, length),
+    return ClosureMaps(
+        given,
+        qd,
+        qdd,
+        residual,
+        G_p,
+        G_a @ constant(np.diag(unit[actuated])),
+        moved,
+        _largest(correction),
+        condition,
+        yd_all,
+        ydd_all,
+        J,
+        gap=_largest(residual) - rounding,
     )
 
 
