@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from gtau.estimation.weigh import weigh
     from gtau.excitation.design import design as excite
     from gtau.excitation.design_file import read_design
+    from gtau.export.registry import export_model
     from gtau.model.inverse_dynamics import InverseDynamics
     from gtau.robots.load import load_robot
     from gtau.robots.robot import Robot
@@ -33,6 +34,7 @@ __all__ = [
     "base_parameters",
     "compare",
     "excite",
+    "export_model",
     "identify",
     "load_robot",
     "read_design",
@@ -52,6 +54,7 @@ _HOMES = {
     "base_parameters": "estimation.regression.base_parameters",
     "compare": "estimation.compare",
     "excite": "excitation.design",
+    "export_model": "export.registry",
     "identify": "estimation.identify",
     "load_robot": "robots.load",
     "read_design": "excitation.design_file",

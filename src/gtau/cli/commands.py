@@ -8,6 +8,7 @@ import typer
 
 from gtau import __version__
 from gtau.cli.excitation import excite
+from gtau.cli.export import export
 from gtau.cli.fleet import fleet
 from gtau.cli.identification import compare, identify, payload, validate
 from gtau.cli.logs import check
@@ -39,7 +40,7 @@ def gtau(
     """Drive gains and dynamic parameters of robots, serial and parallel, from logged positions and motor currents."""
 
 
-for command in (check, identify, fleet, compare, validate, payload, robot, demo, simulate):
+for command in (check, identify, fleet, compare, validate, payload, export, robot, demo, simulate):
     app.command()(command)
 app.command(name="compare-control")(compare_control)
 app.command(context_settings={"allow_extra_args": True})(excite)  # the masses of --payload-mass

@@ -1,0 +1,161 @@
+"""C99: torques, currents, gravity, friction, inertia and regressor from the pose, without allocation."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from string import Template
+
+import casadi as ca
+
+from gtau.estimation.results.result import Result
+from gtau.export.exported import Exported, written
+from gtau.export.functions import Functions, functions
+from gtau.export.identified import Identified, identified, identifier, not_known
+from gtau.model.loops import CONDITION, CONTRACTION
+
+TEMPLATES = Path(__file__).with_name("templates")
+NEWTON_STEPS = 4  # from 0.01 rad away corrections are about 1e-2, 1e-4, 1e-8, 1e-16: the fourth is rounding
+CLOSED = 1e-8  # of the last correction; what is left after it is its square
+STARTING_STEPS = 200  # from home: a few milliradians or millimetres each
+HELPER = re.compile(r"^casadi_real casadi_\w+\([^)]*\) *\{.*?\}$", re.MULTILINE | re.DOTALL)
+BODY = re.compile(r"^static int casadi_f\d+\([^)]*\) *\{\n(.*?)^ *return 0;\n\}", re.MULTILINE | re.DOTALL)
+
+
+def export(result: Result, out: Path) -> Exported:
+    """Write C sources, header, controller, example and CMake file of the identified model into ``out``."""
+    model = identified(result)
+    return Exported(written(out, c_files(model)), notes=not_known(model))
+
+
+def c_files(model: Identified) -> dict[str, str]:
+    """Texts of the C sources, header, example and CMake file, by file name."""
+    made, name = functions(model), model.name
+    fields = _fields(model, made)
+    return {
+        f"{name}.h": _filled("model.h", fields),
+        f"{name}.c": _filled("model.c", fields),
+        f"{name}_controller.h": _filled("controller.h", fields),
+        f"{name}_controller.c": _filled("controller.c", fields),
+        "example.c": _filled("example.c", fields),
+        "CMakeLists.txt": _filled("CMakeLists.txt", fields),
+    }
+
+
+def _filled(template: str, fields: Mapping[str, str]) -> str:
+    return Template((TEMPLATES / f"{template}.in").read_text(encoding="utf-8")).substitute(fields)
+
+
+def _fields(model: Identified, made: Functions) -> dict[str, str]:
+    result, n = model.result, len(model.joints)
+    loops = result.model.loops
+    home = made.home[made.actuated]
+    turns = [result.robot.joint(joint).kind == "revolute" for joint in model.joints]
+    length = 1.0 if loops is None else loops.equations.length
+    fields = {
+        "title": f"Inverse dynamics of the robot '{_plain(result.robot.name)}'",
+        "robot": _plain(result.robot.name),
+        "method": result.method,
+        "runs": _plain(textwrap.shorten(", ".join(result.runs), 60, placeholder=" ...")),
+        "name": model.name,
+        "NAME": model.name.upper(),
+        "n": str(n),
+        "n_p": str(len(model.parameters)),
+        "n_c": str(len(made.home)),
+        "joint_table": "\n".join(_joint_rows(model, turns)),
+        "usage": _usage(model.name),
+        "newton_steps": str(NEWTON_STEPS),
+        "starting_steps": str(STARTING_STEPS),
+        "closed": repr(CLOSED),
+        "contraction": repr(CONTRACTION),
+        "condition": repr(CONDITION),
+        "length": f"{length:.4g}",
+        "actuated": ", ".join(map(str, made.actuated)),
+        "home": _numbers(made.home),
+        "gains": _numbers(model.gains),
+        "home_q": _numbers(home),
+        "amplitude": ", ".join("0.02" if turn else f"{0.02 * length:.4g}" for turn in turns),
+        "limits": ", ".join(["1e3"] * n),
+        "csv_head": ",".join(["t", *(f"v{_plain(joint)}" for joint in model.joints)]),
+        "payload_declarations": "".join(
+            f"extern const double {model.name}_parameters_with_{identifier(load)}[{model.name.upper()}_PARAMETERS];\n"
+            for load in model.payloads
+        ),
+        "parameter_arrays": "\n".join(_parameter_arrays(model)),
+        "kernels": _kernels(made),
+    }
+    return fields | {"closing": _filled("serial.c" if made.step is None else "loops.c", fields)}
+
+
+def _plain(text: str) -> str:
+    """Text that is safe in a comment and in a string of C."""
+    return re.sub(r"[^\w .,:;()+-]", "_", text, flags=re.ASCII)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return ", ".join(repr(float(value)) for value in values)
+
+
+def _joint_rows(model: Identified, turns: list[bool]) -> Iterator[str]:
+    unit = "A" if model.result.kind == "current" else "unit of the logs"
+    for k, (joint, turning) in enumerate(zip(model.joints, turns, strict=True)):
+        yield (
+            f" *   {k}  {_plain(joint):<12} q in {'rad' if turning else 'm'}, torque in {model.units[k]}, "
+            f"drive gain {model.gains[k]:.6g} {model.units[k]}/{unit}"
+        )
+
+
+def _usage(name: str) -> str:
+    calls = (
+        f"{name}_pose pose;",
+        f"{name}_start(&pose, q);",
+        f"if ({name}_move(&pose, q) == {name.upper()}_OK)",
+        f"  {name}_currents(&pose, qd, qdd, {name}_parameters, current);",
+    )
+    return "\n".join(f" *   {call}" for call in calls)
+
+
+def _parameter_arrays(model: Identified) -> Iterator[str]:
+    size = f"[{model.name.upper()}_PARAMETERS]"
+    yield f"const double {model.name}_parameters{size} = {{"
+    for k, each in enumerate(model.parameters):
+        std = "" if each.std is None else f" +- {each.std:.2g}"
+        regrouping = "" if each.regrouping in ("", each.name) else f" = {each.regrouping}"
+        comment = textwrap.shorten(f"{k} {each.name}, {each.unit}{std}{regrouping}", 90, placeholder=" ...")
+        yield f"    {float(each.value)!r}, /* {comment} */"
+    yield "};"
+    for load, values in model.payloads.items():
+        yield f"const double {model.name}_parameters_with_{identifier(load)}{size} = {{"
+        yield textwrap.fill(_numbers(values), 116, initial_indent="    ", subsequent_indent="    ")
+        yield "};"
+
+
+def _kernels(made: Functions) -> str:
+    """All functions as C: CasADi's code of each, with its arguments called by their names."""
+    helpers: dict[str, None] = {}
+    bodies = []
+    for function in filter(None, (made.step, made.last_step)):
+        outputs = ("moved", "size", "condition")[: function.n_out()]
+        bodies.append(_kernel(function, ("c",), outputs, helpers))
+    for function in made.outputs.values():
+        bodies.append(_kernel(function, ("c", "qd", "qdd", "p"), ("out",), helpers))
+    return "\n\n".join([*helpers, *bodies, ""])
+
+
+def _kernel(function: ca.Function, inputs: tuple[str, ...], outputs: tuple[str, ...], helpers: dict[str, None]) -> str:
+    generator = ca.CodeGenerator("kernel.c", {"with_header": False, "include_math": False})
+    generator.add(function)
+    text = generator.dump()
+    helpers |= {f"static {found.group()}".replace("casadi_real", "double"): None for found in HELPER.finditer(text)}
+    found = BODY.search(text)
+    assert found is not None, "CasADi writes its functions in another form than this version reads"
+    body = found.group(1).replace("casadi_real", "double")
+    body = re.sub(r"arg\[(\d+)\]\? *arg\[\1\]\[(\d+)\] *: *0", lambda m: f"{inputs[int(m[1])]}[{m[2]}]", body)
+    body = re.sub(r"if \(res\[(\d+)\]!=0\) *res\[\1\]\[(\d+)\]", lambda m: f"{outputs[int(m[1])]}[{m[2]}]", body)
+    assert not re.search(r"\b(arg|res)\[", body), "CasADi writes arguments in another form than this version reads"
+    unused = [name for name in inputs if not re.search(rf"\b{name}\[", body)]
+    arguments = [*(f"const double *{name}" for name in inputs), *(f"double *{name}" for name in outputs)]
+    ignored = "".join(f"  (void)({name});\n" for name in unused)
+    return f"static void kernel_{function.name()}({', '.join(arguments)}) {{\n{ignored}{body}}}"

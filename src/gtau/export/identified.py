@@ -1,0 +1,159 @@
+"""The identified model as exports see it: named parameters, gains, and torques in Python to compare with."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
+from gtau.estimation.results.estimate import Estimate, torque_unit
+from gtau.estimation.results.result import Result
+from gtau.model.loops import Motion
+from gtau.robots.robot import INERTIAL
+
+
+@dataclass(frozen=True, eq=False)
+class Parameter:
+    """A parameter of the exported torques: value and standard deviation in ``unit``, and what it regroups."""
+
+    name: str
+    value: float
+    std: float | None
+    unit: str
+    regrouping: str
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """The model that torques are computed from.
+
+    Attributes
+    ----------
+    result : Result
+        The identification it comes from.
+    name : str
+        The robot's name as an identifier of C, MATLAB and Python.
+    parameters : tuple of Parameter
+        Base parameters, then the friction terms f3 and fl.
+    payloads : dict
+        Name of each identified or known payload to the values of all parameters (n_p,) with it.
+    gains : ndarray
+        Drive gains (n,), N m/A or N/A; 1 where the logs hold torques.
+    units : tuple of str
+        ``N m`` or ``N`` for each actuated joint.
+    """
+
+    result: Result
+    name: str
+    parameters: tuple[Parameter, ...]
+    payloads: Mapping[str, np.ndarray]
+    gains: np.ndarray
+    units: tuple[str, ...]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the actuated joints, in order."""
+        return self.result.robot.actuated
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values (n_p,) of the parameters."""
+        return np.array([each.value for each in self.parameters])
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the friction terms among the parameters (``fl_11``)."""
+        return tuple(each.name for each in self.parameters[self.result.base.count :])
+
+
+def identified(result: Result) -> Identified:
+    """Gather what the exports of torques need from a result.
+
+    Raises
+    ------
+    GtauError
+        Where the result lacks a base parameter or a drive gain.
+    """
+    base, robot = result.base, result.robot
+    missing = [name for name in base.names if name not in result.parameters]
+    if missing:
+        raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
+    parameters = []
+    for each in (*(result.parameters[name] for name in base.names), *_terms(result)):
+        parameters.append(Parameter(each.name, each.value or 0.0, each.std, each.unit, each.regrouping))
+    gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
+    values = np.array([each.value for each in parameters])
+    units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
+    return Identified(result, identifier(robot.name), tuple(parameters), _payloads(result, values), gains, units)
+
+
+def identifier(name: str) -> str:
+    """A name that C, MATLAB and Python accept: ``five-bar`` becomes ``five_bar``."""
+    plain = re.sub(r"\W", "_", name.lower(), flags=re.ASCII)
+    return plain if re.match(r"[a-z]", plain) else f"robot_{plain}"
+
+
+def torques(
+    model: Identified, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, values: np.ndarray | None = None
+) -> np.ndarray:
+    """Torques (N, n) in N m or N along a path of the actuated joints, (N, n) each.
+
+    Parameters
+    ----------
+    model : Identified
+        From :func:`identified`.
+    q, qd, qdd : ndarray
+        Positions, velocities and accelerations, SI units; the path begins near home.
+    values : ndarray, optional
+        Parameters (n_p,) other than the identified ones, those of a payload for instance.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed, or a pose is too close to a singularity.
+    """
+    idm = model.result.model
+    return torques_of(model, idm.motion(q.T, qd.T, qdd.T), qd.T, model.values if values is None else values).T
+
+
+def torques_of(model: Identified, motion: Motion, qd: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Torques (n, N) of a motion whose actuated velocities are ``qd`` (n, N), friction terms included."""
+    idm, base, joints = model.result.model, model.result.base, model.joints
+    regressor, chi = idm.columns(base.standard), values[: base.count]
+    tau = regressor.torques_along(idm.layout, motion, chi)
+    if model.terms:
+        named = dict(zip(model.terms, values[base.count :], strict=True))
+        term = np.array([[named.get(f"{kind}_{joint}", 0.0) for joint in joints] for kind in TERMS])
+        load = regressor.torques_along(idm.layout, motion, chi * transmitted(base.names))
+        tau = tau + np.einsum("tj,tjk->jk", term, term_columns(qd, load))
+    return tau
+
+
+def _terms(result: Result) -> list[Estimate]:
+    offered = [f"{kind}_{joint}" for kind in TERMS for joint in result.robot.actuated]
+    return [result.friction[name] for name in offered if name in result.friction]
+
+
+def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
+    base, place = result.base, {name: k for k, name in enumerate(result.model.parameter_names)}
+    loaded = {}
+    for name in dict.fromkeys(each.name for each in result.payloads):
+        found = result.payload(name)
+        if "m" in found:
+            with_it = values.copy()
+            for kind in INERTIAL:
+                with_it[: base.count] += found.get(kind, 0.0) * base.matrix[:, place[f"{kind}_{result.robot.tool}"]]
+            loaded[name] = with_it
+    return loaded
+
+
+def not_known(model: Identified) -> tuple[str, ...]:
+    """A sentence on parameters that are not identifiable from the logs and enter as zero, if there are any."""
+    lost = [name for name, each in model.result.parameters.items() if each.value is None]
+    if not lost:
+        return ()
+    return (f"not identifiable from the logs and exported as zero: {', '.join(lost)}",)

@@ -1,0 +1,53 @@
+"""The kinds of exports: a new one is a file with a function ``export`` and a line here."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from importlib import import_module
+from pathlib import Path
+
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
+from gtau.export.exported import Exported
+
+KINDS = {
+    "c": "C99 source of torques, currents, gravity, friction, inertia and regressor, with a controller",
+}
+
+
+def export_model(model: Result | str | Path, kind: str, out: str | Path, into: str | Path | None = None) -> Exported:
+    """Write an identified model in the form that a controller, simulator or paper takes.
+
+    Parameters
+    ----------
+    model : Result or path
+        The result, or the ``model.json`` of one.
+    kind : str
+        One of ``gtau.export.registry.KINDS``.
+    out : path
+        Folder of the files.
+    into : path, optional
+        For the kinds ``urdf`` and ``mjcf``: the robot's own file, of which a copy with the identified parameters
+        and everything else as it was is written.
+
+    Returns
+    -------
+    Exported
+        Files written, and notes on what the target cannot express.
+
+    Raises
+    ------
+    GtauError
+        Where the model lacks what the kind needs, or the files cannot be written.
+    """
+    if kind not in KINDS:
+        close = get_close_matches(kind, KINDS, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(KINDS)}."
+        raise GtauError(f"there is no export to '{kind}'; {hint}")
+    result = model if isinstance(model, Result) else Result.load(model)
+    module = import_module(f"gtau.export.{kind}")
+    if into is None:
+        return module.export(result, Path(out))
+    if not hasattr(module, "export_into"):
+        raise GtauError(f"--into puts a model back into a URDF or MJCF file, not into '{kind}'; leave it out.")
+    return module.export_into(result, Path(into), Path(out))

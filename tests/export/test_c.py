@@ -1,0 +1,152 @@
+"""Exported C code, compiled and run, beside the model in Python."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from models_to_export import model_of
+from robots_for_tests import ROBOTS, home, random_samples
+
+from gtau.estimation.results.result import Result
+from gtau.export.c import export
+from gtau.export.identified import identified, torques
+from gtau.robots.robot import Robot
+
+GCC = shutil.which("gcc")
+needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed")
+FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror")
+
+
+class Compiled:
+    """The exported code of a result as a shared library."""
+
+    def __init__(self, result: Result, folder: Path) -> None:
+        self.model = identified(result)
+        export(result, folder)
+        name = self.model.name
+        sources = [str(folder / f"{name}.c"), str(folder / f"{name}_controller.c")]
+        library = folder / f"lib{name}.so"
+        subprocess.run([GCC, *FLAGS, "-O0", "-shared", "-fPIC", "-o", library, *sources, "-lm"], check=True)
+        self.library, self.n, self.n_p = ctypes.CDLL(str(library)), len(self.model.joints), len(self.model.parameters)
+        self.pose = np.zeros(len(result.model.loops.home) if result.model.loops else self.n)
+
+    def __call__(self, function: str, *arrays: np.ndarray, size: int = 0) -> np.ndarray | int:
+        """Call a function with the pose and arrays; an output of ``size`` numbers, or else its status."""
+        out = np.full(size, np.nan)
+        inputs = [np.ascontiguousarray(array, dtype=float) for array in (self.pose, *arrays)]
+        inputs[0] = self.pose
+        inputs += [out] if size else []
+        entry = getattr(self.library, f"{self.model.name}_{function}")
+        status = entry(*(array.ctypes.data_as(ctypes.c_void_p) for array in inputs))
+        return out if size else status
+
+
+def relative(found: np.ndarray, expected: np.ndarray) -> float:
+    """Largest difference over the largest number."""
+    return float(np.abs(found - expected).max() / np.abs(expected).max())
+
+
+QUICK = ("tree", "ur10e", "slider-crank", "five-bar", "two platforms")  # the others take gcc too long for every day
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    "robot",
+    [pytest.param(robot, marks=() if robot.name in QUICK else pytest.mark.slow, id=robot.name) for robot in ROBOTS],
+)
+def test_c_gives_what_python_gives(robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
+    result = model_of(robot)
+    c = Compiled(result, tmp_path)
+    model, n, n_p = c.model, c.n, c.n_p
+    q, qd, qdd = random_samples(robot, rng, 5)
+    loaded = next(iter(model.payloads.values()))
+    for values in (model.values, loaded):
+        expected = torques(model, q, qd, qdd, values)
+        still = torques(model, q, 0 * qd, 0 * qdd, values)
+        for k in range(len(q)):
+            assert c("start", q[k]) == 0
+            tau = c("torques", qd[k], qdd[k], values, size=n)
+            assert relative(tau, expected[k]) < 1e-12
+            assert relative(c("currents", qd[k], qdd[k], values, size=n), expected[k] / model.gains) < 1e-12
+            W = c("regressor", qd[k], qdd[k], values, size=n * n_p).reshape(n, n_p)
+            assert relative(W @ values, expected[k]) < 1e-11
+            gravity = c("gravity", values, size=n)
+            friction = c("friction", qd[k], qdd[k], values, size=n)
+            offsets = c("friction", 0 * qd[k], 0 * qdd[k], values, size=n)
+            assert relative(gravity + offsets, still[k]) < 1e-12
+            M = c("inertia", values, size=n * n).reshape(n, n)
+            np.testing.assert_allclose(M, M.T, atol=1e-12 * np.abs(M).max())
+            slower = tau - c("torques", qd[k], 0 * qdd[k], values, size=n)
+            slower -= friction - c("friction", qd[k], 0 * qdd[k], values, size=n)
+            assert np.abs(M @ qdd[k] - slower).max() < 1e-11 * np.abs(expected[k]).max()
+
+
+@needs_gcc
+def test_payloads_stand_in_the_code(tmp_path: Path) -> None:
+    c = Compiled(model_of(ROBOTS[1]), tmp_path)
+    array = (ctypes.c_double * c.n_p).in_dll(c.library, "tree_parameters_with_tool_2")
+    np.testing.assert_array_equal(np.array(array), c.model.payloads["tool 2"])
+    assert not np.array_equal(np.array(array), c.model.values)
+
+
+@needs_gcc
+def test_a_pose_out_of_reach_has_a_status_and_leaves_the_last_pose(tmp_path: Path) -> None:
+    robot = next(robot for robot in ROBOTS if robot.name == "five-bar")
+    c = Compiled(model_of(robot), tmp_path)
+    q = home(robot)
+    assert c("start", q) == 0
+    before = c.pose.copy()
+    assert c("move", np.array([np.pi, 0.0])) == 1  # the forearms do not meet
+    np.testing.assert_array_equal(c.pose, before)
+    assert c("move", np.full(2, np.nan)) == 1
+    np.testing.assert_array_equal(c.pose, before)
+    assert c("move", q + 1e-3) == 0
+
+
+@needs_gcc
+@pytest.mark.slow
+def test_the_loops_close_along_a_fast_motion(tmp_path: Path) -> None:
+    robot = next(robot for robot in ROBOTS if robot.name == "orthoglide")
+    result = model_of(robot)
+    c = Compiled(result, tmp_path)
+    time = np.arange(0, 0.5, 1e-3)
+    q = home(robot) + 0.08 * np.sin(2 * np.pi * 3 * time[:, None] + np.arange(3))  # 1.5 m/s
+    closed = result.model.path(q.T)
+    assert c("start", q[0]) == 0
+    for k in range(len(time)):
+        assert c("move", q[k]) == 0
+        np.testing.assert_allclose(c.pose, closed[:, k], atol=1e-12)
+
+
+@needs_gcc
+def test_example_and_cmake_file_work(tmp_path: Path) -> None:
+    cmake = shutil.which("cmake")
+    if cmake is None:
+        pytest.skip("cmake is not installed")
+    robot = next(robot for robot in ROBOTS if robot.name == "five-bar")
+    export(model_of(robot), tmp_path)
+    options = f"-DCMAKE_C_FLAGS={' '.join(FLAGS)}"
+    for command in ([cmake, "-S", tmp_path, "-B", tmp_path / "build", options], [cmake, "--build", tmp_path / "build"]):
+        subprocess.run(command, check=True, capture_output=True)
+    text = subprocess.check_output([tmp_path / "build" / "five_bar_example"], text=True)
+    lines = text.splitlines()
+    assert lines[0] == "t,vleft,vright"
+    table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
+    assert table.shape == (1000, 3)
+    model = identified(model_of(robot))
+    t = table[:, :1]
+    w = 2 * np.pi
+    amplitude = 0.02
+    path = (
+        home(robot) + amplitude * (1 - np.cos(w * t)) / 2 + np.zeros(2),
+        amplitude * w * np.sin(w * t) / 2 + np.zeros(2),
+        amplitude * w**2 * np.cos(w * t) / 2 + np.zeros(2),
+    )
+    expected = torques(model, *path) / model.gains
+    moving = np.abs(np.sin(w * t[:, 0])) > 1e-6  # at rest the sign of a velocity is chance
+    np.testing.assert_allclose(table[moving, 1:], expected[moving], rtol=1e-6, atol=1e-6)

@@ -1,0 +1,83 @@
+"""Identified models of any robot, made without identification: parameters of bodies that could be built."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from engines import random_parameters
+from robots_for_tests import ROBOTS
+
+from gtau.estimation.diagnostics.verdict import GOOD
+from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.estimation.results.estimate import Consistency, Estimate, PayloadEstimate, torque_unit, unit_of
+from gtau.estimation.results.result import Result
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.robot import Robot
+from gtau.signals.decimation import Decimator
+from gtau.signals.preparation import Preparation
+
+PAYLOAD = {"m": 1.5, "mx": 0.1, "my": -0.05, "mz": 0.2, "xx": 0.1, "yy": 0.2, "zz": 0.15}
+
+
+def model_of(
+    robot: Robot, seed: int = 0, terms: bool = True, consistent: bool = True, chi: dict[str, float] | None = None
+) -> Result:
+    """A result with random parameters, friction terms f3 and fl if ``terms``, and a payload on the tool."""
+    rng, model = np.random.default_rng(seed), InverseDynamics(robot)
+    standard = dict.fromkeys(model.parameter_names, 0.0) | (random_parameters(robot, rng) if chi is None else chi)
+    base = base_parameters(model)
+    values = base.matrix @ [standard[name] for name in model.parameter_names]
+    joints, units = robot.actuated, [torque_unit(robot, joint) for joint in robot.actuated]
+    gains = rng.uniform(1.5, 4.0, len(joints)) * np.where(np.arange(len(joints)) % 3 == 1, -1.0, 1.0)
+
+    def unit(name: str) -> str:
+        kind, body = name.split("_", 1)
+        return unit_of(kind, robot, body)
+
+    parameters = {
+        name: Estimate(name, float(value), abs(float(value)) / 50 + 1e-4, unit(own), base.regroupings[name])
+        for name, own, value in zip(base.names, base.standard, values, strict=True)
+    }
+    friction = {}
+    if terms:
+        for joint in joints:
+            friction[f"f3_{joint}"] = Estimate(f"f3_{joint}", float(rng.uniform(0.01, 0.1)), 0.005, "N m s3/rad3")
+        friction[f"fl_{joints[0]}"] = Estimate(f"fl_{joints[0]}", 0.07, 0.002, "1")
+    payload = {kind: Estimate(kind, value, 0.01, unit_of(kind, robot, robot.tool)) for kind, value in PAYLOAD.items()}
+    pairs = zip(joints, gains, units, strict=True)
+    return Result(
+        robot=robot,
+        method="ml",
+        kind="current",
+        drive_gains={joint: Estimate(joint, float(gain), 0.01, f"{unit}/A") for joint, gain, unit in pairs},
+        delays={joint: Estimate(joint, 0.0, None, "s") for joint in joints},
+        parameters=parameters,
+        essential=parameters,
+        friction=friction,
+        payloads=(PayloadEstimate("tool 2", "loaded", payload, frozenset({"m"}), GOOD),),
+        residuals=(),
+        covariance_names=tuple(f"gain_{joint}" for joint in joints),
+        covariance=np.eye(len(joints)) * 1e-4,
+        preparation=Preparation(10.0, 50.0, Decimator(10, "fir"), 0.05),
+        statistics={"lack_of_fit": 1.0, "reduction_loss": 0.0},
+        runs=("free", "loaded"),
+        notes=(),
+        consistency=Consistency(
+            standard=standard,
+            payloads={},
+            gains={joint: (float(gain), 0.01) for joint, gain in zip(joints, gains, strict=True)},
+            moves=(),
+            eigenvalues={},
+            loss={},
+            open=base.without_effect,
+        )
+        if consistent
+        else None,
+    )
+
+
+@cache
+def models() -> dict[str, Result]:
+    """A model of every robot of the tests, by the robot's name."""
+    return {robot.name: model_of(robot) for robot in ROBOTS}
