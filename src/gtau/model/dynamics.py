@@ -1,9 +1,9 @@
-"""The inverse dynamic model of any robot, linear in its standard parameters (paper, eqs. 1, 2, 15).
+"""The inverse dynamic model of any robot, linear in its standard parameters (paper, eqs. 1, 2 and 11 to 15).
 
-By the principle of virtual power (eq. 14) a body's wrench acts on actuated joint k through the
-body's partial twist, its twist when q_k alone moves at unit rate and the closures hold. The partial
-twists are carried up each chain from the columns of ``J = dy/dq``, so that the projection
-``J_t^T IDM_t`` and ``J_p^T D^T IDM_p`` of eq. (15) is built in and IDM_t is never formed.
+By the principle of virtual power (eq. 14), a body's wrench acts on actuated joint k through the body's partial twist:
+its twist when q_k alone moves at unit rate and the closures hold. The partial twists are propagated along each chain
+from the columns of ``J = dy/dq``. So the projections ``J_t^T IDM_t`` and ``J_p^T D^T IDM_p`` of eq. (15) are built in,
+IDM_t is never formed, and the Lagrange multipliers of eqs. (11) and (12) need not be solved for.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from gtau.robots.robot import DRIVE, INERTIAL, Robot
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
-    """Names of the standard parameters: 14 a joint (10 with ``"inertial"``) or what it has, then 10 a platform."""
+    """List the names of the standard parameters: those of each joint, 14 at most, then 10 of each platform.
+
+    ``"inertial"`` leaves out rotor inertia, friction and offset.
+    """
     kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
     joints = [
         f"{kind}_{joint.name}"
@@ -30,7 +33,7 @@ def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
 
 
 def _wrench(chi: dict[str, ca.SX], body: str, twist: Twist, acceleration: Twist) -> Twist:
-    """Newton-Euler at the frame's origin: the moment (angular) and force (linear) that move a body."""
+    """Apply Newton-Euler at the frame's origin: moment (angular) and force (linear) on a body, eqs. (1) and (2)."""
     xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[f"{kind}_{body}"] for kind in INERTIAL)
     inertia = ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
     ms = ca.vertcat(mx, my, mz)
@@ -48,7 +51,9 @@ def torques(
     J: ca.SX,
     chi: dict[str, ca.SX],
 ) -> ca.SX:
-    """Torques of the actuated joints ``tau_idm`` (n,), eq. (15).
+    """Express the torques of the actuated joints ``tau_idm`` (n,), eq. (15).
+
+    They equal ``-B^T lambda`` with the multipliers of eqs. (11) and (12).
 
     Parameters
     ----------
@@ -71,7 +76,7 @@ def torques(
     for k in range(J.shape[1]):
         partial = twists(layout, frame, J[:, k])
         power = ca.SX(0)
-        for body in massive:
+        for body in massive:  # eqs. (13) and (14): for a platform, D^T tau_p along the columns of J_p
             power += ca.dot(partial[body].angular, wrench[body].angular)
             power += ca.dot(partial[body].linear, wrench[body].linear)
         for row, joint in enumerate(robot.joints):
