@@ -10,10 +10,11 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
-from gtau.estimation.results.estimate import Estimate, torque_unit
+from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.robot import INERTIAL
+from gtau.robots.units import torque_unit
 
 
 @dataclass(frozen=True, eq=False)
