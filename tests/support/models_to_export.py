@@ -10,10 +10,11 @@ from robots_for_tests import ROBOTS
 
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.regression.base_parameters import base_parameters
-from gtau.estimation.results.estimate import Consistency, Estimate, PayloadEstimate, torque_unit, unit_of
+from gtau.estimation.results.estimate import Consistency, Estimate, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
+from gtau.robots.units import torque_unit, unit_of
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import Preparation
 
