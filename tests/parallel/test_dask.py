@@ -19,8 +19,9 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 from shard_functions import away, fragile, refusing, slow_reduce_shard
 
 from gtau.errors import GtauError
+from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import read_runs, reduce_runs, reduce_shard
+from gtau.estimation.regression.dataset import reduce_runs, reduce_shard
 from gtau.estimation.regression.factors import STRETCHES
 from gtau.parallel import dask_executor
 from gtau.parallel.dask_executor import connected, dask_map

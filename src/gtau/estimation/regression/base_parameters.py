@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from gtau.estimation.regression.legs import identical_legs
 from gtau.estimation.regression.triangle import triangle
@@ -65,6 +66,7 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
     return [name for name in order if name in wanted]
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on busy cores threads make the QR a hundred times slower
 def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
     """Base parameters of a robot from the structure of its model.
 
