@@ -37,9 +37,9 @@ from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
-from gtau.robots.load import load_robot
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.experiment import Payload
 from gtau.signals.filters import differentiate

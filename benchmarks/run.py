@@ -39,8 +39,8 @@ from whole import excitation_gradient, orthoglide_gains, ur10e_parameters
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.triangle import triangle
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, SampleWindow

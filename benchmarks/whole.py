@@ -25,8 +25,8 @@ from table import Row, check, medians, motion
 import gtau
 from gtau.excitation.design_file import read_design
 from gtau.excitation.nlp import Programme
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot
 from gtau.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
 

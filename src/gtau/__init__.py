@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from gtau.excitation.design import design as excite
     from gtau.excitation.design_file import read_design
     from gtau.export.registry import export_model
+    from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
-    from gtau.robots.load import load_robot
     from gtau.robots.robot import Robot
     from gtau.signals.run import Run, read_run
     from gtau.simulation.experiment_files import simulate_experiment as simulate
@@ -56,7 +56,7 @@ _HOMES = {
     "excite": "excitation.design",
     "export_model": "export.registry",
     "identify": "estimation.identify",
-    "load_robot": "robots.load",
+    "load_robot": "model.home",
     "read_design": "excitation.design_file",
     "read_run": "signals.run",
     "simulate": "simulation.experiment_files",

@@ -13,9 +13,9 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
 from gtau.estimation.thresholds import INFLATED
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
-from gtau.robots.load import load_robot
 from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run

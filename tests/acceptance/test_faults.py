@@ -18,8 +18,8 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds import INFLATED
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Mdh, Robot
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run, read_run

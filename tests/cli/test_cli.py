@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import gtau.estimation.identify
 from gtau.cli.commands import app
-from gtau.robots.load import CATALOG
+from gtau.robots.readers.read import CATALOG
 
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
 WEIGHING = EXPERIMENT.replace("loaded.csv, payload: {name: steel, mass: 1.2}", "unknown.csv, payload: {name: lead}")

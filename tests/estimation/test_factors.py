@@ -23,7 +23,7 @@ from gtau.estimation.regression.friction import Friction, all_terms
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import require_scale
 from gtau.estimation.results.result import Result
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.experiment import Payload
 from gtau.signals.preparation import prepare

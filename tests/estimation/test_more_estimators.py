@@ -23,7 +23,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 from gtau.signals.experiment import Payload, Prior
 from gtau.signals.run import Run
 

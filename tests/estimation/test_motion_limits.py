@@ -10,8 +10,8 @@ from five_bar_logs import Plant
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.dataset import prepare_runs
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Limits, Robot
 from gtau.signals.preparation import PreparedRun, choose_preparation
 from gtau.signals.run import Run

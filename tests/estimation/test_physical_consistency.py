@@ -18,7 +18,7 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.semidefinite import BASIS, MARGIN, Body, constrained_least_squares, pseudo_inertia
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Payload, Prior
 from gtau.signals.run import Run

@@ -13,7 +13,7 @@ from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 from gtau.signals.run import Run
 from gtau.simulation.orthoglide_truth import DRIVE_GAINS
 

@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.estimation.results.model_file import to_document
 from gtau.estimation.results.result import Result
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 from gtau.signals.experiment import Payload
 
 PLANT = Plant(delays=(1e-3, 2e-3), noise=0.01)

@@ -25,9 +25,9 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
-from gtau.robots.load import load_robot
 from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import Payload
 from gtau.signals.preparation import Preparation, choose_preparation, prepare

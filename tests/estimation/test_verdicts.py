@@ -22,7 +22,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds import INFLATED
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run
 

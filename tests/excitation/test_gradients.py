@@ -16,8 +16,8 @@ from gtau.excitation.information import Window, derivative
 from gtau.excitation.regressor import smooth_regressor
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Payload
 

@@ -13,7 +13,7 @@ import gtau
 from gtau.cli.commands import app
 from gtau.cli.export import KINDS as SPELLED
 from gtau.export.registry import KINDS
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 
 
 @pytest.fixture(scope="module")

@@ -153,7 +153,7 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
     elif change == "method":
         method = "mixed"
     else:
-        from gtau.robots.load import load_robot
+        from gtau.model.home import load_robot
         from gtau.robots.readers.native_text import native_text
 
         (tmp_path / "five-bar").write_text(native_text(load_robot("five-bar")).replace("0.35", "0.36"))

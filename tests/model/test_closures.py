@@ -28,12 +28,11 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.model import loops as loops_module
 from gtau.model import random_states as states_module
-from gtau.model.closures import gaps
 from gtau.model.coordinates import coordinates
+from gtau.model.home import close_home, load_robot, loop_errors
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import CONDITION, advance, follow
 from gtau.model.random_states import random_motion
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Coupling, Pose, Robot
 
 every_robot = pytest.mark.parametrize("robot", CLOSED, ids=lambda robot: robot.name)
@@ -74,7 +73,7 @@ def test_loops_are_closed(robot):
     assert np.array_equal(motion.c[loops.layout.actuated], q.T)
     assert np.abs(loops.newton(motion.c)[0]).max() < 1e-12
     for c in motion.c.T[::100]:
-        assert gaps(loops.layout, c).max() < 1e-12
+        assert np.abs(loop_errors(loops.layout)(c)[0]).max() < 1e-12
 
 
 @every_robot
@@ -372,8 +371,11 @@ def test_the_printed_table_of_the_orthoglide_is_refused():
     printed = replace(foot, placement=replace(foot.placement, r=-foot.placement.r))
     wrong = replace(robot, joints=tuple(printed if joint.name == "13" else joint for joint in robot.joints))
     layout = coordinates(wrong)
-    assert_allclose(gaps(layout, layout.home)[:, 0], [0.0, 0.0, 0.68], atol=1e-12)
-    assert "the loops close only far from the home configuration, with joint '23' at" in refusal(close, wrong)
+    errors = loop_errors(layout)
+    distances = np.linalg.norm(errors(layout.home)[0][:18].reshape(3, 2, 3), axis=2) * (errors.length, 1.0)
+    assert_allclose(distances, [[0.0, 0.0], [0.0, 0.0], [0.68, 0.0]], atol=1e-12)
+    assert "the loops close only far from the home configuration, with '23' " in refusal(close, wrong)
+    assert "the loops close only far from the home configuration in the file, with joint" in refusal(close_home, wrong)
 
 
 def test_home_may_be_rough():

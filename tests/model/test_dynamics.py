@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters, symmetric_order
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.robot import DRIVE, INERTIAL, Coupling, Robot
 
 every_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)

@@ -19,13 +19,15 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.model.random_states import random_motion
-from gtau.robots.geometry import Configuration, attached, frames
-from gtau.robots.load import load_robot
+from gtau.model.singularities import singularities
+from gtau.robots.geometry import attached
 from gtau.robots.readers.native import parse_native
-from gtau.robots.robot import Robot
+from gtau.robots.readers.read import CATALOG
+from gtau.robots.robot import GROUND, Robot
 
 
 @cache
@@ -88,9 +90,9 @@ def test_the_five_bar_has_its_closed_forms(point: tuple[float, float]) -> None:
     forearms, elbow_speeds = five_bar_bars(q, np.array(point))
     A, B = forearms, np.diag(np.einsum("ij,ij->i", forearms, elbow_speeds))  # A v = B qd
     J = np.linalg.solve(A, B) / idm.loops.equations.length
-    found = idm.singularities.jacobian(motion)[0]
+    found = singularities(idm).jacobian(motion)[0]
     assert_allclose(found.T @ found, J.T @ J, rtol=1e-10, atol=1e-12)
-    type_1, type_2 = idm.singularities.distances(motion)[:, 0]
+    type_1, type_2 = singularities(idm).distances(motion)[:, 0]
     assert type_1 == pytest.approx(index(J[None])[0], rel=1e-9)
     # type 2: det(A) = L2^2 sin(angle between the forearms), and the two columns of G_p are as long as each other
     assert type_2 == pytest.approx(abs(np.linalg.det(A)) / L2**2, rel=1e-9)
@@ -102,7 +104,7 @@ def test_a_stretched_leg_is_of_type_1_alone() -> None:
     for short in (1e-4, 1e-6, 1e-8):
         reach, angle = L1 + L2 - short, 0.9  # of the left leg
         q = five_bar_pose(-C + reach * np.cos(angle), reach * np.sin(angle))
-        found.append(five_bar().singularities.distances(at_rest(five_bar(), q[None]))[:, 0])
+        found.append(singularities(five_bar()).distances(at_rest(five_bar(), q[None]))[:, 0])
     type_1, type_2 = np.array(found).T
     assert_allclose(type_1[1:] / type_1[:-1], 0.1, rtol=0.1)  # the sine goes by the root of what the leg lacks
     assert type_1[-1] < 2e-3
@@ -116,23 +118,23 @@ def test_forearms_side_by_side_are_of_type_2_alone() -> None:
     for short in (0.3, 0.1, 0.03, 0.01):
         q = np.array([meet + short, pi - meet - short])
         motion = at_rest(five_bar(), q[None])
-        found.append(five_bar().singularities.distances(motion)[:, 0])
+        found.append(singularities(five_bar()).distances(motion)[:, 0])
     type_1, type_2 = np.array(found).T
     assert (np.diff(type_2) < 0).all()
     assert type_2[-1] < 0.03
     assert type_1.min() > 0.3
-    assert np.linalg.cond(five_bar().singularities.jacobian(motion)[0]) > 10  # of J_t itself: no measure of type 1
+    assert np.linalg.cond(singularities(five_bar()).jacobian(motion)[0]) > 10  # of J_t itself: no measure of type 1
     with pytest.raises(GtauError, match=r"too close to a singularity of type 2, where passive joints can move"):
         at_rest(five_bar(), np.array([[meet + 4e-4, pi - meet - 4e-4]]))
 
 
 def test_a_larger_robot_is_as_far_from_singularities() -> None:
-    text = (Path(load_robot.__code__.co_filename).parent / "catalog" / "five-bar.yaml").read_text()
+    text = (CATALOG / "five-bar.yaml").read_text()
     larger = text.replace("c: 0.10", "c: 10").replace("l1: 0.25", "l1: 25").replace("l2: 0.35", "l2: 35")
     q = np.array([five_bar_pose(*point) for point in POINTS])
     large = InverseDynamics(parse_native(larger, "five-bar.yaml"))
-    expected = five_bar().singularities.distances(at_rest(five_bar(), q))
-    assert_allclose(large.singularities.distances(at_rest(large, q)), expected, rtol=1e-9)
+    expected = singularities(five_bar()).distances(at_rest(five_bar(), q))
+    assert_allclose(singularities(large).distances(at_rest(large, q)), expected, rtol=1e-9)
 
 
 # ---- Other robots -----------------------------------------------------------------------------------------------
@@ -143,12 +145,19 @@ def some_motion(idm: InverseDynamics, rng: np.random.Generator) -> Motion:
 
 
 def places(robot: Robot, c: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Frames of all bodies at a configuration (n_c,), by the readers' own geometry."""
+    """Frames of all bodies at a configuration (n_c,), composed from the robot's placements, without the model."""
     from scipy.spatial.transform import Rotation
 
+    found = {GROUND: (np.eye(3), np.zeros(3))}
+    for joint, value in zip(robot.joints, c[: len(robot.joints)], strict=True):
+        R, p = found[joint.antecedent]
+        R, p = R @ joint.placement.rotation, p + R @ joint.placement.position
+        axis = np.array(joint.axis)
+        turned = Rotation.from_rotvec(value * axis).as_matrix() if joint.kind == "revolute" else np.eye(3)
+        found[joint.name] = (R @ turned, p + value * (R @ axis) * (joint.kind == "prismatic"))
     rest = c[len(robot.joints) :]
     rotation = Rotation.from_quat(rest[3:7], scalar_first=True).as_matrix() if rest.size == 7 else np.eye(3)
-    return frames(robot, Configuration(c[: len(robot.joints)], ((rotation, rest[:3]),)))
+    return found | {platform.name: (rotation, rest[:3]) for platform in robot.platforms}
 
 
 def test_the_orthoglide_has_the_jacobian_of_its_bars(rng: np.random.Generator) -> None:
@@ -163,10 +172,10 @@ def test_the_orthoglide_has_the_jacobian_of_its_bars(rng: np.random.Generator) -
     bars = signs[0] * d4 * e + moved
     J = np.linalg.solve(bars, np.eye(3) * np.einsum("kij,ij->ki", bars, e)[:, None, :])
     expected = np.concatenate([J, 0 * J], axis=1)
-    same_up_to_turns(idm.singularities.jacobian(motion), expected)
-    found = idm.singularities.distances(motion)
+    same_up_to_turns(singularities(idm).jacobian(motion), expected)
+    found = singularities(idm).distances(motion)
     assert_allclose(found[0], index(J), rtol=1e-9)
-    home = idm.singularities.distances(at_rest(idm, np.zeros((1, 3))))
+    home = singularities(idm).distances(at_rest(idm, np.zeros((1, 3))))
     assert home[0, 0] == pytest.approx(1.0, abs=1e-12)
 
 
@@ -178,7 +187,7 @@ def test_the_orthoglides_type_2_falls_as_the_bars_come_into_a_plane() -> None:
     bars = (t - q - -d4)[:, None, None] * np.eye(3) + t[:, None, None] * (1 - np.eye(3))
     assert_allclose(np.linalg.norm(bars, axis=2), d4)
     volume = np.abs(np.linalg.det(bars / d4))
-    type_1, type_2 = idm.singularities.distances(at_rest(idm, np.repeat(q[:, None], 3, axis=1)))
+    type_1, type_2 = singularities(idm).distances(at_rest(idm, np.repeat(q[:, None], 3, axis=1)))
     ratio = type_2 / volume
     assert_allclose(ratio[1:] / ratio[:-1], 1.0, atol=0.2)
     assert type_2[-1] < 0.05
@@ -201,7 +210,7 @@ def test_the_3rrr_has_the_jacobian_of_its_forearms(rng: np.random.Generator) -> 
             B[k, k] = d @ np.cross(z, elbow - motor)
         v_x, v_y, w = np.linalg.solve(A, B)
         expected.append([v_x / length, v_y / length, 0 * w, 0 * w, 0 * w, w])
-    same_up_to_turns(idm.singularities.jacobian(motion), np.array(expected))
+    same_up_to_turns(singularities(idm).jacobian(motion), np.array(expected))
 
 
 def test_the_gough_stewart_has_the_lines_of_its_legs(rng: np.random.Generator) -> None:
@@ -218,8 +227,8 @@ def test_the_gough_stewart_has_the_lines_of_its_legs(rng: np.random.Generator) -
             u = leg / np.linalg.norm(leg)
             lines.append([*u, *(np.cross(ball - at["P"][1], u) / length)])  # times (v / length, w) is qd / length
         expected.append(np.linalg.inv(lines))
-    same_up_to_turns(idm.singularities.jacobian(motion), np.array(expected))
-    assert_allclose(idm.singularities.distances(motion)[0], index(np.array(expected)), rtol=1e-9)
+    same_up_to_turns(singularities(idm).jacobian(motion), np.array(expected))
+    assert_allclose(singularities(idm).distances(motion)[0], index(np.array(expected)), rtol=1e-9)
 
 
 def test_a_wrist_whose_axes_align_is_of_type_1(rng: np.random.Generator) -> None:
@@ -227,15 +236,15 @@ def test_a_wrist_whose_axes_align_is_of_type_1(rng: np.random.Generator) -> None
     q = rng.uniform(-1.0, 1.0, (1, 6))
     near = np.repeat(q, 3, axis=0)
     near[:, 4] = [1e-1, 1e-3, 1e-5]
-    type_1, type_2 = idm.singularities.distances(at_rest(idm, near))
+    type_1, type_2 = singularities(idm).distances(at_rest(idm, near))
     assert_allclose(type_1[1:] / type_1[:-1], 0.01, rtol=0.2)
     assert np.isnan(type_2).all()
 
 
 def test_more_motors_than_freedoms_of_the_tool_are_no_singularity(rng: np.random.Generator) -> None:
     idm = InverseDynamics(seven_r())
-    assert idm.singularities.rank == 6
-    assert idm.singularities.distances(some_motion(idm, rng))[0].min() > 1e-3
+    assert singularities(idm).rank == 6
+    assert singularities(idm).distances(some_motion(idm, rng))[0].min() > 1e-3
 
 
 def test_the_dead_centre_of_a_driven_crank() -> None:
@@ -247,7 +256,7 @@ def test_the_dead_centre_of_a_driven_crank() -> None:
     q = np.array([[dead - 1.0], [dead - 1e-3], [dead]])
     assert slider.tool == "3"
     speed = np.abs(at_rest(idm, q).J[2, 0])
-    type_1, type_2 = idm.singularities.distances(at_rest(idm, q))
+    type_1, type_2 = singularities(idm).distances(at_rest(idm, q))
     assert_allclose(type_1 / type_1[0], speed / speed[0], atol=1e-12)
     assert type_1[-1] < 1e-12
     assert type_2.min() > 0.5
@@ -255,7 +264,7 @@ def test_the_dead_centre_of_a_driven_crank() -> None:
 
 @pytest.mark.parametrize("name", ["orthoglide", "gough-stewart", "delta", "3-rrr", "palletiser", "five-bar", "ur10e"])
 def test_distances_are_between_0_and_1(name: str, rng: np.random.Generator) -> None:
-    found = model(name).singularities.distances(some_motion(model(name), rng))
+    found = singularities(model(name)).distances(some_motion(model(name), rng))
     closed = found[~np.isnan(found)]
     assert (closed > 0).all()
     assert (closed <= 1 + 1e-12).all()
@@ -322,7 +331,7 @@ def test_a_check_tells_what_identification_tells_later(folder: Path) -> None:
         assert nearest["time"] in column["time"]
         # the pose at that time has this distance, from the motor angles alone
         q = np.array([[nearest["pose"]["left"], nearest["pose"]["right"]]])
-        again = five_bar().singularities.distances(at_rest(five_bar(), q))[nearest["type"] - 1, 0]
+        again = singularities(five_bar()).distances(at_rest(five_bar(), q))[nearest["type"] - 1, 0]
         assert again == pytest.approx(nearest["distance"], rel=1e-5)
     written = pl.read_parquet(checked / "singularities.parquet")
     assert written["run"].unique(maintain_order=True).to_list() == ["free", "loaded", "check"]

@@ -17,12 +17,12 @@ from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.triangle import triangle
 from gtau.model import inverse_dynamics as inverse_dynamics_module
+from gtau.model.home import load_robot
 from gtau.model.interpreter import kernel as interpreter
 from gtau.model.interpreter.lanes import LANES
 from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import follow
-from gtau.robots.load import load_robot
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, SampleWindow
 from gtau.signals.run import Run

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
+from gtau.model.home import load_robot
 from gtau.parallel import content_hash as content
 from gtau.parallel.content_hash import BLOCK, content_key
-from gtau.robots.load import load_robot
 from gtau.signals.experiment import Payload
 
 

@@ -23,10 +23,10 @@ from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs, reduce_shard
 from gtau.estimation.regression.factors import STRETCHES
+from gtau.model.home import load_robot
 from gtau.parallel import dask_executor
 from gtau.parallel.dask_executor import connected, dask_map
 from gtau.parallel.process_executor import LIMITS, ignore_sigint
-from gtau.robots.load import load_robot
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 

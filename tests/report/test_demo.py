@@ -19,7 +19,7 @@ from gtau.demo.page import COMMANDS, report
 from gtau.demo.run import demo
 from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.experiment import Payload, read_experiment
 from gtau.simulation.experiment_files import experiment_text

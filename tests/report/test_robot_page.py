@@ -12,13 +12,14 @@ from five_bar_logs import CHI, GAINS, STEEL, Plant
 
 from gtau import identify
 from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.report.robot_figure import robot_figure
 from gtau.report.robot_page import describe, robot_page
-from gtau.robots.load import catalog_names, load_robot
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
+from gtau.robots.readers.read import catalog_names
 from gtau.robots.robot import GROUND, Joint, Limits, Mdh, Robot
 from gtau.signals.experiment import Payload
 

@@ -11,9 +11,10 @@ import pytest
 from engines import Mujoco, Pinocchio, closed_torques, random_parameters, torques_of
 
 from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.coordinates import coordinates
+from gtau.model.home import load_robot, loop_errors
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.geometry import characteristic_length, home_configuration, loop_errors
-from gtau.robots.load import catalog_names, load_robot
+from gtau.robots.readers.read import catalog_names
 from gtau.robots.robot import INERTIAL, Robot
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -85,9 +86,10 @@ def test_loops_close_within_the_limits(name: str, rng: np.random.Generator) -> N
     assert idm.loops is not None
     residual, _ = idm.loops.newton(motion.c)
     assert np.abs(residual).max() < 1e-12 * max(1.0, np.abs(motion.c).max())
-    # and home as written, by equations of its own
-    error, _ = loop_errors(robot, home_configuration(robot), characteristic_length(robot))
-    assert np.abs(error).max() < 1e-12
+    # and home as written
+    error, _ = loop_errors(coordinates(robot))(coordinates(robot).home)
+    assert np.abs(error).max(initial=0.0) < 1e-12
+    assert robot.notes == ()
 
 
 @pytest.mark.parametrize("name", NAMES)

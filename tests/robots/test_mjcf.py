@@ -9,9 +9,10 @@ import pytest
 from engines import closed_torques, random_parameters
 
 from gtau.errors import GtauError
+from gtau.model.coordinates import coordinates
+from gtau.model.home import load_robot, loop_errors
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.geometry import Configuration, frames, home_configuration, loop_errors
-from gtau.robots.load import load_robot
+from gtau.model.kinematics import poses
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.robot import GROUND, INERTIAL, Coupling, Robot
@@ -69,6 +70,8 @@ def test_frames_and_closures_are_mujoco_s(equality: str, tmp_path: Path, rng: np
     assert [joint.parameters for joint in robot.joints] == ["all", "drive", "all", "none", "none", "inertial"]
     assert robot.joint("j2").limits.position == (-1.0, 2.0)
     assert any("gear of 30" in note for note in robot.notes)
+    errors = loop_errors(coordinates(robot))
+    c = errors.layout.home
     for _ in range(3):
         q = rng.uniform(-1, 1, 6)
         data.qpos[:3] = q[:3]
@@ -86,17 +89,17 @@ def test_frames_and_closures_are_mujoco_s(equality: str, tmp_path: Path, rng: np
         mujoco.mj_forward(model, data)
         body = {name: model.body(name).id for name in ("a", "b", "c", "P")}
         pose = {name: (data.xmat[k].reshape(3, 3), data.xpos[k]) for name, k in body.items()}
-        at = Configuration(q, (pose["P"],))
-        found = frames(robot, at)
+        c[:6], c[6:9] = q, pose["P"][1]
+        c[9:13] = data.xquat[body["P"]]
+        found = poses(errors.layout, c)
         for joint, name, anchor in (("j1", "a", [0.01, 0, 0.02]), ("j3", "b", np.zeros(3)), ("j4", "c", [0, 0.1, 0])):
             R, p = found[joint]
             np.testing.assert_allclose(R, pose[name][0], atol=1e-9)
             np.testing.assert_allclose(p - R @ anchor, pose[name][1], atol=1e-9)
-        error, _ = loop_errors(robot, at, 1.0)
-        np.testing.assert_allclose(error[:3], data.efc_pos[:3], atol=1e-9)
-        if error.size == 6:  # MuJoCo's orientation error is the sine of half the angle, about the same axis
-            angle = np.linalg.norm(error[3:])
-            assert np.sin(angle / 2) == pytest.approx(np.linalg.norm(data.efc_pos[3:6]), abs=1e-9)
+        error, _ = errors(c)
+        np.testing.assert_allclose(error[:3] * errors.length, data.efc_pos[:3], atol=1e-9)
+        if robot.closures[0].kind == "weld":  # MuJoCo's orientation error is the sine of half the angle, ours twice it
+            assert np.linalg.norm(error[3:6]) / 2 == pytest.approx(np.linalg.norm(data.efc_pos[3:6]), abs=1e-9)
 
 
 def test_home_and_couplings(tmp_path: Path) -> None:
@@ -167,7 +170,7 @@ def test_the_same_robot_in_three_formats(tmp_path: Path, rng: np.random.Generato
     native = read_native(tmp_path / "native.yaml")
     assert urdf.actuated == mjcf.actuated == native.actuated == ("left", "right")
     chi = random_parameters(native, rng)
-    home = home_configuration(native).q[[joint.actuated for joint in native.joints]]
+    home = np.array([joint.home for joint in native.joints if joint.actuated])
     q, (qd, qdd) = home + 0.1 * rng.uniform(-1, 1, (20, 2)), rng.normal(size=(2, 20, 2))
     expected = InverseDynamics(native).torques(q, qd, qdd, chi)
     for robot in (urdf, mjcf):

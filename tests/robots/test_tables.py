@@ -12,8 +12,8 @@ import pytest
 from engines import closed_torques, random_parameters
 
 from gtau.errors import GtauError
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.robot import Attachment, Mdh, Robot
@@ -259,7 +259,7 @@ BAD_PAR: list[tuple[str, str, str]] = [
     (
         "loop too wide",
         changed("C = 0.25", "C = 2.5").replace("C,L,-C", "0.1,L,-C"),
-        ": robot 'parallelogram': its loops",
+        ": robot 'parallelogram': the loops do not close",
     ),
     ("huge", " " * (1 << 17), ": the file is larger than 64 KiB;"),
     ("many open comments", "(*" * 30000, ": a comment begins with '(*'"),

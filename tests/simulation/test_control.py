@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Joint, Limits, Robot
 from gtau.signals.experiment import read_experiment

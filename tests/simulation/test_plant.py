@@ -10,9 +10,9 @@ from engines import Mujoco, Pinocchio, closed_torques, random_parameters
 from robots_for_tests import four_bar, seven_r
 
 from gtau.errors import GtauError
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import advance
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant, PlantState

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.signals.run import Run
 
 JOINTS = ("left", "right")

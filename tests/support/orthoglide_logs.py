@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run
 from gtau.simulation.orthoglide_truth import DRIVE_GAINS, standard_parameters

@@ -6,7 +6,7 @@ from math import asin, atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from gtau.robots.load import load_robot
+from gtau.model.home import load_robot
 from gtau.robots.robot import Attachment, Closure, Joint, Mdh, Platform, Pose, Robot
 
 OBLIQUE = (1.2, -3.4, -8.9)

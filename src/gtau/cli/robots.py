@@ -30,8 +30,8 @@ def robot(
 ) -> None:
     """Joints, loops, degrees of freedom and base parameters of a robot."""
     with refusals(json_):
+        from gtau.model.home import load_robot
         from gtau.report.robot_page import describe, robot_page
-        from gtau.robots.load import load_robot
 
         found = load_robot(source)
         if save is not None:

@@ -39,7 +39,7 @@ def simulate(
 ) -> None:
     """Make logs of a simulated robot under control, and the experiment file for 'gtau identify'."""
     with refusals(json_):
-        from gtau.robots.load import load_robot
+        from gtau.model.home import load_robot
         from gtau.simulation.experiment_files import simulate_experiment
         from gtau.simulation.simulation_file import massless, read_simulation
 

@@ -13,9 +13,9 @@ from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.weigh import weigh
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
-from gtau.robots.load import load_robot
 from gtau.signals.experiment import read_experiment
 from gtau.simulation.closed_loop import write_log
 from gtau.simulation.control_comparison import compare_control, table

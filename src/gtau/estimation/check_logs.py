@@ -13,9 +13,10 @@ from gtau.estimation.regression.dataset import at_rate_of, prepare_runs
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.singularities import singularities
 from gtau.progress import Progress, silent
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import check_robot, read_experiment
@@ -125,7 +126,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         q, labels = of.q[at].T.copy(), Labels(run.name, of.time[at])
         c = model.path(q, labels, None if c is None else c[:, -1])
         still = np.zeros_like(q)
-        distances.append(model.singularities.distances(model.rates(c, still, still, labels)).T)
+        distances.append(singularities(model).distances(model.rates(c, still, still, labels)).T)
         positions.append(of.q[at])
         power += (of.command[at] ** 2).sum(axis=0)
         lowest.append(of.q.min(axis=0))

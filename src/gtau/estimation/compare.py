@@ -21,8 +21,8 @@ from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import require_scale
+from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
-from gtau.robots.load import load_robot
 from gtau.signals.experiment import check_robot, read_experiment
 
 

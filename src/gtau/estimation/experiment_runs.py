@@ -8,8 +8,8 @@ from pathlib import Path
 
 from gtau.errors import GtauError
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
-from gtau.robots.load import load_robot
 from gtau.signals.experiment import Experiment, LoggedRun, check_robot, read_experiment
 from gtau.signals.run import Run, read_run
 

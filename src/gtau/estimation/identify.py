@@ -18,8 +18,8 @@ from gtau.estimation.regression.dataset import Mapper, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import require_scale
 from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Experiment, Prior, check_robot, read_experiment
 from gtau.signals.run import Run

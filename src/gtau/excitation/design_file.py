@@ -18,8 +18,8 @@ from gtau.excitation.closure_gradients import in_platform_space
 from gtau.excitation.prior import given_parameters, noise_of, parameters_of, rough_noise, rough_parameters
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Payload, file_or_name
 

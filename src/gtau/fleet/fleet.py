@@ -16,10 +16,10 @@ from gtau.documents.files import in_order, matching, write_atomically
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import model_text
+from gtau.model.home import load_robot
 from gtau.parallel.content_hash import content_key, program_digest
 from gtau.parallel.executor import ShardMap
 from gtau.progress import Progress, silent
-from gtau.robots.load import load_robot
 from gtau.signals.experiment import Experiment, read_experiment
 
 

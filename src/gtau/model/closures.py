@@ -68,18 +68,31 @@ def _acceleration(
     return Twist(R_0 @ body.angular, R_0 @ linear)
 
 
-def gaps(layout: Coordinates, c: np.ndarray) -> np.ndarray:
-    """How far apart the frames of every closure are at ``c`` (n_c,): distance in m and angle in rad, (closures, 2)."""
-    frame = frames(layout, ca.SX(c))
-    found = np.zeros((len(layout.robot.closures), 2))
-    for k, closure in enumerate(layout.robot.closures):
-        (R_a, p_a), (R_b, p_b) = _attached(closure.a, frame), _attached(closure.b, frame)
-        found[k, 0] = np.linalg.norm(np.array(ca.evalf(p_a - p_b)))
+def assembly_errors(layout: Coordinates, c: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """How far closures and couplings are from holding, at any distance from a closed pose.
+
+    Near one it is the residual of :func:`closure_expressions`. That of a weld whose frames are turned by an angle is
+    its sine, zero again at half a turn; here it is twice the sine of half the angle.
+
+    Returns
+    -------
+    errors : SX
+        (rows,): of the closures, then of the couplings.
+    flips : SX
+        (welds,): one less the cosine of the angle, which is not zero at half a turn either.
+    """
+    frame, rows, flips, start = frames(layout, c), [], [], 0
+    residual = closure_expressions(layout, c, ca.SX(layout.n_y, 1))[0]
+    for closure in layout.robot.closures:
+        rows.append(residual[start : start + 3])
+        start += 3
         if closure.kind == "weld":
-            R = np.array(ca.evalf(R_b.T @ R_a))
-            sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-            found[k, 1] = np.arctan2(sine, np.trace(R) - 1.0)
-    return found
+            (R_a, _), (R_b, _) = _attached(closure.a, frame), _attached(closure.b, frame)
+            trace = ca.trace(R_b.T @ R_a)
+            rows.append(2 * residual[start : start + 3] / ca.sqrt(ca.fmax(1 + trace, 1e-12)))
+            flips.append((3 - trace) / 2)
+            start += 3
+    return ca.vertcat(*rows, residual[start:]), ca.vertcat(*flips)
 
 
 def _largest(values: ca.SX) -> ca.SX:

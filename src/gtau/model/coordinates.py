@@ -1,4 +1,4 @@
-"""The coordinates of the virtual tree: which numbers say where everything is, and how fast.
+"""Coordinates of the virtual tree: the numbers that give the pose of every body, and its rates.
 
 ``c`` is the configuration: all joint coordinates, then for every platform its position and, if it
 turns, a unit quaternion (w, x, y, z), which has no singular angles. ``y`` counts the velocities
@@ -23,6 +23,23 @@ class PlatformSlots:
     position: slice
     quaternion: slice | None
     rates: slice
+
+    def rotation(self, c: np.ndarray) -> np.ndarray:
+        """Orientation (3, 3) of the platform at a configuration (n_c,)."""
+        from scipy.spatial.transform import Rotation
+
+        if self.quaternion is None:
+            return self.platform.home.rotation
+        return np.asarray(Rotation.from_quat(c[self.quaternion], scalar_first=True).as_matrix())
+
+    def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """What moves the platform from a configuration (n_c,) to another, in its degrees of freedom, m and rad."""
+        from scipy.spatial.transform import Rotation
+
+        turned = Rotation.from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
+        shifted = after[self.position] - before[self.position]
+        whole = dict(zip(TRANSLATIONS + ROTATIONS, (*shifted, *turned), strict=True))
+        return np.array([whole[dof] for dof in self.platform.dof])
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from gtau.model.dynamics import parameter_names, torques
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.interpreter.threads import share
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
-from gtau.model.singularities import Singularities, singularities
 from gtau.robots.robot import Robot
 
 PATH = 65536  # samples whose loops are closed together: parallel, at the cost of finding the way to each part
@@ -120,11 +119,6 @@ class InverseDynamics:
         """The solved closures; None for a robot without closures and couplings whose joints are all actuated."""
         layout = self.layout
         return close_loops(layout) if self.robot.closures or self.robot.couplings or layout.passive.size else None
-
-    @cached_property
-    def singularities(self) -> Singularities:
-        """What tells how far poses are from singularities of both types."""
-        return singularities(self)
 
     def motion(
         self,

@@ -78,6 +78,12 @@ def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
     return found
 
 
+def poses(layout: Coordinates, c: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Orientation (3, 3) and origin (3,), in m, of every body in the base at a configuration (n_c,)."""
+    found = frames(layout, ca.SX(c))
+    return {name: (ca.evalf(at.R_0).full(), ca.evalf(at.p_0).full().ravel()) for name, at in found.items()}
+
+
 def configuration_rates(layout: Coordinates, c: ca.SX, yd: ca.SX) -> ca.SX:
     """Time derivative of the configuration c (n_c,) for velocities ``yd`` (n_y,), eq. 9."""
     n_t = len(layout.robot.joints)

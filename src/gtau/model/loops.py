@@ -14,8 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.closures import ClosureEquations, closure_equations, gaps
+from gtau.model.closures import ClosureEquations, closure_equations
 from gtau.model.coordinates import Coordinates
+from gtau.model.home import FAR, closed, is_closed, loop_errors
 from gtau.model.interpreter.continuation import Follower, advance_to, follow_path
 from gtau.model.interpreter.kernel import MACHINE
 from gtau.model.interpreter.lanes import LANES
@@ -27,7 +28,6 @@ CONTRACTION = 0.3  # a step is too long if Newton's second correction is not thi
 REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
 SHORTEST = 2.0**-14  # of the way between two samples: shorter steps mean that there is no way
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
-FAR = 1.0  # rad, or characteristic lengths: what the home of a robot's file may be wrong by
 SEGMENTS = 128  # of a path, followed at once, each of at least SEGMENT samples
 SEGMENT = 16
 CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
@@ -113,26 +113,21 @@ def close_loops(layout: Coordinates) -> Loops:
         Where the loops do not close near the home of the robot's file, where actuation is redundant,
         or where passive coordinates stay free.
     """
-    robot, equations = layout.robot, closure_equations(layout)
-    loops = Loops(layout, equations, layout.home, rank=0)
-    c = _assemble(loops)
-    gap = gaps(layout, c[:, 0])
-    if (gap / (equations.length, 1.0)).max(initial=0.0) > RESIDUAL:
-        worst = int(gap.max(axis=1).argmax())
-        closure, (distance, angle) = robot.closures[worst], gap[worst]
+    robot, errors = layout.robot, loop_errors(layout)
+    home = closed(errors, layout.home, errors.passive)
+    if not is_closed(errors, home):
         raise GtauError(
-            f"robot '{robot.name}': the loops do not close near the home configuration, closure {worst + 1} "
-            f"('{closure.a.body}' to '{closure.b.body}') stays open by {_gap(distance, angle, equations.length)}; "
-            f"{CLOSER}."
+            f"robot '{robot.name}': the loops do not close near the home configuration, {errors.gap(home)}; {CLOSER}."
         )
-    joints = slice(len(robot.joints))
-    moved = (c[joints, 0] - layout.home[joints]) / np.where(layout.angular[joints], 1.0, equations.length)
-    if np.abs(moved).max() > FAR:
-        k = int(np.abs(moved).argmax())
+    moved = errors.apart(layout.home, home)
+    if moved.max() > FAR:
+        k = int(moved.argmax())
         raise GtauError(
-            f"robot '{robot.name}': the loops close only far from the home configuration, with joint "
-            f"'{layout.names[k]}' at {c[k, 0]:.4g} instead of {layout.home[k]:.4g}; {CLOSER}."
+            f"robot '{robot.name}': the loops close only far from the home configuration, with '{layout.names[k]}' "
+            f"{moved[k] * errors.unit[k]:.4g} {'rad' if layout.angular[k] else 'm'} away from it; {CLOSER}."
         )
+    equations = closure_equations(layout)
+    loops, c = Loops(layout, equations, home, rank=0), home[:, None]
     _, G_p, G_a = loops.columns(c)
     rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
     total = int(np.linalg.matrix_rank(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), tol=1e-7))
@@ -156,28 +151,7 @@ def close_loops(layout: Coordinates) -> Loops:
             f"({', '.join(robot.actuated)}) for {layout.n_y - total} dof{held}; mark {total - rank} of them passive, "
             "or check the closures and the dof of platforms."
         )
-    return Loops(layout, equations, c[:, 0], rank)
-
-
-def _gap(distance: float, angle: float, length: float) -> str:
-    """A gap in mm and degrees, without the one of them that is nothing beside the other."""
-    parts = (distance / length, f"{1e3 * distance:.3g} mm"), (angle, f"{np.degrees(angle):.3g} degrees")
-    return " and ".join(text for size, text in parts if size > 1e-3 * max(distance / length, angle))
-
-
-def _assemble(loops: Loops) -> np.ndarray:
-    """The configuration (n_c, 1) near home in which the loops close, or as good as that; home may be singular."""
-    layout, c = loops.layout, loops.home[:, None]
-    for _ in range(50):
-        residual, G_p = loops.newton(c)
-        correction = -np.linalg.pinv(G_p[:, :, 0], rcond=1e-9) @ residual[:, 0]
-        size = np.abs(correction).max(initial=0.0)
-        step = np.zeros((layout.n_y, 1))
-        step[layout.passive, 0] = correction / max(size, 1.0) * loops.unit
-        c = layout.retract(c, step)
-        if size < 1e-12:
-            break
-    return c
+    return Loops(layout, equations, home, rank)
 
 
 def _follower(loops: Loops, shortest: float) -> Follower:

@@ -16,19 +16,18 @@ motors. A single one is compared with the largest among random poses.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from gtau.model.coordinates import Coordinates
 from gtau.model.interpreter.program import Program, compile_program
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import constant, frames, twists
 from gtau.model.loops import Motion
+from gtau.model.random_states import random_motion
 from gtau.robots.geometry import characteristic_length
-
-if TYPE_CHECKING:
-    from gtau.model.inverse_dynamics import InverseDynamics
 
 TYPES = (1, 2)
 POSES = 64  # random ones, that show the rank of J_t
@@ -69,8 +68,9 @@ class Singularities:
         return np.stack([type_1, len(self.layout.passive) / motion.condition])
 
 
+@lru_cache(maxsize=8)
 def singularities(idm: InverseDynamics) -> Singularities:
-    """The singularities of a robot, ready to be evaluated along motions.
+    """The singularities of a robot, ready to be evaluated along motions; made once a model.
 
     The tool is the body that carries payloads, or where a loop is closed by a ``connect`` at that link, as in a
     five-bar, the point where it is closed.
@@ -80,8 +80,6 @@ def singularities(idm: InverseDynamics) -> Singularities:
     GtauError
         Where the loops cannot be closed, or hardly any pose is regular.
     """
-    from gtau.model.random_states import random_motion
-
     program = compile_program(*_tool_jacobian(idm.layout))
     found = Singularities(idm.layout, program, 0, 0.0)
     motion = random_motion(idm, POSES, np.random.default_rng(0))

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gtau.model.coordinates import coordinates
+from gtau.model.home import close_home
+from gtau.model.kinematics import poses
 from gtau.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, new_figure, require_matplotlib, styled
-from gtau.robots.geometry import Frame, attached, frames, home_configuration
-from gtau.robots.home import close_home
+from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Attachment, Joint, Robot
 
 if TYPE_CHECKING:
@@ -58,9 +60,8 @@ def robot_figure(robot: Robot) -> Figure:
     require_matplotlib()
     robot = close_home(robot)
     upright = _upright(np.array(robot.gravity))
-    found = {
-        name: (upright @ R, upright @ p) for name, (R, p) in frames(robot, home_configuration(robot)).items()
-    }  # fmt: skip
+    layout = coordinates(robot)
+    found = {name: (upright @ R, upright @ p) for name, (R, p) in poses(layout, layout.home).items()}
     shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
     joints = [joint for joint in robot.joints if joint.name not in shafts]
     lines = _links(robot, joints, found)

@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.singularities import TYPES
+from gtau.model.singularities import TYPES, singularities
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.robots.units import unit_of
@@ -31,7 +31,7 @@ def describe(robot: Robot) -> dict[str, Any]:
     base, inertial = base_parameters(model), base_parameters(InverseDynamics(robot, "inertial"))
     home = model.layout.home if loops is None else loops.home
     still = np.zeros((len(model.actuated), 1))
-    near = model.singularities.distances(model.rates(home[:, None], still, still))[:, 0]
+    near = singularities(model).distances(model.rates(home[:, None], still, still))[:, 0]
     return {
         "robot": robot.name,
         "source": robot.source,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from math import atan2, cos, pi, sin
 
 import numpy as np
 
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Placement, Pose, Robot
+from gtau.robots.robot import Attachment, Placement, Pose, Robot
 
 ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
 
@@ -60,13 +59,6 @@ def euler_angles(rotation: np.ndarray) -> np.ndarray:
     return np.asarray(Rotation.from_matrix(rotation).as_euler("XYZ"))
 
 
-def rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    """Axis times angle (3,) of a rotation (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
-
-
 def characteristic_length(robot: Robot) -> float:
     """Mean length (m) of the robot's placements that have one: the scale between m and rad."""
     placements = [joint.placement for joint in robot.joints]
@@ -76,118 +68,7 @@ def characteristic_length(robot: Robot) -> float:
     return float(np.mean(lengths)) if lengths else 1.0
 
 
-@dataclass(frozen=True)
-class Configuration:
-    """Joint coordinates (joints,) in rad or m, and the pose of every platform in the base."""
-
-    q: np.ndarray
-    platforms: tuple[Frame, ...]
-
-
-def home_configuration(robot: Robot) -> Configuration:
-    """The configuration that the robot's `home` gives."""
-    return Configuration(
-        np.array([joint.home for joint in robot.joints], dtype=float),
-        tuple((platform.home.rotation, platform.home.position) for platform in robot.platforms),
-    )
-
-
-def at_home(robot: Robot, configuration: Configuration) -> Robot:
-    """The robot whose home is `configuration`."""
-    return replace(
-        robot,
-        joints=tuple(
-            replace(joint, home=float(value)) for joint, value in zip(robot.joints, configuration.q, strict=True)
-        ),
-        platforms=tuple(
-            replace(platform, home=pose_of(*frame))
-            for platform, frame in zip(robot.platforms, configuration.platforms, strict=True)
-        ),
-    )
-
-
-def frames(robot: Robot, configuration: Configuration) -> dict[str, Frame]:
-    """Frame of every body in the base."""
-    found: dict[str, Frame] = {GROUND: (np.eye(3), np.zeros(3))}
-    for joint, value in zip(robot.joints, configuration.q, strict=True):
-        R, p = found[joint.antecedent]
-        R, p = R @ joint.placement.rotation, p + R @ joint.placement.position
-        axis = np.array(joint.axis)
-        found[joint.name] = (R @ turn(axis, value), p) if joint.kind == "revolute" else (R, p + value * (R @ axis))
-    for platform, frame in zip(robot.platforms, configuration.platforms, strict=True):
-        found[platform.name] = frame
-    return found
-
-
 def attached(end: Attachment, found: dict[str, Frame]) -> Frame:
     """The frame of a closure's end in the base."""
     R, p = found[end.body]
     return R @ end.placement.rotation, p + R @ end.placement.position
-
-
-def loop_errors(robot: Robot, configuration: Configuration, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """How far closures and couplings are from holding, and its derivative with respect to small motions.
-
-    Parameters
-    ----------
-    robot : Robot
-    configuration : Configuration
-    length : float
-        Unit of lengths, m: rows and columns are pure numbers, rad or lengths over `length`.
-
-    Returns
-    -------
-    error : ndarray
-        (rows,): three rows a `connect`, six a `weld` (position, rotation vector), one a coupling.
-    jacobian : ndarray
-        (rows, joints + 6 a platform); a platform moves by x, y, z, rx, ry, rz in base axes, and has zero columns
-        for what is none of its degrees of freedom.
-    """
-    found = frames(robot, configuration)
-    columns = len(robot.joints) + 6 * len(robot.platforms)
-    errors, rows = [np.zeros(0)], [np.zeros((0, columns))]
-    for closure in robot.closures:
-        (R_a, p_a), (R_b, p_b) = attached(closure.a, found), attached(closure.b, found)
-        error, J = (p_a - p_b) / length, _motion(robot, closure.a.body, p_a, found, length)
-        J = J - _motion(robot, closure.b.body, p_b, found, length)
-        if closure.kind == "weld":
-            errors.append(np.concatenate([error, rotation_vector(R_a @ R_b.T)]))
-            rows.append(J)
-        else:
-            errors.append(error)
-            rows.append(J[:3])
-    names = [joint.name for joint in robot.joints]
-    units = np.array([1.0 if joint.kind == "revolute" else length for joint in robot.joints])
-    for coupling in robot.couplings:
-        row = np.zeros(len(names))
-        row[names.index(coupling.joint)] = 1.0
-        for name, ratio in coupling.ratios:
-            row[names.index(name)] = -ratio
-        size = np.linalg.norm(row * units)
-        errors.append(np.array([(row @ configuration.q - coupling.offset) / size]))
-        rows.append(np.concatenate([row * units / size, np.zeros(columns - len(names))])[None, :])
-    return np.concatenate(errors), np.vstack(rows)
-
-
-def _motion(robot: Robot, body: str, point: np.ndarray, found: dict[str, Frame], length: float) -> np.ndarray:
-    """Velocity of a point of a body and its angular velocity, (6, columns), lengths in units of `length`."""
-    J = np.zeros((6, len(robot.joints) + 6 * len(robot.platforms)))
-    for k, platform in enumerate(robot.platforms):
-        if platform.name == body:
-            first = len(robot.joints) + 6 * k
-            arm = (point - found[body][1]) / length
-            J[:3, first : first + 3] = J[3:, first + 3 : first + 6] = np.eye(3)
-            J[:3, first + 3 : first + 6] = np.cross(np.eye(3), arm).T
-            free = [dof in platform.dof for dof in TRANSLATIONS + ROTATIONS]
-            J[:, first : first + 6] *= free
-    index = {joint.name: k for k, joint in enumerate(robot.joints)}
-    while body in index:
-        joint = robot.joints[index[body]]
-        R, p = found[body]
-        axis = R @ np.array(joint.axis)
-        if joint.kind == "revolute":
-            J[:3, index[body]], J[3:, index[body]] = np.cross(axis, (point - p) / length), axis
-        else:
-            J[:3, index[body]] = axis
-        body = joint.antecedent
-    return J

@@ -177,7 +177,7 @@ class Robot:
     Joints stand in an order in which every antecedent precedes its followers. ``gravity`` is the
     acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
     file names it, see :attr:`tool`. ``notes`` say what a reader found odd in the robot's file or decided for the user,
-    a sentence each.
+    a sentence each. Without ``home_given`` the joints' and platforms' homes are only where the search for one begins.
     """
 
     name: str
@@ -189,6 +189,7 @@ class Robot:
     source: str = ""
     notes: tuple[str, ...] = field(default=(), compare=False)
     named_tool: str = ""
+    home_given: bool = field(default=True, compare=False)
 
     def __post_init__(self) -> None:
         _check(self)

@@ -12,9 +12,9 @@ from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
-from gtau.robots.load import load_robot
 from gtau.signals.experiment import Payload, check_robot, read_experiment
 from gtau.simulation.closed_loop import Simulated, simulate
 from gtau.simulation.controllers import Controller, Reference, computed_torque, pid_with_velocity, sample, simple_pid

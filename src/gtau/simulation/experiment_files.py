@@ -11,9 +11,9 @@ import numpy as np
 
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_text import yaml_text
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Payload
 from gtau.simulation.closed_loop import Engine, Simulated, simulate, write_log

@@ -9,6 +9,7 @@ import numpy as np
 
 from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
+from gtau.model.singularities import singularities
 from gtau.signals.decimation import Block, Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 
@@ -61,7 +62,7 @@ def stream_rows(
     GtauError
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
-    n = len(prepared)
+    n, near = len(prepared), singularities(idm)
     size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
     outputs = range(decimator.outputs(n)) if outputs is None else outputs
     for block, of, c in _along(idm, prepared, decimator.blocks(n, size, outputs), decimator.reach(n, outputs).stop):
@@ -80,7 +81,7 @@ def stream_rows(
             decimator.apply(currents, block),
             decimator.apply(term_columns(qd, effort), block),
             block.outputs,
-            idm.singularities.distances(motion[kept]),
+            near.distances(motion[kept]),
         )
 
 

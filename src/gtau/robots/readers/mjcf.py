@@ -13,7 +13,6 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.robots.geometry import compose, pose_of, rounded, turn
-from gtau.robots.home import close_home
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.urdf import turning
 from gtau.robots.readers.xml_document import read_xml
@@ -54,7 +53,7 @@ def read_mjcf(path: str | Path) -> Robot:
         if (root := read_xml(path)).tag != "mujoco":
             raise GtauError(f"the outermost element is <{root.tag}>, not <mujoco>; give an MJCF file.")
         robot = replace(_robot(_compiled(path), path), name=root.get("model") or path.stem)
-        return close_home(without_idle_pins(robot))
+        return without_idle_pins(robot)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
@@ -120,6 +119,7 @@ def _robot(model: mujoco.MjModel, path: Path) -> Robot:
         tuple(float(rounded(g)) for g in model.opt.gravity),  # type: ignore[arg-type]
         path.name,
         tuple(notes + gears),
+        home_given=key >= 0,
     )
 
 

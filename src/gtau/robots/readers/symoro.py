@@ -9,7 +9,6 @@ from pathlib import Path
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.home import close_home
 from gtau.robots.readers.expressions import evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
 from gtau.robots.robot import GROUND, STANDARD_GRAVITY, Attachment, Closure, Robot
@@ -25,8 +24,8 @@ def read_par(path: str | Path) -> Robot:
     """Read a robot from a parameter file of OpenSYMORO.
 
     Joints are named by their numbers. A loop is cut at a joint beyond the number of links: its frame stays, as a
-    massless link, and is welded to the fixed frame that the file gives on the other side. Home is solved so that loops
-    close. Lengths and angles must be numbers; symbols (``D3``) may get values on lines of their own, ``D3 = 0.45``.
+    massless link, and is welded to the fixed frame that the file gives on the other side. Lengths and angles must be
+    numbers; symbols (``D3``) may get values on lines of their own, ``D3 = 0.45``.
 
     Parameters
     ----------
@@ -82,11 +81,10 @@ def _robot(text: str, path: Path) -> Robot:
     if not any(joint.actuated for joint in tree) and links == joints:
         tree = tuple(replace(joint, actuated=True) for joint in tree)
         notes += ("no joint has mu = 1, so all were taken as driven by motors",)
-    robot = Robot(
+    return Robot(
         name[1] if name and name[1] else path.stem, tree, closures=closures, gravity=gravity, source=path.name,
-        notes=notes,
+        notes=notes, home_given=links == joints,
     )  # fmt: skip
-    return close_home(robot)
 
 
 def _without_comments(text: str) -> str:

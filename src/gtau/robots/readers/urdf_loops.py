@@ -14,7 +14,6 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 from gtau.documents.yaml_document import Document, read_yaml, unknown, validate
 from gtau.errors import GtauError
-from gtau.robots.home import close_home
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.urdf import UrdfTree, read_urdf_tree
 from gtau.robots.robot import Attachment, Closure, Robot
@@ -46,8 +45,8 @@ def is_loops_file(path: Path) -> bool:
 def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
     """Read a robot from a URDF file and the YAML file beside it.
 
-    The tree is that of :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked, and
-    home is solved so that the loops close; notes of the robot say both.
+    The tree is that of :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked; notes
+    of the robot say so.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
     Raises
     ------
     GtauError
-        One of the files is not accepted, they do not fit each other, or the loops close nowhere.
+        One of the files is not accepted, they do not fit each other, or no joint is actuated.
     """
     document = read_yaml(loops)
     entry = validate(_Loops, document)
@@ -88,8 +87,9 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
             couplings=tree.couplings,
             source=f"{Path(urdf).name} with {Path(loops).name}",
             notes=tree.notes,
+            home_given=False,
         )
-        return close_home(without_idle_pins(robot))
+        return without_idle_pins(robot)
     except GtauError as error:
         raise error if str(error).startswith(str(document.path)) else GtauError(f"{document.path}: {error}") from None
 

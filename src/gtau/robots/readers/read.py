@@ -1,4 +1,4 @@
-"""One door to every robot: catalog names and all kinds of robot files."""
+"""Read any robot: catalog names and all kinds of robot files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 
-CATALOG = Path(__file__).with_name("catalog")
+CATALOG = Path(__file__).parents[1] / "catalog"
 ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
 
 
@@ -17,16 +17,16 @@ def catalog_names() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in CATALOG.glob("*.yaml")))
 
 
-def load_robot(source: str | Path | Robot) -> Robot:
-    """Load a robot.
+def read_robot(source: str | Path) -> Robot:
+    """Read a robot as its file describes it, its home not closed yet (see :func:`gtau.load_robot`).
 
     Parameters
     ----------
-    source : str, Path or Robot
-        A name of the catalog, a robot, which is returned as it is, or the path of a file, told by its ending: a robot
-        file (``.yaml``, ``.yml``), a URDF (``.urdf``) with its loops in a YAML file of the same name beside it, or
-        that YAML file, or the folder of both where they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a
-        parameter file of OpenSYMORO (``.par``), or a table of MDH parameters (``.csv``).
+    source : str or Path
+        A name of the catalog, or the path of a file, recognised by its ending: a robot file (``.yaml``, ``.yml``), a
+        URDF (``.urdf``) with its loops in a YAML file of the same name beside it, or that YAML file, or the folder of
+        both where they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a parameter file of OpenSYMORO (``.par``), or
+        a table of MDH parameters (``.csv``).
 
     Returns
     -------
@@ -38,8 +38,6 @@ def load_robot(source: str | Path | Robot) -> Robot:
     GtauError
         There is no such robot, or its file is not accepted.
     """
-    if isinstance(source, Robot):
-        return source
     if source in catalog_names():
         source = CATALOG / f"{source}.yaml"
     path = Path(source)
