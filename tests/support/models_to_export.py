@@ -9,8 +9,9 @@ from engines import random_parameters
 from robots_for_tests import ROBOTS
 
 from gtau.estimation.diagnostics.verdict import GOOD
+from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.base_parameters import base_parameters
-from gtau.estimation.results.estimate import Consistency, Estimate, PayloadEstimate
+from gtau.estimation.results.estimate import Estimate, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,10 +39,11 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
     return ConsistentModel(result, found.standard, {joint: gain for joint, (gain, _) in found.gains.items()})
 
 
-def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> dict[str, float]:
+def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> dict[str, float]:
     """Rms difference of torques from the identified ones over random states, per cent of their rms, by joint.
 
-    ``expressed`` are the standard parameters that the target holds; the identified torques include all friction terms.
+    ``expressed`` are the standard parameters that the target holds, ``cubic`` says whether it holds f3 too; the
+    identified torques include all friction terms.
     """
     result, idm = model.result, model.result.model
     motion = random_motion(idm, STATES, np.random.default_rng(0))
@@ -50,8 +51,16 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> dict[
     tau = torques_of(identified_model, motion, motion.yd[idm.layout.actuated], identified_model.values)
     values = np.array([expressed.get(name, 0.0) for name in idm.parameter_names])
     made = idm.full.torques_along(idm.layout, motion, values)
+    if cubic:
+        made += _f3(result)[:, None] * motion.yd[idm.layout.actuated] ** 3
     rms, size = (np.sqrt(np.mean(each**2, axis=1)) for each in (made - tau, tau))
     return {joint: float(100 * a / b) for joint, a, b in zip(idm.actuated, rms, size, strict=True)}
+
+
+def _f3(result: Result) -> np.ndarray:
+    """Cubic friction of the actuated joints, (n,)."""
+    names = [f"f3_{joint}" for joint in result.robot.actuated]
+    return np.array([(result.friction[name].value or 0.0) if name in result.friction else 0.0 for name in names])
 
 
 def difference_note(found: Mapping[str, float]) -> str:
@@ -63,14 +72,13 @@ def difference_note(found: Mapping[str, float]) -> str:
     )
 
 
-def term_note(result: Result, target: str) -> list[str]:
-    """What no rigid-body format holds: friction beyond viscous and Coulomb, and delays."""
+def term_notes(result: Result, target: str, left_out: Sequence[str]) -> list[str]:
+    """What no rigid-body format holds: the friction terms ``left_out``, and delays."""
     notes = []
-    if result.friction:
-        notes.append(
-            f"{target} has no friction cubic in speed (f3) or proportional to load (fl), which is left out: "
-            f"{', '.join(result.friction)}"
-        )
+    if left_out:
+        kinds = {"f3": "cubic in speed", "fl": "proportional to the load"}
+        named = ", ".join(f"{name} ({kinds[name.split('_', 1)[0]]})" for name in left_out)
+        notes.append(f"{target} has no such friction, left out: {named}")
     late = [f"{1e3 * (each.value or 0.0):.2g} ms ('{joint}')" for joint, each in result.delays.items() if each.value]
     if late:
         notes.append(f"delays between current and torque are not part of the file: {', '.join(late)}")

@@ -12,6 +12,7 @@ from gtau.export.exported import Exported
 
 KINDS = {
     "c": "C99 source of torques, currents, gravity, friction, inertia and regressor, with a controller",
+    "mjcf": "MuJoCo model whose ctrl is the motors' current",
 }
 
 

@@ -50,7 +50,7 @@ class MujocoPlant:
             )
         chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         try:
-            self._model = _spec(mujoco, robot, chi).compile()
+            self._model = robot_spec(mujoco, robot, chi).compile()
         except ValueError as error:
             raise GtauError(
                 f"robot '{robot.name}': MuJoCo does not accept its parameters ({str(error).splitlines()[0]}); give "
@@ -73,7 +73,7 @@ class MujocoPlant:
         qpos = self._model.qpos0.copy()
         qpos[self._position] = c[: len(self._position)]
         for slots in layout.platforms:
-            for name, values in _platform_coordinates(slots, c).items():
+            for name, values in platform_coordinates(slots, c).items():
                 first = self._model.joint(name).qposadr[0]
                 qpos[first : first + len(values)] = values
         return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv))
@@ -104,7 +104,7 @@ class MujocoPlant:
         return PlantState(q, qd, data.qpos.copy(), data.qvel.copy())
 
 
-def _platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:
+def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:
     """Coordinates of a platform's joints in MuJoCo, which count from its home pose."""
     platform, found = slots.platform, {}
     shift = c[slots.position] - platform.home.position
@@ -124,7 +124,8 @@ def _platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.n
     return found
 
 
-def _spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:
+def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:
+    """The ``MjSpec`` of a robot without Coulomb friction and actuators; every link bears its joint's name."""
     spec = mujoco.MjSpec()
     spec.option.gravity = robot.gravity
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -1,0 +1,211 @@
+"""MJCF by ``mujoco.MjSpec``: loops as equality constraints, and actuators whose ``ctrl`` is the motor's current."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from gtau.errors import GtauError, missing_extra
+from gtau.estimation.results.result import Result
+from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences, term_notes
+from gtau.export.exported import Exported, written
+from gtau.export.identified import identifier
+from gtau.robots.robot import GROUND, Robot
+from gtau.simulation.mujoco_plant import LIGHTEST, STEP, platform_coordinates, robot_spec
+
+STIFF = ([2 * STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0])  # solref and solimp of closures, as of the plant
+JOINT = ("range", "armature", "damping", "frictionloss")
+THICKNESS = 0.012  # m: of the links as drawn
+
+
+def export(result: Result, out: Path) -> Exported:
+    """Write ``NAME.xml`` into ``out``.
+
+    Raises
+    ------
+    GtauError
+        Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
+    """
+    mujoco = imported()
+    model = consistent_model(result, "MJCF")
+    spec, expressed = _spec(mujoco, model)
+    compiled = compile_spec(spec)
+    _add_home(spec, compiled, result)
+    found = differences(model, expressed, cubic=_polynomial(spec))
+    files = written(out, {f"{identifier(result.robot.name)}.xml": _text(spec)})
+    return Exported(files, (difference_note(found), *_notes(model, expressed, _polynomial(spec))), found)
+
+
+def imported() -> ModuleType:
+    """The module mujoco; raises GtauError where it is not installed."""
+    try:
+        import mujoco
+    except ImportError:
+        raise missing_extra("an export to MJCF", "mujoco", "mujoco") from None
+    return mujoco  # type: ignore[no-any-return, unused-ignore]
+
+
+def compile_spec(spec: Any) -> Any:
+    """The MuJoCo model of a spec; raises GtauError where MuJoCo refuses it."""
+    try:
+        return spec.compile()
+    except ValueError as error:
+        said = " ".join(str(error).split()).rstrip(".")
+        raise GtauError(f"MuJoCo refuses the exported model ({said}); identify it with --consistent.") from None
+
+
+def gain_prm(model: ConsistentModel, joint: str) -> tuple[float, float]:
+    """Gear of a joint's actuator (N m/A or N/A), and the current that makes up for the joint's offset (A)."""
+    gain = model.gains[joint]
+    return gain, -model.of("off", joint) / gain
+
+
+def _polynomial(spec: Any) -> bool:
+    """Whether this MuJoCo has damping up to cubic in speed."""
+    probe = spec.worldbody.add_body()
+    cubic = np.size(probe.add_joint().damping) == 3
+    spec.delete(probe)
+    return bool(cubic)
+
+
+def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, float]]:
+    """The spec, and the standard parameters that it expresses."""
+    robot = model.result.robot
+    spec = robot_spec(mujoco, robot, model.standard)
+    spec.modelname = robot.name
+    spec.option.timestep = STEP
+    spec.worldbody.add_light(pos=(0, 0, 3))
+    cubic = _polynomial(spec)
+    for joint in robot.joints:
+        placed = spec.joint(joint.name)
+        placed.frictionloss = model.of("fs", joint.name)
+        if cubic:
+            placed.damping = (model.of("fv", joint.name), 0.0, _cubic(model, joint.name))
+        if joint.limits.position is not None:
+            placed.range = joint.limits.position
+    _draw(mujoco, robot, spec)
+    _add_couplings(mujoco, spec, robot)
+    _add_actuators(mujoco, spec, model)
+    unable = {f"off_{joint.name}" for joint in robot.joints if not joint.actuated}
+    return spec, {name: value for name, value in model.standard.items() if name not in unable}
+
+
+def _cubic(model: ConsistentModel, joint: str) -> float:
+    term = f"f3_{joint}"
+    return (model.result.friction[term].value or 0.0) if term in model.result.friction else 0.0
+
+
+def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
+    """Thin capsules from each body's origin to what hangs on it; they neither collide nor weigh."""
+    ends = [(joint.antecedent, joint.placement) for joint in robot.joints]
+    ends += [(end.body, end.placement) for closure in robot.closures for end in (closure.a, closure.b)]
+    look = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": (0.35, 0.45, 0.6, 1.0)}
+    for name, placement in ends:
+        if name != GROUND and np.linalg.norm(placement.position) > THICKNESS:
+            segment = (0.0, 0.0, 0.0, *placement.position)
+            spec.body(name).add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=segment, size=(THICKNESS, 0, 0), **look)
+        elif name != GROUND:
+            spec.body(name).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1.5 * THICKNESS, 0, 0), **look)
+
+
+def _add_couplings(mujoco: ModuleType, spec: Any, robot: Robot) -> None:
+    solref, solimp = STIFF
+    for number, coupling in enumerate(robot.couplings, start=1):
+        if len(coupling.ratios) > 1:
+            raise GtauError(
+                f"joint '{coupling.joint}' is coupled to {len(coupling.ratios)} joints, and an equality of MuJoCo "
+                "couples two; export to urdf or c instead."
+            )
+        (other, ratio), *_ = coupling.ratios
+        tie = spec.add_equality(
+            name=f"coupling {number}", name1=coupling.joint, name2=other, objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            type=mujoco.mjtEq.mjEQ_JOINT, solref=solref, solimp=solimp,
+        )  # fmt: skip
+        tie.data[:2] = coupling.offset, ratio
+        tie.data[2:5] = 0.0
+
+
+def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> None:
+    """One an actuated joint: torque = gear (ctrl + bias), with the drive gain as gear and the current as ctrl."""
+    for joint in model.result.robot.actuated:
+        gear, bias = gain_prm(model, joint)
+        actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gear[0] = gear
+        actuator.gainprm[0] = 1.0
+        if bias:
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.biasprm[0] = bias
+
+
+def _add_home(spec: Any, compiled: Any, result: Result) -> None:
+    """The keyframe 'home', in which the loops are closed."""
+    layout, loops = result.model.layout, result.model.loops
+    c = layout.home if loops is None else loops.home
+    qpos = compiled.qpos0.copy()
+    for k, joint in enumerate(result.robot.joints):
+        qpos[compiled.joint(joint.name).qposadr[0]] = c[k]
+    for slots in layout.platforms:
+        for name, values in platform_coordinates(slots, c).items():
+            first = compiled.joint(name).qposadr[0]
+            qpos[first : first + len(values)] = values
+    spec.add_key(name="home", qpos=qpos)
+    compile_spec(spec)
+
+
+def _text(spec: Any) -> str:
+    """The spec as XML, with all digits of its numbers, of which MuJoCo writes six."""
+    root = ElementTree.fromstring(spec.to_xml())
+    exact = {
+        "body": ({body.name: body for body in spec.bodies}, ("pos", "quat")),
+        "joint": ({joint.name: joint for joint in spec.joints}, ("axis", *JOINT)),
+        "site": ({site.name: site for site in spec.sites}, ("pos", "quat")),
+        "general": ({actuator.name: actuator for actuator in spec.actuators}, ("gear", "gainprm", "biasprm")),
+        "key": ({key.name: key for key in spec.keys}, ("qpos",)),
+    }
+    for element in root.iter():
+        named, attributes = exact.get(element.tag, ({}, ()))
+        source = named.get(element.get("name", ""))
+        for attribute in attributes:
+            if source is not None and attribute in element.attrib:
+                element.set(attribute, _digits(getattr(source, attribute)))
+        inertial = element.find("inertial")
+        if element.tag == "body" and inertial is not None and source is not None:
+            inertial.attrib.clear()
+            values = (("mass", "mass"), ("pos", "ipos"), ("quat", "iquat"), ("diaginertia", "inertia"))
+            inertial.attrib |= {name: _digits(getattr(source, attribute)) for name, attribute in values}
+        if element.tag == "option" and "gravity" in element.attrib:
+            element.set("gravity", _digits(spec.option.gravity))
+    for element, coupling in zip(root.findall("equality/joint"), _couplings(spec), strict=True):
+        element.set("polycoef", _digits(coupling.data[:5]))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _digits(values: Any) -> str:
+    """Numbers as they are read back to the last digit."""
+    numbers = [float(value) for value in np.atleast_1d(values)]
+    return " ".join(repr(number) if number != int(number) else f"{number:.0f}" for number in numbers)
+
+
+def _couplings(spec: Any) -> list[Any]:
+    import mujoco
+
+    return [tie for tie in spec.equalities if tie.type == mujoco.mjtEq.mjEQ_JOINT]
+
+
+def _notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> list[str]:
+    result = model.result
+    notes = term_notes(result, "MJCF", [name for name in result.friction if not (cubic and name.startswith("f3"))])
+    unable = [name for name, value in model.standard.items() if name not in expressed and value]
+    if unable:
+        notes.append(f"MJCF has no constant torque at a joint without actuator, left out: {', '.join(unable)}")
+    light = [joint.name for joint in result.robot.joints if not joint.has_mass]
+    if light:
+        notes.append(f"MuJoCo moves no massless body, so these weigh {LIGHTEST:g} kg: {', '.join(light)}")
+    notes.append("Coulomb friction is MuJoCo's frictionloss, which also holds the robot at rest")
+    return notes

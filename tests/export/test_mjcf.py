@@ -1,0 +1,123 @@
+"""Exported MJCF, loaded by MuJoCo: torques, closures and currents beside the model's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from models_to_export import model_of
+from robots_for_tests import CLOSED, SERIAL
+
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
+from gtau.export.mjcf import export
+from gtau.model.loops import Motion
+from gtau.model.random_states import random_motion
+from gtau.robots.load import load_robot
+from gtau.robots.robot import Coupling, Joint, Pose, Robot
+from gtau.simulation.mujoco_plant import platform_coordinates
+
+GEARED = Robot(
+    "geared",
+    (
+        Joint("1", "ground", "revolute", Pose((0.0, 0.1, 0.2), (0.3, 0.2, 0.1))),
+        Joint("2", "1", "revolute", Pose((0.4, 0.0, 0.1), (0.5, 0.0, 0.0)), (0.0, 0.6, 0.8), actuated=False),
+        Joint("3", "2", "prismatic", Pose((0.2, 0.1, 0.0), (0.0, 0.9, 0.0)), (1.0, 0.0, 0.0)),
+    ),
+    couplings=(Coupling("2", (("1", -1.5),), 0.2),),
+)
+QUICK = ("tree", "slider-crank", "five-bar", "geared")
+FIT = [*SERIAL, GEARED, *(robot for robot in CLOSED if robot.name != "two platforms")]
+
+
+def state(result: Result, model: mujoco.MjModel, motion: Motion, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """MuJoCo's configuration (nq,) of sample k, and the map (nv, n_y) of velocities, whose own axes a ball turns in."""
+    layout = result.model.layout
+    qpos, T = model.qpos0.copy(), np.zeros((model.nv, layout.n_y))
+    for row, joint in enumerate(result.robot.joints):
+        qpos[model.joint(joint.name).qposadr[0]] = motion.c[row, k]
+        T[model.joint(joint.name).dofadr[0], row] = 1.0
+    for slots in layout.platforms:
+        for name, values in platform_coordinates(slots, motion.c[:, k]).items():
+            first = model.joint(name).qposadr[0]
+            qpos[first : first + len(values)] = values
+            dof = model.joint(name).dofadr[0]
+            rates = np.arange(slots.rates.start, slots.rates.stop)
+            if len(values) == 4:
+                data = mujoco.MjData(model)
+                data.qpos = qpos
+                mujoco.mj_kinematics(model, data)
+                T[dof : dof + 3, rates[-3:]] = data.body(slots.platform.name).xmat.reshape(3, 3).T
+            else:
+                T[dof, rates[slots.platform.dof.index(name.split("_")[0].replace("turn", "rz"))]] = 1.0
+    return qpos, T
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [pytest.param(robot, marks=() if robot.name in QUICK else pytest.mark.slow, id=robot.name) for robot in FIT],
+)
+def test_mujoco_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
+    result = model_of(robot)
+    result = replace(result, friction={name: each for name, each in result.friction.items() if name.startswith("f3")})
+    idm, standard = result.model, dict(result.consistency.standard)
+    standard |= {f"off_{joint.name}": 0.0 for joint in robot.joints if not joint.actuated}
+    (path,) = export(result, tmp_path).files
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    motion = random_motion(idm, 10, rng)
+    values = np.array([standard[name] for name in idm.parameter_names])
+    tau = idm.full.torques_along(idm.layout, motion, values)
+    speed = motion.yd[idm.layout.actuated]
+    tau += np.array([[result.friction[f"f3_{joint}"].value] for joint in robot.actuated]) * speed**3
+    for k in range(10):
+        data.qpos, T = state(result, model, motion, k)
+        v, a = T @ motion.yd[:, k], T @ motion.ydd[:, k]
+        data.qvel = v
+        data.ctrl = 0.0
+        mujoco.mj_forward(model, data)
+        assert np.abs(data.efc_pos[: data.ne]).max(initial=0.0) < 1e-9  # the closures are MuJoCo's too
+        Ma = np.zeros(model.nv)
+        mujoco.mj_mulM(model, data, Ma, a)
+        effort = Ma + data.qfrc_bias - data.qfrc_passive + model.dof_frictionloss * np.sign(v)
+        gears = np.array([model.actuator(joint).gear[0] for joint in robot.actuated])
+        current = ((T @ motion.J[:, :, k]).T @ (effort - data.qfrc_actuator)) / gears
+        np.testing.assert_allclose(gears, [gain for gain, _ in result.consistency.gains.values()])
+        np.testing.assert_allclose(current * gears, tau[:, k], atol=1e-7 * np.abs(tau).max())
+
+
+@pytest.mark.slow
+def test_home_is_closed_and_stays_so(tmp_path: Path) -> None:
+    result = model_of(load_robot("orthoglide"), terms=False)
+    (path,) = export(result, tmp_path).files
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    for _ in range(200):
+        mujoco.mj_step(model, data)
+    assert np.abs(data.efc_pos[: data.ne]).max() < 1e-4
+    assert load_robot(path).actuated == result.robot.actuated
+
+
+def test_a_joint_coupled_to_two_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match=r"joint 'motor_6' is coupled to 2 joints.*; export to urdf or c instead"):
+        export(model_of(load_robot("staubli-tx40"), terms=False), tmp_path)
+
+
+def test_what_mujoco_cannot_express_is_listed(tmp_path: Path) -> None:
+    robot = load_robot("five-bar")
+    exported = export(model_of(robot), tmp_path)
+    notes = " ".join(exported.notes)
+    assert "fl_left (proportional to the load)" in notes
+    assert "off_left_forearm" in notes or "off_" in notes
+    assert "f3_left" not in notes
+    assert 0 < max(exported.figures.values()) < 50
+    assert max(export(model_of(robot, terms=False), tmp_path).figures.values()) < max(exported.figures.values())
+
+
+def test_a_model_without_consistent_parameters_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match=r"an export to MJCF needs .*; identify it with --consistent"):
+        export(model_of(load_robot("five-bar"), consistent=False), tmp_path)
