@@ -14,9 +14,9 @@ from robots_for_tests import CLOSED, SERIAL
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.mjcf import export
+from gtau.model.home import load_robot
 from gtau.model.loops import Motion
 from gtau.model.random_states import random_motion
-from gtau.robots.load import load_robot
 from gtau.robots.robot import Coupling, Joint, Pose, Robot
 from gtau.simulation.mujoco_plant import platform_coordinates
 

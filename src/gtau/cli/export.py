@@ -9,7 +9,7 @@ import typer
 
 from gtau.cli.console import Json, ModelFile, print_json, progress_bar, refusals
 
-KINDS = "c, mjcf"  # spelled out, so that --help needs no imports; a test compares it with the registry
+KINDS = "c, mjcf, urdf"  # spelled out, so that --help needs no imports; a test compares it with the registry
 
 
 def export(

@@ -13,6 +13,7 @@ from gtau.export.exported import Exported
 KINDS = {
     "c": "C99 source of torques, currents, gravity, friction, inertia and regressor, with a controller",
     "mjcf": "MuJoCo model whose ctrl is the motors' current",
+    "urdf": "URDF with inertias and friction, loops and drives in YAML files beside it",
 }
 
 

@@ -1,0 +1,220 @@
+"""URDF with inertias and friction, and YAML files beside it for what a URDF has no place for: loops and drives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import yaml
+
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
+from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences, term_notes
+from gtau.export.exported import Exported, written
+from gtau.export.identified import identifier
+from gtau.export.rigid_body import RigidBody, rigid_body
+from gtau.robots.geometry import compose, pose_of, turn
+from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Placement, Platform, Pose, Robot
+from gtau.robots.units import torque_unit
+
+ROOT = "base"
+UNLIMITED = 1e6  # rad, m: the format wants limits of slides
+
+
+def export(result: Result, out: Path) -> Exported:
+    """Write ``NAME.urdf``, ``NAME.yaml`` where the robot has loops, and ``NAME_drives.yaml`` into ``out``.
+
+    A platform hangs on a chain of one passive joint a degree of freedom, with massless links in between.
+
+    Raises
+    ------
+    GtauError
+        Where the result has no physically consistent parameters, or a joint is coupled to more than one other.
+    """
+    model = consistent_model(result, "URDF")
+    robot, name = result.robot, identifier(result.robot.name)
+    texts = {f"{name}.urdf": _text(robot_element(model)), f"{name}_drives.yaml": drives_text(model)}
+    if robot.closures:
+        texts[f"{name}.yaml"] = _loops_text(robot)
+    found = differences(model, model.standard, cubic=True)
+    return Exported(written(out, texts), (difference_note(found), *notes(model, name)), found)
+
+
+def notes(model: ConsistentModel, name: str) -> list[str]:
+    """What the URDF lacks and where it stands instead."""
+    found = [f"a URDF has no place for drive gains, rotor inertias and offsets: they are in {name}_drives.yaml"]
+    cubic = [term for term in model.result.friction if term.startswith("f3")]
+    found += [f"friction cubic in speed is in {name}_drives.yaml too"] if cubic else []
+    return found + term_notes(model.result, "URDF", [term for term in model.result.friction if term not in cubic])
+
+
+def robot_element(model: ConsistentModel) -> Element:
+    """The robot as an XML element."""
+    robot = model.result.robot
+    _check(robot)
+    turned = _to_vertical(robot)
+    root = Element("robot", name=robot.name)
+    SubElement(root, "link", name=ROOT)
+    couplings = {coupling.joint: coupling for coupling in robot.couplings}
+    for joint in robot.joints:
+        _link(root, joint.name, rigid_body(model.standard, joint.name) if joint.has_mass else None)
+        placement = compose(turned, joint.placement) if joint.antecedent == GROUND else joint.placement
+        element = _joint(root, joint, placement, ROOT if joint.antecedent == GROUND else link(joint.antecedent))
+        SubElement(
+            element,
+            "dynamics",
+            damping=_number(model.of("fv", joint.name)),
+            friction=_number(model.of("fs", joint.name)),
+        )
+        if joint.name in couplings:
+            (other, ratio), *_ = couplings[joint.name].ratios
+            mimic = {"joint": other, "multiplier": _number(ratio), "offset": _number(couplings[joint.name].offset)}
+            SubElement(element, "mimic", mimic)
+    for platform in robot.platforms:
+        _platform(root, platform, turned, rigid_body(model.standard, platform.name))
+    for end_name, end in _ends(robot):
+        _link(root, link(end_name), None)
+        fixed = SubElement(root, "joint", name=end_name, type="fixed")
+        placement = compose(turned, end.placement) if end.body == GROUND else end.placement
+        _place(fixed, placement, ROOT if end.body == GROUND else link(end.body), link(end_name))
+    return root
+
+
+def link(name: str) -> str:
+    """Name of the link of a joint, platform or closure's end, which bears its name in gtau."""
+    return f"link_{name}"
+
+
+def _check(robot: Robot) -> None:
+    for coupling in robot.couplings:
+        if len(coupling.ratios) > 1:
+            raise GtauError(
+                f"joint '{coupling.joint}' is coupled to {len(coupling.ratios)} joints, and a joint of a URDF mimics "
+                "one; export to c instead."
+            )
+
+
+def _to_vertical(robot: Robot) -> Pose:
+    """Pose of the robot's ground in the root link, whose -z is gravity."""
+    down = np.array(robot.gravity) / (np.linalg.norm(robot.gravity) or 1.0)
+    axis, cosine = np.cross(down, (0.0, 0.0, -1.0)), -down[2]
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        rotation = np.eye(3) if cosine >= 0 else turn(np.array([1.0, 0.0, 0.0]), np.pi)
+    else:
+        rotation = turn(axis / sine, float(np.arctan2(sine, cosine)))
+    return pose_of(rotation, np.zeros(3))
+
+
+def _link(root: Element, name: str, body: RigidBody | None) -> None:
+    element = SubElement(root, "link", name=name if name.startswith("link_") else link(name))
+    if body is not None and body.mass:
+        element.append(inertial_element(body))
+
+
+def inertial_element(body: RigidBody) -> Element:
+    """``<inertial>`` of a rigid body in its link's frame."""
+    element = Element("inertial")
+    SubElement(element, "origin", xyz=_numbers(body.center), rpy="0 0 0")
+    SubElement(element, "mass", value=_number(body.mass))
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    SubElement(element, "inertia", {name: _number(body.inertia[entry]) for name, entry in entries.items()})
+    return element
+
+
+def _joint(root: Element, joint: Joint, placement: Placement, parent: str) -> Element:
+    limits, turns = joint.limits, joint.kind == "revolute"
+    endless = turns and limits.position is None
+    kind = "continuous" if endless else "revolute" if turns else "prismatic"
+    element = SubElement(root, "joint", name=joint.name, type=kind)
+    _place(element, placement, parent, link(joint.name))
+    SubElement(element, "axis", xyz=_numbers(joint.axis))
+    low, high = limits.position or (-UNLIMITED, UNLIMITED)
+    bounds = {} if endless else {"lower": _number(low), "upper": _number(high)}
+    SubElement(
+        element,
+        "limit",
+        {**bounds, "velocity": _number(limits.velocity or 0.0), "effort": _number(limits.effort or 0.0)},
+    )
+    return element
+
+
+def _place(element: Element, placement: Placement, parent: str, child: str) -> None:
+    pose = pose_of(placement.rotation, placement.position)
+    SubElement(element, "origin", xyz=_numbers(pose.xyz), rpy=_numbers(pose.rpy))
+    SubElement(element, "parent", link=parent)
+    SubElement(element, "child", link=child)
+
+
+def _platform(root: Element, platform: Platform, turned: Pose, body: RigidBody) -> None:
+    """Slides along base axes, then hinges about base axes at home, and the platform's frame at the end."""
+    home = platform.home
+    placement = compose(turned, Pose(home.xyz))
+    parent = ROOT
+    chain = [f"{dof}_{platform.name}" for dof in platform.dof]
+    for name, dof in zip(chain, platform.dof, strict=True):
+        axis = tuple(np.eye(3)[(TRANSLATIONS if dof in TRANSLATIONS else ROTATIONS).index(dof)])
+        joint = Joint(name, "", "prismatic" if dof in TRANSLATIONS else "revolute", axis=axis, actuated=False)
+        _link(root, link(name), None)
+        _joint(root, joint, placement, parent)
+        parent, placement = link(name), Pose()
+    _link(root, platform.name, body)
+    fixed = SubElement(root, "joint", name=f"frame_{platform.name}", type="fixed")
+    _place(fixed, Pose(rpy=home.rpy), parent, link(platform.name))
+
+
+def _ends(robot: Robot) -> Iterator[tuple[str, Attachment]]:
+    for number, closure in enumerate(robot.closures, start=1):
+        yield f"closure_{number}_a", closure.a
+        yield f"closure_{number}_b", closure.b
+
+
+def _loops_text(robot: Robot) -> str:
+    """The loops in the form that gtau and the Gepetto models of parallel robots use."""
+    document = {
+        "closed_loop": [[f"closure_{k}_a", f"closure_{k}_b"] for k in range(1, len(robot.closures) + 1)],
+        "type": ["3d" if closure.kind == "connect" else "6d" for closure in robot.closures],
+        "name_mot": list(robot.actuated),
+    }
+    return str(yaml.safe_dump(document, sort_keys=False))
+
+
+def drives_text(model: ConsistentModel) -> str:
+    """Drive gains, rotor inertias and what else the drives have, as YAML."""
+    joints: dict[str, dict[str, object]] = {}
+    for joint in model.result.robot.joints:
+        unit = torque_unit(model.result.robot, joint.name)
+        entry: dict[str, object] = {}
+        if joint.name in model.gains:
+            entry["drive_gain"] = {"value": model.gains[joint.name], "unit": f"{unit}/A"}
+        turns = joint.kind == "revolute"
+        if armature := model.of("ia", joint.name):
+            entry["armature"] = {"value": armature, "unit": "kg m2" if turns else "kg"}
+        if offset := model.of("off", joint.name):
+            entry["offset"] = {"value": offset, "unit": unit}
+        if cubic := _cubic(model.result, joint.name):
+            entry["cubic_friction"] = {"value": cubic, "unit": "N m s3/rad3" if turns else "N s3/m3"}
+        if entry:
+            joints[joint.name] = entry
+    return str(yaml.safe_dump({"robot": model.result.robot.name, "joints": joints}, sort_keys=False))
+
+
+def _cubic(result: Result, joint: str) -> float:
+    term = f"f3_{joint}"
+    return (result.friction[term].value or 0.0) if term in result.friction else 0.0
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(_number(value) for value in values)
+
+
+def _text(root: Element) -> str:
+    ElementTree.indent(root)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
