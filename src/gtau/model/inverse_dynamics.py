@@ -118,7 +118,7 @@ class InverseDynamics:
     def loops(self) -> Loops | None:
         """The solved closures; None for a robot without closures and couplings whose joints are all actuated."""
         layout = self.layout
-        return close_loops(layout) if self.robot.closures or self.robot.couplings or layout.passive.size else None
+        return close_loops(self.robot) if self.robot.closures or self.robot.couplings or layout.passive.size else None
 
     def motion(
         self,

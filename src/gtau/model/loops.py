@@ -9,19 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.closures import ClosureEquations, closure_equations
-from gtau.model.coordinates import Coordinates
+from gtau.model.coordinates import Coordinates, coordinates
 from gtau.model.home import FAR, closed, is_closed, loop_errors
 from gtau.model.interpreter.continuation import Follower, advance_to, follow_path
 from gtau.model.interpreter.kernel import MACHINE
 from gtau.model.interpreter.lanes import LANES
 from gtau.model.interpreter.program import Bound, addresses, aligned
 from gtau.model.interpreter.threads import share
+from gtau.robots.robot import Robot
 
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
 CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
@@ -104,8 +106,9 @@ class Loops:
         return residual, G_p.reshape(rows, passive, c.shape[1]), G_a.reshape(rows, actuated, c.shape[1])
 
 
-def close_loops(layout: Coordinates) -> Loops:
-    """Close the loops of a robot at home and check that its actuated joints move all of it.
+@lru_cache(maxsize=8)
+def close_loops(robot: Robot) -> Loops:
+    """Close the loops of a robot at home and check that its actuated joints move all of it; made once a robot.
 
     Raises
     ------
@@ -113,7 +116,8 @@ def close_loops(layout: Coordinates) -> Loops:
         Where the loops do not close near the home of the robot's file, where actuation is redundant,
         or where passive coordinates stay free.
     """
-    robot, errors = layout.robot, loop_errors(layout)
+    layout = coordinates(robot)
+    errors = loop_errors(layout)
     home = closed(errors, layout.home, errors.passive)
     if not is_closed(errors, home):
         raise GtauError(

@@ -1,4 +1,4 @@
-"""Random feasible states of a robot, to find out what its model can tell apart."""
+"""Draw random feasible states of a robot, which show the structure of its model."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import CONDITION, Motion, advance, differentiate, joined
 from gtau.robots.robot import Joint
 
-FEASIBLE = 0.02  # share of random poses: where fewer are, a robot is not described well enough to draw them
+FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer to home
 ENOUGH = 500  # poses that show the share
+MOVED = 0.1  # of the way from home to a pose: one that stops before shows no more than home does
+SMALLEST = 2.0**-8  # share of the range about home in which poses are drawn
 
 
 def _range(joint: Joint, length: float) -> tuple[float, float]:
@@ -27,8 +29,8 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) 
 
     Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and
     ten times that per second where there are none) as standard deviation. A pose that cannot be
-    reached in the assembly mode of home is replaced by the last one on the way to it; one that is nearly singular or
-    beyond the limits is drawn anew.
+    reached in the assembly mode of home is replaced by the last one on the way to it; one that hardly left home, is
+    nearly singular or beyond the limits is drawn anew. Where few others are left, all are drawn nearer to home.
 
     Returns
     -------
@@ -38,23 +40,27 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) 
     Raises
     ------
     GtauError
-        Where the limits leave hardly any feasible pose.
+        Where hardly any pose about home is feasible.
     """
     joints = [idm.robot.joint(name) for name in idm.actuated]
     length = idm.loops.equations.length if idm.loops else 1.0
     bounds = np.array([_range(joint, length) for joint in joints])
+    home = np.clip((idm.loops.home if idm.loops else idm.layout.home)[idm.layout.actuated], *bounds.T)[:, None]
     speed = np.array([joint.limits.velocity or 3.0 for joint in joints]) / 3
     push = np.array([joint.limits.acceleration or 30.0 for joint in joints]) / 3
     parts: list[Motion] = []
-    found, drawn, share = 0, 0, 1.0
+    found, drawn, share, box = 0, 0, 1.0, 1.0
     while found < samples:
         if drawn >= ENOUGH and share < FEASIBLE:
-            raise GtauError(
-                f"robot '{idm.robot.name}': only {found} of {drawn} random poses within the limits can be reached "
-                "away from singularities; narrow the joints' position limits to the workspace."
-            )
+            if box <= SMALLEST:
+                raise GtauError(
+                    f"robot '{idm.robot.name}': hardly any pose within the position limits can be reached away from "
+                    "singularities, even close to home; give limits and a home within the workspace, and check which "
+                    "joints are actuated."
+                )
+            parts, found, drawn, share, box = [], 0, 0, 1.0, box / 2
         count = samples if not drawn else ceil(1.2 * (samples - found) / max(share, FEASIBLE))
-        q = rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), count))
+        q = home + box * (rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), count)) - home)
         qd = rng.normal(size=q.shape) * speed[:, None]
         qdd = rng.normal(size=q.shape) * push[:, None]
         parts.append(_regular(idm, bounds, q, qd, qdd))
@@ -67,9 +73,11 @@ def _regular(idm: InverseDynamics, bounds: np.ndarray, q: np.ndarray, qd: np.nda
     """The states (n, N) whose poses are within ``bounds`` and regular."""
     if idm.loops is None:
         return idm.motion(q, qd, qdd)
+    home = idm.loops.home[:, None]
     # no shorter steps: poses well before a singularity serve better than those as near to it as can be
-    c, _ = advance(idm.loops, np.repeat(idm.loops.home[:, None], q.shape[1], axis=1), q, shortest=2.0**-7)
-    arrived = c[idm.layout.actuated]
+    c, _ = advance(idm.loops, np.repeat(home, q.shape[1], axis=1), q, shortest=2.0**-7)
+    arrived, start = c[idm.layout.actuated], home[idm.layout.actuated]
     inside = ((bounds[:, :1] <= arrived) & (arrived <= bounds[:, 1:])).all(axis=0)  # home may lie outside
-    regular = inside & (idm.loops.condition(c) < CONDITION / 10)
+    moved = np.linalg.norm(arrived - start, axis=0) >= MOVED * np.linalg.norm(q - start, axis=0)
+    regular = inside & moved & (idm.loops.condition(c) < CONDITION / 10)
     return differentiate(idm.loops, c[:, regular], qd[:, regular], qdd[:, regular])

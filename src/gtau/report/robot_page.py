@@ -28,7 +28,7 @@ def describe(robot: Robot) -> dict[str, Any]:
     """
     model = InverseDynamics(robot)
     loops = model.loops
-    base, inertial = base_parameters(model), base_parameters(InverseDynamics(robot, "inertial"))
+    base = base_parameters(model)
     home = model.layout.home if loops is None else loops.home
     still = np.zeros((len(model.actuated), 1))
     near = singularities(model).distances(model.rates(home[:, None], still, still))[:, 0]
@@ -69,7 +69,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "payload_on": robot.tool,
         "base_parameters": {
             "count": base.count,
-            "count_inertial_only": inertial.count,
+            "count_inertial_only": base.inertial_count,
             "standard": len(model.parameter_names),
             "without_effect": len(base.without_effect),
             "regroupings": base.regroupings,

@@ -1,4 +1,4 @@
-"""Base parameters: the fewest that the model can be computed from (paper, section 3.1)."""
+"""Base parameters: the smallest set from which the model can be computed (paper, section 3.1)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from gtau.errors import GtauError
 from gtau.estimation.regression.legs import identical_legs
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -15,7 +16,10 @@ from gtau.model.random_states import random_motion
 from gtau.robots.robot import INERTIAL, Robot
 
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
-SAMPLES = 1500
+IDLE = 1e-10  # share of the largest column: a smaller one is rounding
+ROWS = 2  # of the regressor for each of its columns that are drawn at once
+SAMPLES = 60  # that are drawn at once at least: as many give the rank that 1500 do, on all robots of the catalog
+DRAWS = 12  # after which the rank must have settled
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class BaseParameters:
         (count, n_st): base parameters from standard ones, ``chi = matrix @ chi_st``.
     without_effect : tuple of str
         Standard parameters that act on no actuated joint.
+    inertial_count : int
+        Number of base parameters without rotor inertia, friction and offset.
     """
 
     names: tuple[str, ...]
@@ -41,6 +47,7 @@ class BaseParameters:
     regroupings: dict[str, str] = field(repr=False)
     matrix: np.ndarray = field(repr=False)
     without_effect: tuple[str, ...] = field(repr=False)
+    inertial_count: int = field(repr=False)
 
     @property
     def count(self) -> int:
@@ -72,7 +79,7 @@ def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
 
     The regressor of random feasible states is factorised by QR without pivoting, its columns
     normalised and in the symmetric order of eq. (23); a column that depends on those kept before it is
-    skipped, and its parameter regrouped with theirs (eq. 22).
+    skipped, and its parameter regrouped with theirs (eq. 22). States are drawn until as many again change no rank.
 
     Parameters
     ----------
@@ -84,16 +91,13 @@ def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
     Raises
     ------
     GtauError
-        Where the robot's limits leave no feasible states.
+        Where the robot's limits leave no feasible states, or more states keep adding base parameters.
     """
-    motion = random_motion(idm, SAMPLES, np.random.default_rng(seed))
     order = symmetric_order(idm.robot, idm.parameter_names)
-    entries = idm.full(idm.layout, motion)
     position = {name: k for k, name in enumerate(idm.parameter_names)}
-    W = np.zeros((len(idm.actuated), motion.c.shape[1], len(position)))
-    W[idm.full.rows, :, idm.full.columns] = entries
-    R = triangle(W.reshape(-1, len(position))[:, [position[name] for name in order]])
+    R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed))
     kept, coefficients, idle = independent_columns(R)
+    inertial = [k for k, name in enumerate(order) if name.split("_", 1)[0] in INERTIAL]
     matrix = np.zeros((len(kept), len(position)))
     for row in range(len(kept)):
         for column, name in enumerate(order):
@@ -104,7 +108,29 @@ def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
         others = [name for name in idm.parameter_names if name != own and matrix[row, position[name]]]
         names.append(own + "R" if others else own)
         regroupings[names[-1]] = own + "".join(_term(matrix[row, position[name]], name) for name in others)
-    return BaseParameters(tuple(names), tuple(standard), regroupings, matrix, tuple(order[k] for k in idle))
+    inertial_count = len(independent_columns(R[:, inertial])[0])
+    without_effect = tuple(order[k] for k in idle)
+    return BaseParameters(tuple(names), tuple(standard), regroupings, matrix, without_effect, inertial_count)
+
+
+def _settled_triangle(idm: InverseDynamics, columns: Sequence[int], rng: np.random.Generator) -> np.ndarray:
+    """Triangular factor of the regressor's ``columns`` at random states, so many that more leave its rank the same."""
+    full, n, n_st = idm.full, len(idm.actuated), len(idm.parameter_names)
+    samples = max(SAMPLES, -(-ROWS * n_st // n))
+    R, rank = np.zeros((0, n_st)), -1
+    for _ in range(DRAWS):
+        motion = random_motion(idm, samples, rng)
+        W = np.zeros((n, samples, n_st))
+        W[full.rows, :, full.columns] = full(idm.layout, motion)
+        R = triangle(np.vstack([R, W.reshape(-1, n_st)[:, columns]]))
+        before, rank = rank, len(independent_columns(R)[0])
+        if rank == before:
+            return R
+    raise GtauError(
+        f"robot '{idm.robot.name}': the number of base parameters has not settled at {rank} after {DRAWS * samples} "
+        "random states, which stay too close together; narrow the joints' position limits to the workspace, or give "
+        "a home in the middle of it."
+    )
 
 
 def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]]:
@@ -125,7 +151,7 @@ def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]
         Indices of the columns that are zero.
     """
     norms = np.linalg.norm(A, axis=0)
-    idle = norms <= 1e-12 * norms.max(initial=0.0)
+    idle = norms <= IDLE * norms.max(initial=0.0)
     units = A / np.where(idle, 1.0, norms)
     Q = np.zeros((min(A.shape), A.shape[0]))  # orthonormal rows, the first len(kept) of them
     kept: list[int] = []
