@@ -73,7 +73,12 @@ def test_identify_writes_and_prints(here: Path) -> None:
     result = run("identify", "experiment.yaml", "--out", "deep/out")
     assert result.exit_code == 0
     assert result.stderr == ""
-    assert {file.name for file in (here / "deep" / "out").iterdir()} == {"model.json", "singularities.parquet"}
+    assert {file.name for file in (here / "deep" / "out").iterdir()} == {
+        "model.json",
+        "summary.txt",
+        "singularities.parquet",
+    }
+    assert (here / "deep" / "out" / "summary.txt").read_text() in result.stdout
     assert "Drive gains" in result.stdout
     assert "written: deep/out/model.json" in result.stdout
     assert run("identify", "experiment.yaml").exit_code == 0
@@ -391,7 +396,7 @@ def test_as_a_program(here: Path) -> None:
     assert process.returncode == 2
     assert json.loads(stdout)["error"] in stderr
     assert "Value error" not in stderr
-    assert stderr.endswith("'ols'. See 'gtau --help'.\n")
+    assert stderr.endswith("'ols'. See 'gtau identify --help'.\n")
 
 
 SIGNS = """
@@ -424,7 +429,8 @@ def test_interrupted_while_importing(here: Path) -> None:
     """Python's own imports may be what an impatient user interrupts."""
     (here / "typer.py").write_text("raise KeyboardInterrupt")
     process = start(here, "robot", "ur10e", first="import sys; sys.path.insert(0, '.')")
-    assert process.communicate(timeout=60) == ("", "gtau: interrupted; nothing has been written.\n")
+    sentence = "gtau: interrupted; files that were not finished have not been written.\n"
+    assert process.communicate(timeout=60) == ("", sentence)
     assert process.returncode == 130
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 import gtau
-from gtau.cli.console import progress_bar
+from gtau.cli.progress_display import _lines
 from gtau.estimation.compare import EstimatorComparison, Row, table
 from gtau.estimation.diagnostics.verdict import Outcome
 
@@ -102,13 +103,18 @@ def test_columns_of_a_comparison_do_not_touch() -> None:
         assert head.index(name + " ") + len(name) == ml.index(entry) + len(entry)
 
 
-def test_stages_are_told_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    for lines, told in ((True, "gtau: simulating ...\ngtau: drawing ...\n"), (False, "")):
-        with progress_bar(lines=lines) as progress:
-            for what in ("simulating", "drawing"):
-                for done in range(3):
-                    progress(what, done, 2)
-        assert capsys.readouterr().err == told
+def test_without_a_terminal_a_line_a_minute_says_where_the_work_stands(capsys: pytest.CaptureFixture[str]) -> None:
+    with _lines("starting", every=0.05) as progress:
+        time.sleep(0.12)
+        progress("simulating", 1, 4)
+        time.sleep(0.12)
+    lines = capsys.readouterr().err.splitlines()
+    assert 2 <= len(lines) <= 5
+    assert lines[0] == "gtau: starting, 0 s"
+    assert lines[-1] == "gtau: simulating, 25 %, 0 s"
+    with _lines("starting", every=60.0) as progress:
+        progress("simulating", 1, 4)
+    assert capsys.readouterr().err == ""
 
 
 def test_the_pages_link_to_what_is_there() -> None:

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.excitation.criteria import relative_deviations
-from gtau.excitation.design import Design, check, design
+from gtau.excitation.design import Design, Stopped, check, design
 from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate, information
 from gtau.excitation.forecast import forecast, sampled_motions
@@ -144,7 +144,7 @@ def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
     logs = [read_log(out / f"trajectory_{run}.csv", ("t", "q_left", "q_right")).columns for run in (1, 2)]
     assert np.abs(logs[0]["q_left"][:2000] - logs[1]["q_left"][:2000]).max() > 0.1
     assert (out / "trajectory_2.png").exists()
-    document = json.constraint_usages((out / "design.json").read_text())
+    document = json.loads((out / "design.json").read_text())
     used = {each["limit"]: each["used"] for each in document["limits"]}
     assert max(used.values()) <= 1.0
     assert {f"z of the tool's frame in run {run}" for run in (1, 2)} <= set(used)
@@ -183,25 +183,56 @@ def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
     task, _ = read_design(write(tmp_path, low))
     with pytest.raises(GtauError, match=r"the current of joint '(left|right)'.* must be at most 0.01 A") as refusal:
         design(task, starts=1)
-    assert "no motion holds the limits" in str(refusal.value)
+    assert "no motion within the limits was found" in str(refusal.value)
 
 
-def test_a_stopped_design_returns_the_best_so_far(tmp_path: Path) -> None:
+@pytest.mark.parametrize("asked", [1, 30, 60, 90])
+def test_a_stopped_design_is_the_best_so_far_and_within_the_limits(tmp_path: Path, asked: int) -> None:
     task, _ = read_design(write(tmp_path, FIVE_BAR))
-    seen: list[Design | None] = []
+    kept: list[Design] = []
+    steps: list[int] = []
 
-    def progress(best: Design | None, done: int, total: int) -> None:
-        seen.append(best)
+    def stop() -> bool:
+        steps.append(1)
+        return len(steps) > asked
 
-    stopped = design(task, starts=50, progress=progress, stop=lambda: any(each is not None for each in seen))
+    stopped = design(task, starts=50, keep=kept.append, stop=stop)
+    assert stopped.cut_short
     assert stopped.start == 0
-    assert len(seen) < 5
-    with pytest.raises(GtauError, match="stopped before a motion"):
+    assert stopped.value == kept[-1].value == min(each.value for each in kept)
+    assert max(usage.excess for usage in check(task, stopped.x)) <= 1.0
+    assert "the search was cut short" in design_page(describe_design(stopped, {}, []))
+
+
+def test_progress_counts_iterations(tmp_path: Path) -> None:
+    task, _ = read_design(write(tmp_path, FIVE_BAR))
+    seen: list[tuple[str, int, int]] = []
+    found = design(task, starts=1, progress=lambda *each: seen.append(each))
+    assert not found.cut_short
+    done = [each[1] for each in seen]
+    assert done == sorted(done)
+    assert len(set(done)) > 10
+    assert seen[-1] == ("searching", seen[0][2], seen[0][2])
+
+
+def test_a_search_stopped_before_it_has_found_anything_does_not_blame_the_limits(tmp_path: Path) -> None:
+    low = FIVE_BAR.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
+    task, _ = read_design(write(tmp_path, low))
+    with pytest.raises(Stopped, match="the search was stopped before it had found a motion within the limits"):
         design(task, starts=3, stop=lambda: True)
 
 
+def test_all_weak_parameters_are_listed_with_the_figures_of_the_table(found: Design) -> None:
+    document = describe_design(found, {}, [])
+    weak = {each["name"]: each["rel_std"] for each in document["weak"]}
+    for each in document["parameters"]:
+        if each["rel_std"] is not None:
+            assert (each["rel_std"] >= 30) == (each["name"] in weak)
+            assert weak.get(each["name"], each["rel_std"]) == pytest.approx(each["rel_std"])
+
+
 def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None:
-    weak = weak_unknowns(found)
+    weak = weak_unknowns(found, forecast(found.task, found.x))
     assert weak
     for each in weak:
         assert each.relative > 0.3
@@ -210,7 +241,7 @@ def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None
 
 def test_a_motion_that_tells_next_to_nothing_is_no_advice(found: Design, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = (Weak("fv_left", 400.0, "left", "slowly", 250.0), Weak("fs_left", 4.0, "left", "slowly", 2.5))
-    monkeypatch.setattr("gtau.report.excite_page.weak_unknowns", lambda design: weak)
+    monkeypatch.setattr("gtau.report.excite_page.weak_unknowns", lambda design, expected: weak)
     nothing, something = (each["advice"] for each in describe_design(found, {}, [])["weak"])
     assert nothing.startswith("no motion of one joint within the limits helps")
     assert something.startswith("a run of joint 'left' alone, slowly, would bring it to 250 %")
@@ -232,7 +263,7 @@ def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
     ]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
-    document = json.constraint_usages((tmp_path / "out" / "design.json").read_text())
+    document = json.loads((tmp_path / "out" / "design.json").read_text())
     assert [each["mass"] for each in document["payload_masses"]] == [0.5, 2.0]
     light, heavy = (each["rms"] for each in document["payload_masses"])
     assert heavy < light

@@ -12,10 +12,18 @@ def main() -> None:
     The other exit codes: 0 done, 1 a fault of gtau itself, 3 done but no drive gain can be believed, 130 interrupted.
     """
     try:
-        sys.exit(_run())
-    except KeyboardInterrupt:  # before a command has begun: while Python is still importing
-        print("gtau: interrupted; nothing has been written.", file=sys.stderr)
-        sys.exit(130)
+        from gtau.cli.interruption import CODE, UNFINISHED, listen, report
+
+        listen()
+        try:
+            code = _run()
+        except KeyboardInterrupt as interruption:
+            report(str(interruption) or UNFINISHED)
+            code = CODE
+    except KeyboardInterrupt:  # while the lines above are still being imported
+        print("gtau: interrupted; files that were not finished have not been written.", file=sys.stderr)
+        code = 130
+    sys.exit(code)
 
 
 def _run() -> int:
@@ -23,24 +31,29 @@ def _run() -> int:
 
     from gtau.cli.commands import app
     from gtau.cli.console import refused
+    from gtau.cli.interruption import pressed
 
     if len(sys.argv) < 2:
         app()
     usage_error: type[Exception] = typer.BadParameter.__mro__[1]  # of the click that typer brings or finds
     try:
         code = app(standalone_mode=False)
-    except typer.Abort:
-        return 130
+    except typer.Abort:  # what click makes of Ctrl-C
+        raise KeyboardInterrupt from None
     except usage_error as error:
         message = error.format_message().replace("Value error, ", "").rstrip(".")  # type: ignore[attr-defined]
         stop = "" if message.endswith("?") else "."
-        return refused(f"{message}{stop} See 'gtau --help'.", "--json" in sys.argv).exit_code
+        context = getattr(error, "ctx", None)
+        command = "gtau" if context is None else context.command_path
+        return refused(f"{message}{stop} See '{command} --help'.", "--json" in sys.argv).exit_code
     except Exception as error:
+        if pressed():
+            raise KeyboardInterrupt from None
         if "GTAU_DEBUG" in os.environ:
             raise
         typer.echo(
-            f"gtau: this should not have happened ({type(error).__name__}: {error}); please report it with what "
-            "GTAU_DEBUG=1 shows.",
+            f"gtau: this is a fault of gtau ({type(error).__name__}: {error}); report it together with what "
+            "GTAU_DEBUG=1 prints.",
             err=True,
         )
         return 1

@@ -28,6 +28,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
@@ -37,10 +38,10 @@ def gtau(
         bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and stop.")
     ] = False,
 ) -> None:
-    """Drive gains and dynamic parameters of robots, serial and parallel, from logged positions and motor currents."""
+    """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""
 
 
 for command in (check, identify, fleet, compare, validate, payload, export, robot, demo, simulate):
     app.command()(command)
 app.command(name="compare-control")(compare_control)
-app.command(context_settings={"allow_extra_args": True})(excite)  # the masses of --payload-mass
+app.command(context_settings={"allow_extra_args": True})(excite)  # the masses after --payload-mass

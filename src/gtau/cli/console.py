@@ -1,17 +1,20 @@
-"""What every command shares: refusals in one sentence, a progress bar, documents and folders."""
+"""What the commands share: arguments, refusals in one sentence, JSON documents."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from gtau.cli.interruption import CODE as INTERRUPTED
+from gtau.cli.interruption import UNFINISHED, pressed
+from gtau.cli.interruption import report as report_interruption
 from gtau.errors import GtauError
 
 ExperimentFile = Annotated[Path, typer.Argument(metavar="EXPERIMENT.yaml", help="Experiment file.", show_default=False)]
@@ -34,10 +37,12 @@ def refusals(as_json: bool) -> Iterator[None]:
     try:
         yield
     except GtauError as error:
+        if pressed():
+            raise KeyboardInterrupt from None
         raise refused(str(error), as_json) from None
     except KeyboardInterrupt as interruption:
-        finished = str(interruption) or "files that were not finished have not been written"
-        raise refused(f"interrupted; {finished}.", as_json, 130) from None
+        report_interruption(str(interruption) or UNFINISHED)
+        raise typer.Exit(INTERRUPTED) from None
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(0) from None
@@ -51,55 +56,6 @@ def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:
     return typer.Exit(code)
 
 
-@contextmanager
-def progress_bar(lines: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar on stderr, where that is a terminal; elsewhere, with ``lines``, a line as each stage begins."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        tasks: dict[str, Any] = {}
-
-        def report(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total)
-                if lines and not console.is_terminal:
-                    typer.echo(f"gtau: {what} ...", err=True)
-            bar.update(tasks[what], completed=done, total=total)
-
-        yield report
-
-
 def print_json(document: Any) -> None:
     """Print one JSON document on stdout."""
     typer.echo(json.dumps(document, indent=1, allow_nan=False))
-
-
-@contextmanager
-def interruption_flag() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C has been pressed, instead of an exception in the middle of things."""
-    import signal
-
-    pressed: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: pressed.append(number))
-    try:
-        yield lambda: bool(pressed)
-    finally:
-        signal.signal(signal.SIGINT, before)

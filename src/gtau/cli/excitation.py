@@ -7,9 +7,13 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, interruption_flag, print_json, progress_bar, refusals
-from gtau.documents.files import folder_of
+from gtau.cli.console import Json, print_json, refusals
+from gtau.cli.interruption import stop_request
+from gtau.cli.progress_display import progress_bar
+from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
+
+STOPPING = "stopping the search and writing the best motion so far; Ctrl-C again stops at once."
 
 
 def excite(
@@ -17,58 +21,70 @@ def excite(
     design: Annotated[
         Path, typer.Argument(metavar="DESIGN.yaml", help="Robot, runs, limits, prior knowledge.", show_default=False)
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the trajectory, figure and table.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for the trajectory, its figure and design.json.")
+    ],
     criterion: Annotated[
         str,
-        typer.Option(help="gains, condition, logdet, trace, or names of parameters (gain_11,m_PR) to be known best."),
+        typer.Option(
+            metavar="CRITERION",
+            help="gains, condition, logdet, trace, or names of parameters to be known best (gain_11,m_PR).",
+        ),
     ] = "gains",
     payload_mass: Annotated[
         list[float] | None,
-        typer.Option(metavar="KG [KG...]", help="Show also what payloads of other masses would buy.", min=1e-9),
+        typer.Option(metavar="KG [KG...]", help="Show also what payloads of other masses would bring."),
     ] = None,
-    starts: Annotated[int, typer.Option(min=1, help="Searches, each from the best of some random motions.")] = 2,
-    seed: Annotated[int, typer.Option(help="Of the random motions.")] = 0,
+    starts: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Number of searches, each from the best of some random motions.")
+    ] = 2,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random motions.")] = 0,
     json_: Json = False,
 ) -> None:
-    """Design the motion that tells most about the drive gains, and what to expect of it.
+    """Design the motion that is most informative about the drive gains, and predict their standard deviations.
 
-    The best motion so far is kept in DIR; an interruption (Ctrl-C) ends the search and takes it.
+    The best motion so far is kept in DIR; Ctrl-C stops the search and takes it.
     """
     with refusals(json_):
-        from gtau.excitation.design import Design
-        from gtau.excitation.design import design as run
-        from gtau.excitation.design_file import read_design
-        from gtau.report.excite_page import describe_design, design_page, write_design, write_trajectories
+        masses = _masses(payload_mass or [], context.args)
+        refuse_as_folder(out)
+        with progress_bar() as progress:
+            from gtau.excitation.design import Design, Stopped
+            from gtau.excitation.design import design as run
+            from gtau.excitation.design_file import read_design
+            from gtau.report.excite_page import describe_design, design_page, write_design, write_trajectories
 
-        more_masses = _masses(context.args, after=payload_mass)
-        task, assumed = read_design(design)
-        folder, saved = folder_of(out), [float("inf")]
-        with progress_bar() as progress, interruption_flag() as interrupted:
+            task, assumed = read_design(design)
 
-            def keep(best: Design | None, done: int, total: int) -> None:
-                if best is not None and best.value < saved[0]:
-                    write_trajectories(best, folder)
-                    saved[0] = best.value
-                progress("starts", done, total)
+            def keep(best: Design) -> None:
+                write_trajectories(best, folder_of(out))
 
-            found = run(task, criterion, starts, seed, keep, interrupted)
-        document = describe_design(found, assumed, [*(payload_mass or []), *more_masses])
-        written = write_design(found, document, folder)
+            try:
+                with stop_request(STOPPING) as stop:
+                    found = run(task, criterion, starts, seed, progress, keep, stop)
+            except Stopped as stopped:
+                raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
+            progress("predicting standard deviations", 0, 1)
+            document = describe_design(found, assumed, masses)
+            written = write_design(found, document, folder_of(out))
         if json_:
             print_json(document)
         else:
-            typer.echo(design_page(document))
-            typer.echo("\n".join(f"written: {path}" for path in written))
+            typer.echo("\n".join([design_page(document), *(f"written: {path}" for path in written)]))
 
 
-def _masses(words: list[str], after: list[float] | None) -> list[float]:
-    """The masses that follow the first one behind ``--payload-mass``, which click leaves over."""
-    try:
-        masses = [float(word) for word in words]
-    except ValueError:
-        masses = []
-    if len(masses) < len(words) or not all(mass > 0 for mass in masses) or (words and not after):
-        raise GtauError(
-            f"'{' '.join(words)}' is left over; give one design file, and masses (kg) after --payload-mass."
-        )
-    return masses
+def _masses(first: list[float], words: list[str]) -> list[float]:
+    """All masses of ``--payload-mass``: those that click took, and the others that follow, which it leaves over."""
+    for word in words:
+        try:
+            first = [*first, float(word)] if first else first
+        except ValueError:
+            first = []
+        if not first:
+            raise GtauError(
+                f"'{' '.join(words)}' is left over; give one design file, and masses (kg) after --payload-mass."
+            )
+    for mass in first:
+        if not 0 < mass < float("inf"):
+            raise GtauError(f"--payload-mass {mass:g} is not a mass; write one in kg, above 0.")
+    return first

@@ -10,9 +10,10 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Dask, Json, print_json, progress_bar, refusals
+from gtau.cli.console import Dask, Json, print_json, refusals
 from gtau.cli.identification import Method
-from gtau.documents.files import folder_of
+from gtau.cli.progress_display import progress_bar
+from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
 
@@ -26,18 +27,19 @@ def fleet(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for models, table and figure.")],
-    method: Annotated[Method, typer.Option(help="Estimator, one that finds drive gains.")] = Method.ml,
+    method: Annotated[Method, typer.Option(help="Estimator; one that finds drive gains.")] = Method.ml,
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Processes on this machine; default: one for each core.")
     ] = None,
     dask: Dask = None,
     json_: Json = False,
 ) -> None:
-    """Identify each of many robots, and mark the drive gains that stand apart from the others.
+    """Identify many robots, and mark drive gains that are outliers among them.
 
-    Finished robots stay in DIR/models: the same command again does what is left, or what has changed.
+    Finished robots stay in DIR/models: the same command again identifies those that are missing or have changed.
     """
     with refusals(json_):
+        refuse_as_folder(out)
         from gtau.fleet.fleet import identify_fleet, read_fleet
         from gtau.fleet.gains import fleet_table
         from gtau.parallel.dask_executor import connected, dask_map
@@ -59,7 +61,7 @@ def fleet(
                 reports = identify_fleet(members, folder, shard_map, method.value, progress)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
-                f"what is finished stays in {folder / 'models'}, and the same command goes on"
+                f"finished robots stay in {folder / 'models'}, and the same command continues with the others"
             ) from None
         table = fleet_table(reports)
         written = write_fleet(table, folder)
@@ -69,4 +71,4 @@ def fleet(
             typer.echo(fleet_page(table))
             typer.echo("\n".join(f"written: {path}" for path in written))
         if not table.robots:
-            raise typer.Exit(3)  # a script is not to go on with such a fleet
+            raise typer.Exit(3)  # so that a script does not go on with such a fleet

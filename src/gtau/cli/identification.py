@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, print_json, progress_bar, refusals
-from gtau.documents.files import folder_of
+from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, print_json, refusals
+from gtau.cli.progress_display import progress_bar
+from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 
 
@@ -29,7 +30,7 @@ class Method(StrEnum):
 
 
 class Gains(StrEnum):
-    """Which drive gains to weigh with."""
+    """Drive gains with which a payload is weighed."""
 
     identified = "identified"
     prior = "prior"
@@ -38,13 +39,14 @@ class Gains(StrEnum):
 def identify(
     experiment: ExperimentFile,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for model.json and singularities.parquet.")
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for model.json, summary.txt and singularities."),
     ] = None,
     method: Annotated[
         Method | None,
         typer.Option(
-            help="Estimator; wls and ols take the file's prior_gains. Default: ml, tls with --as-paper, "
-            "wls where logs hold torques.",
+            help="Estimator; wls and ols take the file's prior_gains. Default: ml; tls with --as-paper; "
+            "wls where the logs hold torques.",
             show_default=False,
         ),
     ] = None,
@@ -52,69 +54,72 @@ def identify(
         float | None,
         typer.Option(
             min=1.0,
-            help="The paper's r_sigma (10 to 30) for the essential parameters; default: BIC.",
+            help="The paper's ratio r_sigma (10 to 30) for selecting essential parameters; default: BIC.",
         ),
     ] = None,
     as_paper: Annotated[
         bool,
         typer.Option(
             "--as-paper",
-            help="Follow the paper step by step: its TLS (or wls, ols), filter, friction and reduction, no delays.",
+            help="Follow the paper step by step: its TLS (or wls, ols), filter, friction and reduction; no delays.",
         ),
     ] = False,
     consistent: Annotated[
-        bool, typer.Option("--consistent", help="Also find standard parameters that rigid bodies can have.")
+        bool, typer.Option("--consistent", help="Also find physically consistent standard parameters.")
     ] = False,
     dask: Dask = None,
     no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Reduce long logs anew, and keep nothing of it for the next time.")
+        bool, typer.Option("--no-cache", help="Neither use nor write the cache of reduced long logs.")
     ] = False,
     json_: Json = False,
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
-    The exit code is 3 where no drive gain can be believed: all are contradictory or not identifiable.
+    The exit code is 3 if every drive gain is contradictory or not identifiable.
     """
     with refusals(json_):
-        from gtau.estimation.identify import identify as run
-        from gtau.estimation.results.model_file import to_document
-        from gtau.parallel.cache import cache_folder, caching_map
-        from gtau.parallel.dask_executor import shard_map_at
-        from gtau.parallel.executor import in_order
+        refuse_as_folder(out)
+        with progress_bar() as progress:
+            from gtau.estimation.identify import identify as run
+            from gtau.estimation.results.model_file import to_document
+            from gtau.parallel.cache import cache_folder, caching_map
+            from gtau.parallel.dask_executor import shard_map_at
+            from gtau.parallel.executor import in_order
 
-        with progress_bar() as progress, shard_map_at(dask) as shard_map:
-            result = run(
-                experiment,
-                method=None if method is None else method.value,
-                ratio=ratio,
-                as_paper=as_paper,
-                consistent=consistent,
-                progress=progress,
-                mapper=in_order(shard_map if no_cache else caching_map(shard_map, cache_folder())),
-            )
+            with shard_map_at(dask) as shard_map:
+                result = run(
+                    experiment,
+                    method=None if method is None else method.value,
+                    ratio=ratio,
+                    as_paper=as_paper,
+                    consistent=consistent,
+                    progress=progress,
+                    mapper=in_order(shard_map if no_cache else caching_map(shard_map, cache_folder())),
+                )
+        written = []
         if out is not None:
             from gtau.estimation.results.singularity_distances import write_distances
 
-            result.save(folder_of(out) / "model.json")
-            write_distances(result.distances, out / "singularities.parquet")
+            written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
+            result.save(written[0])
+            write_atomically(written[1], result.summary() + "\n")
+            write_distances(result.distances, written[2])
         if json_:
             print_json(to_document(result))
         else:
-            typer.echo(result.summary())
-            if out is not None:
-                typer.echo(f"written: {out / 'model.json'}\nwritten: {out / 'singularities.parquet'}")
+            typer.echo("\n".join([result.summary(), *(f"written: {path}" for path in written)]))
         outcomes = {gain.verdict.outcome.value for gain in result.drive_gains.values()}
         if outcomes.isdisjoint(("given", "good", "weak")):
-            raise typer.Exit(3)  # a script is not to go on with such a model
+            raise typer.Exit(3)  # so that a script does not go on with such a model
 
 
 def compare(experiment: ExperimentFile, json_: Json = False) -> None:
-    """Identify with every estimator, and compare gains, deviations, residuals and verdicts."""
+    """Identify with every estimator; compare gains, standard deviations, residuals and verdicts."""
     with refusals(json_):
-        from gtau.estimation.compare import compare as run
-        from gtau.estimation.compare import table, to_document
-
         with progress_bar() as progress:
+            from gtau.estimation.compare import compare as run
+            from gtau.estimation.compare import table, to_document
+
             found = run(experiment, progress)
         if json_:
             print_json(to_document(found))
@@ -128,21 +133,22 @@ def validate(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for a figure of each run.")] = None,
     json_: Json = False,
 ) -> None:
-    """Torque errors of a model on the validation runs of an experiment; with DIR also figures."""
+    """Compare measured torques with those of a model on the validation runs; with DIR also as figures."""
     with refusals(json_):
-        from gtau.estimation.experiment_runs import experiment_of, read_runs
-        from gtau.estimation.results.result import Result
-        from gtau.report.validation_page import describe_validations, validate_run, validation_page, write_torques
-
-        result = Result.load(model)
-        described = experiment_of(result, experiment)
-        if not described.validation:
-            raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
+        refuse_as_folder(out)
         with progress_bar() as progress:
+            from gtau.estimation.experiment_runs import experiment_of, read_runs
+            from gtau.estimation.results.result import Result
+            from gtau.report.validation_page import describe_validations, validate_run, validation_page, write_torques
+
+            result = Result.load(model)
+            described = experiment_of(result, experiment)
+            if not described.validation:
+                raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
             runs = read_runs(described, described.validation, progress)
             validations = []
             for k, run in enumerate(runs):
-                progress("validation", k, len(runs))
+                progress("predicting torques", k, len(runs))
                 validations.append(validate_run(result, run))
         written = [] if out is None else write_torques(validations, folder_of(out))
         document = describe_validations(validations)
@@ -158,14 +164,14 @@ def payload(
     gains: Annotated[Gains, typer.Option(help="The model's gains, or the file's prior_gains.")] = Gains.identified,
     json_: Json = False,
 ) -> None:
-    """Weigh the unknown payloads of an experiment's loaded runs, beside a run without payload."""
+    """Weigh unknown payloads from loaded runs and a run without payload."""
     with refusals(json_):
-        from gtau.estimation.results.model_file import payload_documents
-        from gtau.estimation.results.result import Result
-        from gtau.estimation.results.summary import payload_lines
-        from gtau.estimation.weigh import weigh
-
         with progress_bar() as progress:
+            from gtau.estimation.results.model_file import payload_documents
+            from gtau.estimation.results.result import Result
+            from gtau.estimation.results.summary import payload_lines
+            from gtau.estimation.weigh import weigh
+
             found = weigh(Result.load(model), experiment, gains.value, progress)
         if json_:
             print_json({"payloads": payload_documents(found), "gains": gains.value})

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
-from gtau.documents.files import folder_of
+from gtau.cli.console import ExperimentFile, Json, print_json, refusals
+from gtau.cli.progress_display import progress_bar
+from gtau.documents.files import folder_of, refuse_as_folder
 
 
 def check(
@@ -19,12 +20,13 @@ def check(
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Look at the logs before identifying: repairs, rates, motions, usable rows, distances to singularities."""
+    """Check the logs before identifying: repairs, sampling rate, motion, usable rows, distance to singularities."""
     with refusals(json_):
-        from gtau.estimation.check_logs import check_logs
-        from gtau.report.log_page import describe_logs, log_page, write_check
-
+        refuse_as_folder(out)
         with progress_bar() as progress:
+            from gtau.estimation.check_logs import check_logs
+            from gtau.report.log_page import describe_logs, log_page, write_check
+
             checked = check_logs(experiment, progress)
         written = [] if out is None else write_check(checked, folder_of(out))
         document = describe_logs(checked)

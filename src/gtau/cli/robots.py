@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gtau.cli.console import Json, print_json, refusals
+from gtau.cli.progress_display import progress_bar
 from gtau.errors import GtauError
 
 
@@ -21,19 +22,21 @@ def robot(
         ),
     ],
     save: Annotated[
-        Path | None, typer.Option("--save", metavar="ROBOT.yaml", help="Write it as a robot file, to edit or keep.")
+        Path | None, typer.Option("--save", metavar="ROBOT.yaml", help="Write it as a robot file that you can edit.")
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it at home (needs matplotlib).")
+        Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it in its home pose (needs matplotlib).")
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Joints, loops, degrees of freedom and base parameters of a robot."""
+    """Show the joints, loops, degrees of freedom and base parameters of a robot."""
     with refusals(json_):
-        from gtau.model.home import load_robot
-        from gtau.report.robot_page import describe, robot_page
+        with progress_bar():
+            from gtau.report.robot_page import describe, robot_page
+            from gtau.model.home import load_robot
 
-        found = load_robot(source)
+            found = load_robot(source)
+            description = describe(found)
         if save is not None:
             from gtau.robots.readers.native_text import write_native
             from gtau.robots.readers.urdf_loops import is_loops_file
@@ -49,7 +52,6 @@ def robot(
             from gtau.report.style import save_figure
 
             save_figure(robot_figure(found), figure)
-        description = describe(found)
         if json_:
             print_json(description)
         else:

@@ -7,19 +7,21 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
-from gtau.documents.files import folder_of
+from gtau.cli.console import ExperimentFile, Json, print_json, refusals
+from gtau.cli.progress_display import progress_bar
+from gtau.documents.files import folder_of, refuse_as_folder
 
 
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for logs, model, tables and figures.")],
     json_: Json = False,
 ) -> None:
-    """Identify an Orthoglide from logs made on the spot, and weigh a second payload with the result."""
+    """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
     with refusals(json_):
-        from gtau.demo.run import demo as run
+        refuse_as_folder(out)
+        with progress_bar() as progress:
+            from gtau.demo.run import demo as run
 
-        with progress_bar(lines=True) as progress:
             document, text = run(folder_of(out), progress)
         if json_:
             print_json(document)
@@ -37,13 +39,14 @@ def simulate(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the logs and experiment.yaml.")],
     json_: Json = False,
 ) -> None:
-    """Make logs of a simulated robot under control, and the experiment file for 'gtau identify'."""
+    """Simulate a robot under control; write its logs and the experiment file for 'gtau identify'."""
     with refusals(json_):
-        from gtau.model.home import load_robot
-        from gtau.simulation.experiment_files import simulate_experiment
-        from gtau.simulation.simulation_file import massless, read_simulation
+        refuse_as_folder(out)
+        with progress_bar() as progress:
+            from gtau.model.home import load_robot
+            from gtau.simulation.experiment_files import simulate_experiment
+            from gtau.simulation.simulation_file import massless, read_simulation
 
-        with progress_bar(lines=True) as progress:
             written = simulate_experiment(simulation, out, progress)
         described = read_simulation(simulation)
         light = massless(described, load_robot(described.robot))
@@ -65,10 +68,10 @@ def compare_control(
     The models of computed torque are identified from the logs of EXPERIMENT.yaml, those that 'gtau simulate' wrote.
     """
     with refusals(json_):
-        from gtau.simulation.control_comparison import compare_control as run
-        from gtau.simulation.control_comparison import table, table_document
+        with progress_bar() as progress:
+            from gtau.simulation.control_comparison import compare_control as run
+            from gtau.simulation.control_comparison import table, table_document
 
-        with progress_bar(lines=True) as progress:
             comparison = run(simulation, experiment, progress)
         if json_:
             print_json({"tracking": table_document(comparison)})

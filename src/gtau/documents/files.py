@@ -38,8 +38,24 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
         ) from None
 
 
+def refuse_as_folder(path: str | Path | None) -> None:
+    """Refuse a path, unless None, at which :func:`folder_of` could not make a folder, before hours of work; GtauError.
+
+    Nothing is made yet, so that what is refused or interrupted leaves no empty folder.
+    """
+    if path is None:
+        return
+    existing = Path(path).absolute()
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise GtauError(f"{path} cannot be the output folder, as {existing} is a file; choose another one.")
+    if not os.access(existing, os.W_OK):
+        raise GtauError(f"{path} cannot be the output folder, as {existing} is write-protected; choose another one.")
+
+
 def folder_of(path: str | Path) -> Path:
-    """The folder itself, made where it is missing; raises GtauError."""
+    """Make a folder where it is missing, and return it; raises GtauError."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)

@@ -120,8 +120,7 @@ class _Composer:
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             line = f", line {mark.line + 1}" if mark else ""
-            problem = " ".join(filter(None, (error.context, error.problem)))
-            raise GtauError(f"{self.path}{line}: this is not valid YAML ({problem}); correct the line.") from None
+            raise GtauError(f"{self.path}{line}: this is not valid YAML: {_syntax(error)}.") from None
         except yaml.YAMLError:
             raise GtauError(f"{self.path} holds control characters; save it as plain text.") from None
         return Document(self.path, data, self.lines)
@@ -167,6 +166,27 @@ class _Composer:
 
     def error(self, event: Any, problem: str) -> GtauError:
         return GtauError(f"{self.path}, line {event.start_mark.line + 1}: {problem}.")
+
+
+SYNTAX = (
+    ("found character '\\t'", "a tab stands where only spaces may; indent with spaces"),
+    ("that cannot start any token", "a value that begins with a special character must be quoted; write it in '...'"),
+    ("mapping values are not allowed", "a ':' follows a value; put the key on a line of its own, or quote the value"),
+    ("could not find expected ':'", "a line has no 'key: value'; add the colon, or indent it as the lines above"),
+    ("expected ',' or", "a bracket or brace is not closed, or a comma is missing; add it"),
+    ("expected <block end>", "the indentation does not match that of the lines above; align them"),
+    ("scanning a quoted scalar", "a quotation mark is not closed; add it"),
+    ("found unexpected end of stream", "a bracket, brace or quotation mark is not closed; add it"),
+    ("expected the node content", "a value is missing or misplaced; correct the line"),
+    ("control characters are not allowed", "it holds control characters; save it as plain text"),
+)
+"""What PyYAML reports, and the same for people who have not read its source."""
+
+
+def _syntax(error: yaml.MarkedYAMLError) -> str:
+    reported = " ".join(filter(None, (error.context, error.problem)))
+    known = (sentence for part, sentence in SYNTAX if part in reported)
+    return next(known, f"{reported}; correct the line")
 
 
 def validate(model_class: type[Model], document: Document, context: Any = None) -> Model:
@@ -274,9 +294,16 @@ def _sentence(error: ErrorDetails) -> str:
             least = "" if context["field_type"] == "Tuple" else "at least " if "min_length" in context else "at most "
             return _count(context["actual_length"], f"{least}{bound}")
         case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
-            return f"{value} is out of range; it {error['msg'].removeprefix('Input ')}"
+            return f"{value} is out of range; write a number {_bound(error['type'], context)}"
         case _:
             return f"{written} does not fit: {error['msg'][0].lower()}{error['msg'][1:]}"
+
+
+def _bound(kind: str, context: Mapping[str, Any]) -> str:
+    """The range that a number must lie in, as ``of at least 2``."""
+    words = {"greater_than": "above", "less_than": "below", "greater_than_equal": "of at least"}
+    key = {"greater_than": "gt", "less_than": "lt", "greater_than_equal": "ge", "less_than_equal": "le"}[kind]
+    return f"{words.get(kind, 'of at most')} {context[key]:g}"
 
 
 def _count(written: int, needed: str) -> str:

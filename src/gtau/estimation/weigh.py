@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
@@ -20,10 +19,11 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import PayloadEstimate
 from gtau.estimation.results.result import Result
+from gtau.model.blas import single_threaded_blas
 from gtau.progress import Progress, silent
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+@single_threaded_blas
 def weigh(
     model: Result,
     experiment: str | Path,

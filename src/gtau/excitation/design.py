@@ -1,30 +1,37 @@
-"""Designing a motion: many starts, each made to hold its limits between the instants of the design as well."""
+"""Design an exciting motion: several starts, each kept within its limits between the instants of the grid as well."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate
 from gtau.excitation.initial_guesses import promising_start
-from gtau.excitation.nlp import Programme, solve
+from gtau.excitation.nlp import ITERATIONS, Programme, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem, close
+from gtau.model.blas import single_threaded_blas
+from gtau.progress import Progress, silent
 
 START = 0.6  # part of the limits that a start uses, so that it lies inside
 FINER = 10
+STAGE = "searching"
 MARGIN = 0.99  # part of every limit that a first design may use
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round from where the last one ended has paid if it comes below this part of the criterion
+SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # parts of an interrupted motion, of which the first within all limits is kept
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Design:
-    """A motion within its limits: x, the value of its criterion, and the loads on the finer grid."""
+    """A motion within its limits: x, the value of its criterion, and the use of the limits on the finer grid.
+
+    ``cut_short`` says that the search was stopped before it had tried all starts.
+    """
 
     task: DesignProblem
     criterion: str
@@ -32,27 +39,39 @@ class Design:
     value: float
     constraint_usages: tuple[ConstraintUsage, ...]
     start: int
+    cut_short: bool = False
+
+    def __repr__(self) -> str:
+        cut = ", search cut short" if self.cut_short else ""
+        return (
+            f"Design({self.task.model.robot.name!r}, {self.criterion!r}: {self.value:.4g}, start {self.start + 1}{cut})"
+        )
 
 
-def nothing(best: Design | None, done: int, total: int) -> None:
-    """Progress that nobody watches."""
+def keep_nothing(best: Design) -> None:
+    """Leave designs that are improved on later to themselves."""
 
 
 def never() -> bool:
-    """A design that nobody stops."""
+    """Never stop a search."""
     return False
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+class Stopped(GtauError):
+    """The search was stopped before it had found a motion within the limits."""
+
+
+@single_threaded_blas
 def design(
     task: DesignProblem,
     criterion: str = "gains",
     starts: int = 2,
     seed: int = 0,
-    progress: Callable[[Design | None, int, int], None] = nothing,
+    progress: Progress = silent,
+    keep: Callable[[Design], None] = keep_nothing,
     stop: Callable[[], bool] = never,
 ) -> Design:
-    """The best motion that is found from ``starts`` random ones.
+    """Search for the motion that minimises a criterion, from ``starts`` random motions.
 
     Parameters
     ----------
@@ -61,43 +80,62 @@ def design(
     criterion : str
         See :func:`gtau.excitation.criteria.criterion`.
     starts, seed : int
-        Random motions to start from, and the seed of their generator.
+        Number of random motions to start from, and the seed of their generator.
     progress : callable, optional
-        Called with the best design so far, the starts done and all starts.
+        Called with the stage, the iterations done and their largest number.
+    keep : callable, optional
+        Called with every design that is better than those before.
     stop : callable, optional
-        Asked again and again; when it says True, the best design so far is returned.
+        Asked in every iteration; where it returns True, the search ends with the best design so far.
+
+    Returns
+    -------
+    Design
+        Within all limits; its ``cut_short`` is True where the search was stopped.
 
     Raises
     ------
     GtauError
-        Where no motion within the limits is found, with the limit that does not hold; or nothing has been found yet
-        when it is stopped.
+        Where no motion within the limits is found, with the limit that is exceeded; :class:`Stopped` where it was
+        stopped before one was found.
     """
     rng = np.random.default_rng(seed)
     best: Design | None = None
     failure: ConstraintUsage | None = None
-    done = 0
+    total = starts * ROUNDS * ITERATIONS
+
+    def better(found: Design) -> None:
+        nonlocal best
+        if best is None or found.value < best.value:
+            best = found
+            keep(found)
+
     for start in range(starts):
-        progress(best, done, starts)
+
+        def advance(done: int, before: int = start * ROUNDS * ITERATIONS) -> None:
+            progress(STAGE, before + done, total)
+
+        advance(0)
+        guess = promising_start(task, criterion, rng, START, stop)
+        worst = _from_one(task, criterion, guess, start, better, stop, advance)
         if stop():
             break
-        found, worst = _from_one(task, criterion, promising_start(task, criterion, rng, START), start, stop)
-        if found is not None and (best is None or found.value < best.value):
-            best = found
         if worst is not None and (failure is None or worst.shortfall < failure.shortfall):
             failure = worst
-        done = start + 1
-    progress(best, done, starts)
+    progress(STAGE, total, total)
     if best is not None:
-        return best
+        return replace(best, cut_short=stop())
+    if stop():
+        raise Stopped(
+            "the search was stopped before it had found a motion within the limits, so nothing is written; let it run "
+            "longer."
+        )
     robot = task.model.robot.name
     if failure is not None:
         raise GtauError(
-            f"robot '{robot}': no motion holds the limits: the {failure.what} must be {failure.allowed}, and "
-            f"the nearest motion found reaches {failure.reached:.4g}; relax this limit, or those that work against it."
+            f"robot '{robot}': no motion within the limits was found: the {failure.what} must be {failure.allowed}, "
+            f"and the nearest motion reaches {failure.reached:.4g}; relax this limit, or those that conflict with it."
         )
-    if stop():
-        raise GtauError("stopped before a motion within the limits was found; let it run longer.")
     raise GtauError(
         f"robot '{robot}': the loops cannot be closed around the middle of the position limits or of the workspace; "
         "narrow them to what the robot can reach."
@@ -105,38 +143,67 @@ def design(
 
 
 def _from_one(
-    task: DesignProblem, criterion: str, x: np.ndarray | None, start: int, stop: Callable[[], bool]
-) -> tuple[Design | None, ConstraintUsage | None]:
-    """Design from one start; else the limit that is exceeded most where IPOPT ends."""
+    task: DesignProblem,
+    criterion: str,
+    x: np.ndarray | None,
+    start: int,
+    keep: Callable[[Design], None],
+    stop: Callable[[], bool],
+    progress: Callable[[int], None],
+) -> ConstraintUsage | None:
+    """Design from one start, and ``keep`` what is within the limits; the most exceeded limit where nothing is."""
     if x is None:
-        return None, None
-    tightness = {load.what: MARGIN for load in Programme(task, criterion, {}).constraint_usages(x)}
+        return None
+    tightness = {usage.what: MARGIN for usage in Programme(task, criterion, {}).constraint_usages(x)}
     kept, worst = None, None
-    for _ in range(ROUNDS):
+    if (guess := _feasible(task, criterion, x, start)) is not None:
+        keep(guess)  # the motion that an early interruption leaves
+    for number in range(ROUNDS):
         programme = Programme(task, criterion, tightness)
-        ended = solve(programme, x, stop)
+        iterations = itertools.count(number * ITERATIONS)
+
+        def stop_here(iterations: Iterator[int] = iterations) -> bool:
+            progress(next(iterations))
+            return stop()
+
+        ended = solve(programme, x, stop_here)
         best = programme.best
         if best is None and kept is not None:
             break
         if best is None:
-            over = max(programme.constraint_usages(ended), key=lambda load: load.shortfall, default=None)
-            return None, over if over is not None and over.shortfall > 0 else worst
-        found = check(task, best)
-        exceeded = [load for load in found if load.excess > 1.0]
+            over = max(programme.constraint_usages(ended), key=lambda usage: usage.shortfall, default=None)
+            return over if over is not None and over.shortfall > 0 else worst
+        if stop():
+            found = next(filter(None, (_feasible(task, criterion, part * best, start) for part in SMALLER)), None)
+            if found is not None:
+                keep(found)
+            break
+        usages = check(task, best)
+        exceeded = [usage for usage in usages if usage.excess > 1.0]
         if exceeded:
-            worst = max(exceeded, key=lambda load: load.shortfall)
-            tightness = tightness | {load.what: 0.998 * tightness[load.what] / load.excess for load in exceeded}
+            worst = max(exceeded, key=lambda usage: usage.shortfall)
+            tightness = tightness | {usage.what: 0.998 * tightness[usage.what] / usage.excess for usage in exceeded}
         else:
             before = np.inf if kept is None else kept.value
             value = float(np.exp(programme.best_value))
             if value < before:
-                kept = Design(task, criterion, best, value, found, start)
+                kept = Design(task, criterion, best, value, usages, start)
+                keep(kept)
             if value > WORTH * before:
                 break
-        if stop():
-            break
         x = best
-    return kept, None if kept is not None else worst
+    return None if kept is not None else worst
+
+
+def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) -> Design | None:
+    """The design of x where it is within all limits, also between the instants of the design grid."""
+    try:
+        usages = check(task, x)
+    except GtauError:  # the robot cannot go there
+        return None
+    if any(usage.excess > 1.0 for usage in usages):
+        return None
+    return Design(task, criterion, x, float(np.exp(Programme(task, criterion, {}).value(x)[0])), usages, start)
 
 
 def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[ConstraintUsage, ...]:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
+from gtau.documents.kinds import DESIGN, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import base_parameters
@@ -104,9 +105,9 @@ class DesignFile(_Keys):
 
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:
-        constraint_usages = [None if run.payload == "none" else run.payload for run in self.runs]
-        if len({None if load is None else load.name for load in constraint_usages}) < 2 or not any(
-            load and load.mass for load in constraint_usages
+        payloads = [None if run.payload == "none" else run.payload for run in self.runs]
+        if len({None if each is None else each.name for each in payloads}) < 2 or not any(
+            each and each.mass for each in payloads
         ):
             raise ValueError(
                 "the drive gains need a run with a payload of known mass and one with another load or none; "
@@ -129,6 +130,7 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     GtauError
         The file or something it names cannot be read, or something in it is missing, misspelt or contradictory.
     """
+    refuse_other_kind(path, DESIGN)
     return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.friction import Friction
@@ -15,6 +15,7 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.constraints import whole_run
 from gtau.excitation.evaluation import Grid, evaluate
 from gtau.excitation.task import DesignProblem
+from gtau.model.blas import single_threaded_blas
 from gtau.signals.preparation import choose_preparation, prepare
 from gtau.signals.run import Run
 
@@ -35,11 +36,15 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Standard deviations to expect of gains and base parameters, and the rows kept of each joint, (n,), as a share."""
+    """Standard deviations to expect of gains and base parameters, and the rows kept of each joint, (n,), as a share.
+
+    ``std`` has those of all unknowns by name, of ``gain_`` relative to the gain; what is absent stays unknown.
+    """
 
     gains: tuple[Expected, ...]
     parameters: tuple[Expected, ...]
     kept: np.ndarray
+    std: Mapping[str, float]
 
 
 def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
@@ -65,7 +70,7 @@ def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
     return tuple(runs)
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+@single_threaded_blas
 def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     """Standard deviations to expect from the motion ``x``.
 
@@ -91,6 +96,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.gains, sigma)))
     found = dict(zip(problem.parameters, std, strict=False))
     n_theta, n = problem.n_theta, len(task.gains)
+    gains = [f"gain_{joint}" for joint in task.model.actuated]
     return Forecast(
         tuple(
             Expected(joint, float(g), float(g * std[n_theta + j]))
@@ -101,6 +107,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
             for name, value in zip(task.base.names, task.chi, strict=True)
         ),
         problem.total_rows / sum(len(preparation.decimator.instants(len(each.time))) for each in prepared) * np.ones(n),
+        {name: float(each) for name, each in zip((*problem.parameters, *gains), std, strict=False)},
     )
 
 

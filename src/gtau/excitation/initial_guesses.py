@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gtau.errors import GtauError
@@ -14,10 +16,24 @@ TRIES = 40  # of a scale
 DRAWS = 20  # random motions, of which the best is a start: each costs a hundredth of the search that follows
 
 
-def promising_start(task: DesignProblem, criterion: str, rng: np.random.Generator, part: float) -> np.ndarray | None:
-    """The best x of some random ones that use a ``part`` of the limits; None where the robot cannot go there."""
+def promising_start(
+    task: DesignProblem,
+    criterion: str,
+    rng: np.random.Generator,
+    part: float,
+    stop: Callable[[], bool] = lambda: False,
+) -> np.ndarray | None:
+    """The best x of some random ones that use a ``part`` of the limits; None where the robot cannot go there.
+
+    Where ``stop`` returns True no more are drawn.
+    """
     programme = Programme(task, criterion, {})
-    drawn = [x for _ in range(DRAWS) if (x := random_start(task, rng, part)) is not None]
+    drawn: list[np.ndarray] = []
+    for _ in range(DRAWS):
+        if drawn and stop():
+            break
+        if (x := random_start(task, rng, part)) is not None:
+            drawn.append(x)
     return min(drawn, key=lambda x: programme.value(x)[0], default=None)
 
 

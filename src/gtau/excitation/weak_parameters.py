@@ -1,4 +1,4 @@
-"""What a motion leaves unknown, and what further motion would tell it."""
+"""Unknowns that a motion leaves unidentified, and the further motion that would identify them."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.criteria import root_covariance
 from gtau.excitation.design import Design
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, Point, design_grid, evaluate, information
+from gtau.excitation.forecast import Forecast
 from gtau.excitation.task import DesignProblem, close
 
 WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
-WORTH = 0.7  # a motion is named where it brings a deviation below this part of what it was
+WORTH = 0.7  # a motion is named where it brings a standard deviation below this part of what it was
 SPANS = {"over its whole range, slowly": (0.9, 0.2), "as fast as it may": (0.5, 0.9)}
 """What one joint alone does: the part of its range, and of its speed limit."""
 
 
 @dataclass(frozen=True)
 class Weak:
-    """An unknown that stays unidentified, its relative deviation, and the motion of one joint that helps it most.
+    """An unknown that stays unidentified, its relative standard deviation, and the motion of one joint that helps most.
 
-    ``joint`` is None where no such motion helps; ``then`` is the relative deviation with that motion added.
+    ``joint`` is None where no such motion helps; ``then`` is the relative standard deviation with that motion added.
+    Both are infinite for an unknown that cannot be separated from others at all.
     """
 
     name: str
@@ -33,9 +35,11 @@ class Weak:
     then: float
 
 
-def weak_unknowns(design: Design) -> tuple[Weak, ...]:
+def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
     """Gains and parameters that a design leaves unidentified, with the best single-joint motion to add for each.
 
+    A relative standard deviation is the ``expected`` one over the prior value, or over a typical one where that is
+    zero; the effect of a further motion on it is the ratio of the design's own, which are those of a coarser grid.
     Candidates are every joint moving alone, slowly over its range or fast in the middle of it, for as long as a run;
     they are carried out with every payload of the experiment.
     """
@@ -44,8 +48,12 @@ def weak_unknowns(design: Design) -> tuple[Weak, ...]:
     unknowns, R = task.unknowns, information(points)
     middle = np.mean([point.joints[0].mean(axis=1) for point in points], axis=0)
     before = _relative(task, R)
-    names = [k for k, name in enumerate(unknowns.names) if not name.startswith("delay_") and "@" not in name]
-    weak = [k for k in names if before[k] > WEAK]
+    relative = {
+        k: expected.std.get(name, np.inf) / unknowns.scale[k]
+        for k, name in enumerate(unknowns.names)
+        if not name.startswith("delay_") and "@" not in name
+    }
+    weak = [k for k, each in relative.items() if each >= WEAK]
     if not weak:
         return ()
     then = {
@@ -57,9 +65,9 @@ def weak_unknowns(design: Design) -> tuple[Weak, ...]:
     }
     found = []
     for k in weak:
-        helpful = [(float(relative[k]), *way) for way, relative in then.items() if relative[k] < WORTH * before[k]]
-        least, joint, how = min(helpful) if helpful else (float(before[k]), None, "")
-        found.append(Weak(unknowns.names[k], float(before[k]), joint, how, least))
+        helpful = [(float(after[k] / before[k]), *way) for way, after in then.items() if after[k] < WORTH * before[k]]
+        part, joint, how = min(helpful) if helpful else (1.0, None, "")
+        found.append(Weak(unknowns.names[k], float(relative[k]), joint, how, float(part * relative[k])))
     return tuple(found)
 
 

@@ -77,6 +77,7 @@ def describe_design(design: Design, assumed: Mapping[str, str], masses: Sequence
         "robot": robot.name,
         "criterion": design.criterion,
         "value": design.value,
+        "cut_short": design.cut_short,
         "period": task.series.period,
         "repetitions": task.repetitions,
         "duration": max(float(time[-1]) for time, _ in sampled_motions(task, design.x)),
@@ -89,7 +90,7 @@ def describe_design(design: Design, assumed: Mapping[str, str], masses: Sequence
             {"joint": joint, "share": float(kept)}
             for joint, kept in zip(task.model.actuated, expected.kept, strict=True)
         ],
-        "weak": [_advice(each) for each in weak_unknowns(design)],
+        "weak": [_advice(each) for each in weak_unknowns(design, expected)],
         "without_effect": list(task.base.without_effect),
         "limits": [
             {"limit": load.what, "value": load.limit, "unit": load.unit, "used": load.excess}
@@ -119,14 +120,15 @@ def _unit(name: str, task: DesignProblem) -> str:
 
 
 def _advice(weak: Weak) -> dict[str, Any]:
-    if weak.joint is None or 100 * weak.then > MOST:
+    if weak.joint is None or not 100 * weak.then <= MOST:
         text = "no motion of one joint within the limits helps; wider limits, or another pose of the robot, may"
     else:
         text = (
             f"a run of joint '{weak.joint}' alone, {weak.how}, would bring it to {100 * weak.then:.3g} %; "
             "it may also be designed for: --criterion " + weak.name
         )
-    return {"name": weak.name, "rel_std": 100 * weak.relative, "advice": text}
+    relative = 100 * weak.relative if np.isfinite(weak.relative) else None
+    return {"name": weak.name, "rel_std": relative, "advice": text}
 
 
 def _with_mass(design: Design, mass: float) -> dict[str, Any]:
@@ -167,6 +169,8 @@ def design_page(document: dict[str, Any]) -> str:
         lines += ["", f"  -: of zero, or more than {MOST} % of a value that is only assumed"]
     lines += ["", "  most used limits:"]
     lines += [f"    {100 * each['used']:5.1f} %  {each['limit']}" for each in document["limits"][:6]]
+    if document["cut_short"]:
+        lines += ["", "  the search was cut short; a longer one may find a better motion"]
     if document["weak"]:
         lines += ["", "  not identified (30 % or more, of the value or of a typical one):"]
         for advice in dict.fromkeys(each["advice"] for each in document["weak"]):
@@ -188,8 +192,8 @@ def design_page(document: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _share(relative: float) -> str:
-    return f"{relative:.3g}" if relative <= MOST else f"> {MOST}"
+def _share(relative: float | None) -> str:
+    return f"{relative:.3g}" if relative is not None and relative <= MOST else f"> {MOST}"
 
 
 def _wrapped(text: str) -> list[str]:

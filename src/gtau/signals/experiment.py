@@ -18,6 +18,7 @@ from pydantic import (
 )
 
 from gtau.documents.files import matching
+from gtau.documents.kinds import EXPERIMENT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
@@ -269,6 +270,7 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     GtauError
         The file cannot be read, or something in it is missing, misspelt or contradictory.
     """
+    refuse_other_kind(path, EXPERIMENT)
     folder = Path(path).parent
     return validate(Experiment, read_yaml(path), context=Folders(folder, folder if logs is None else logs))
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
+from gtau.documents.kinds import SIMULATION, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
@@ -187,6 +188,7 @@ def read_simulation(path: str | Path) -> Simulation:
     GtauError
         The file cannot be read, or something in it is missing, misspelt or contradictory.
     """
+    refuse_other_kind(path, SIMULATION)
     return validate(Simulation, read_yaml(path), context=Path(path).parent)
 
 

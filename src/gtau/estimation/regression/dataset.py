@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
@@ -17,6 +16,7 @@ from gtau.estimation.regression.factors import STRETCHES, Factors, HuberWeights,
 from gtau.estimation.regression.friction import PAPER, Friction
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.estimation.regression.system import System, assemble_system
+from gtau.model.blas import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note
@@ -76,7 +76,7 @@ The builtin ``map`` is the one that computes here and now; others may compute el
 """
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices this small, threads only wait for each other
+@single_threaded_blas
 def reduce_shard(part: Shard) -> Factors:
     """Factors of the stretches of a part, in any process; parts of a run are put together by :func:`joined`."""
     model = model_of(part.robot)

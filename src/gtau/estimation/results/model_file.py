@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gtau.documents.files import write_atomically
+from gtau.documents.kinds import MODEL, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
@@ -149,6 +150,7 @@ def load(path: str | Path, make: type[Model]) -> Model:
     GtauError
         Where the file cannot be read, or is no model of this schema.
     """
+    refuse_other_kind(path, MODEL)
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refuse)
     except OSError as error:

@@ -1,14 +1,11 @@
 """Numba's decorators as all compiled functions here use them."""
 
 from collections.abc import Callable
-from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
 from numba import cfunc, njit
 
-_SOURCES = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
-_EDITION = sha256(_SOURCES).hexdigest()[:12]
+from gtau.model.interpreter.edition import EDITION
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -26,5 +23,5 @@ def _of_this_edition(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Numba looks for changes in the function's own file alone, though it compiles in what is called of others.
     """
-    function.__qualname__ += f"_{_EDITION}"
+    function.__qualname__ += f"_{EDITION}"
     return function

@@ -5,6 +5,7 @@ from __future__ import annotations
 from difflib import get_close_matches
 from pathlib import Path
 
+from gtau.documents.kinds import ROBOT, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 
@@ -41,8 +42,9 @@ def read_robot(source: str | Path) -> Robot:
     if source in catalog_names():
         source = CATALOG / f"{source}.yaml"
     path = Path(source)
-    if path.is_dir():
+    if (path / "robot.urdf").is_file():
         path = path / "robot.urdf"
+    refuse_other_kind(path, ROBOT)
     match path.suffix.lower():
         case ".yaml" | ".yml":
             return _from_yaml(path)

@@ -1,0 +1,22 @@
+"""The edition of the compiled functions, by which Numba's cache tells them from those of other sources."""
+
+import os
+from hashlib import sha256
+from pathlib import Path
+
+_HERE = Path(__file__).parent
+EDITION = sha256(b"".join(path.read_bytes() for path in sorted(_HERE.glob("*.py")))).hexdigest()[:12]
+
+
+def is_compiled() -> bool:
+    """Whether the interpreter of this edition has been compiled on this machine before; imports nothing heavy."""
+    pattern = f"*.interpret_{EDITION}-*.nbi"  # the last function that is compiled
+    elsewhere = os.environ.get("NUMBA_CACHE_DIR")
+    if elsewhere:
+        return any(Path(elsewhere).rglob(pattern))
+    return any((_HERE / "__pycache__").glob(pattern)) or any(_own_cache().rglob(pattern))
+
+
+def _own_cache() -> Path:
+    """Where Numba caches for a package in a folder that this user cannot write to."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
