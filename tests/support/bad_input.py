@@ -142,7 +142,7 @@ LOGS = [
         column(0, lambda x: 1000 * x),
     ),
     Case("a hole", "s are missing after", lines(lambda x: x[:2000] + x[2400:])),
-    Case("a picture", "free.csv is not a text file", {"free.csv": b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 9}),
+    Case("a picture", "free.csv is a picture, not a log", {"free.csv": b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 9}),
     Case(
         "Latin-1",
         "free.csv is not a text file",
@@ -176,8 +176,17 @@ EXPERIMENTS = [
     Case(
         "no such file", "nowhere.yaml cannot be read: no such file or directory", command=("identify", "nowhere.yaml")
     ),
-    Case("a folder", "logs cannot be read: is a directory", {"logs/x": ""}, ("identify", "logs")),
-    Case("a log for the experiment", "the file must consist of 'key: value' lines", command=("identify", "free.csv")),
+    Case(
+        "a folder",
+        "logs is a folder, not an experiment file; give the file itself.",
+        {"logs/x": ""},
+        ("identify", "logs"),
+    ),
+    Case(
+        "a log for the experiment",
+        "free.csv is a log, not an experiment file; name it under 'runs'",
+        command=("identify", "free.csv"),
+    ),
     Case("not UTF-8", "the text is not UTF-8", {"experiment.yaml": b"robot: caf\xe9\n"}),
     Case("binary", "experiment.yaml", {"experiment.yaml": bytes(range(256))}),
     Case("ten megabytes", "is larger than 1 MiB", {"experiment.yaml": EXPERIMENT + "# long\n" * 1500000}),
@@ -258,12 +267,12 @@ EXPERIMENTS = [
     ),
     Case(
         "no way to make the folder",
-        "the folder experiment.yaml/out cannot be made",
+        "experiment.yaml/out cannot be the output folder, as experiment.yaml is a file",
         command=("identify", "experiment.yaml", "--out", "experiment.yaml/out"),
     ),
     Case(
         "a file where the folder should be",
-        "the folder taken cannot be made",
+        "taken cannot be the output folder, as taken is a file",
         {"taken": "x"},
         ("identify", "experiment.yaml", "--out", "taken"),
     ),
@@ -285,8 +294,49 @@ ROBOTS = [
         "no such robot", "no robot is called 'orthoglid' (did you mean 'orthoglide'?)", command=("robot", "orthoglid")
     ),
     Case("robot file missing", "cannot be read", command=("robot", "arm.yaml")),
-    Case("an experiment for a robot", "unknown key", command=("robot", "experiment.yaml")),
-    Case("a log for a robot", "free.csv", command=("robot", "free.csv")),
+    Case(
+        "an experiment for a robot",
+        "is an experiment file, not a robot file; use it with 'gtau check'",
+        command=("robot", "experiment.yaml"),
+    ),
+    Case(
+        "a model for the experiment",
+        "model.json is a model that 'gtau identify' wrote, not an experiment file; use it with 'gtau validate",
+        command=("identify", "model.json"),
+    ),
+    Case("a model for a robot", "not a robot file; use it with 'gtau validate", command=("robot", "model.json")),
+    Case("an experiment to simulate", "not a simulation file", command=("simulate", "experiment.yaml", "--out", "out")),
+    Case("an experiment to design", "not a design file", command=("excite", "experiment.yaml", "--out", "out")),
+    Case(
+        "a simulation for the experiment",
+        "is a simulation file, not an experiment file; use it with 'gtau simulate'",
+        {"experiment.yaml": "robot: five-bar\ndrives: {left: {gain: 2}}\nruns: []\n"},
+    ),
+    Case(
+        "a design for the experiment",
+        "is a design file, not an experiment file; use it with 'gtau excite'",
+        {"experiment.yaml": "robot: five-bar\nperiod: 5\nruns: []\n"},
+    ),
+    Case(
+        "a robot for the experiment",
+        "is a robot file, not an experiment file; use it with 'gtau robot'",
+        {"experiment.yaml": TWO_R % "true"},
+    ),
+    Case(
+        "a fleet for the experiment",
+        "is a fleet file, not an experiment file; use it with 'gtau fleet'",
+        {"experiment.yaml": "experiments: [a.yaml]\n"},
+    ),
+    Case(
+        "the folder of an experiment",
+        "is a folder, not an experiment file; give the file itself, such as cell/experiment.yaml.",
+        {"cell/experiment.yaml": EXPERIMENT},
+        ("identify", "cell"),
+    ),
+    Case("an experiment for a log", "is an experiment file, not a log", experiment((FREE, "log: experiment.yaml"))),
+    Case("a log for a model", "free.csv is a log, not a model", command=("payload", "free.csv", "weighing.yaml")),
+    Case("a picture for a robot", "r.urdf is a picture", {"r.urdf": b"\x89PNG\r\n"}, ("robot", "r.urdf")),
+    Case("a log for a robot", "free.csv is a log, not a robot file", command=("robot", "free.csv")),
     Case(
         "redundant",
         "actuation is redundant, which is not supported",
@@ -329,7 +379,11 @@ MODELS = [
         "nowhere.json cannot be read (No such file or directory)",
         command=("validate", "nowhere.json", "experiment.yaml"),
     ),
-    Case("an experiment for a model", "is not a JSON file", command=("validate", "experiment.yaml", "experiment.yaml")),
+    Case(
+        "an experiment for a model",
+        "is an experiment file, not a model that 'gtau identify' wrote",
+        command=("validate", "experiment.yaml", "experiment.yaml"),
+    ),
     Case("a torn model", "model.json is not a JSON file", _model(lambda text: text[:4000]), VALIDATE),
     Case("some other JSON", "model.json is not a model", _model(lambda text: '{"a": 1}'), WEIGH),
     Case(

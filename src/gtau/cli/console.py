@@ -15,7 +15,19 @@ import typer
 from gtau.cli.interruption import CODE as INTERRUPTED
 from gtau.cli.interruption import UNFINISHED, pressed
 from gtau.cli.interruption import report as report_interruption
+from gtau.cli.progress_display import progress_bar
 from gtau.errors import GtauError
+
+__all__ = [
+    "Dask",
+    "ExperimentFile",
+    "Json",
+    "ModelFile",
+    "print_json",
+    "progress_bar",
+    "refusals",
+    "refused",
+]
 
 ExperimentFile = Annotated[Path, typer.Argument(metavar="EXPERIMENT.yaml", help="Experiment file.", show_default=False)]
 ModelFile = Annotated[

@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, print_json, refusals
+from gtau.cli.console import Json, print_json, progress_bar, refusals
 from gtau.cli.interruption import stop_request
-from gtau.cli.progress_display import progress_bar
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 

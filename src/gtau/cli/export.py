@@ -28,7 +28,7 @@ def export(
     with refusals(json_):
         from gtau.export.registry import export_model
 
-        with progress_bar(lines=True) as progress:
+        with progress_bar() as progress:
             progress("export", 0, 1)
             exported = export_model(model, to, out, into)
             progress("export", 1, 1)

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, print_json, refusals
-from gtau.cli.progress_display import progress_bar
+from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, print_json, progress_bar, refusals
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, print_json, refusals
-from gtau.cli.progress_display import progress_bar
+from gtau.cli.console import Json, print_json, progress_bar, refusals
 from gtau.errors import GtauError
 
 

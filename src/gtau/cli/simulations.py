@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, print_json, refusals
-from gtau.cli.progress_display import progress_bar
+from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
 from gtau.documents.files import folder_of, refuse_as_folder
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gtau.demo.files import LOGS, RATE
 from gtau.errors import install_command
 from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
+from gtau.estimation.results.model_file import torque_error
 from gtau.estimation.results.result import Result
 from gtau.simulation.control_comparison import ControlComparison, table_document
 from gtau.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, PRIOR_GAINS, SECOND_PAYLOAD_MASS
@@ -67,9 +68,7 @@ def document(outcome: DemoOutcome, out: Path, duration: float, files: list[str])
                 for gains, mass in outcome.weighings.items()
             },
         },
-        "validation": [
-            asdict(each) | {"relative": each.relative, "relative_all": each.relative_all} for each in outcome.errors
-        ],
+        "validation": [torque_error(each) for each in outcome.errors],
         "tracking": table_document(outcome.comparison),
         "files": files,
         "commands": list(COMMANDS),

@@ -45,11 +45,9 @@ def refuse_as_folder(path: str | Path | None) -> None:
     """
     if path is None:
         return
-    existing = Path(path).absolute()
-    while not existing.exists() and existing != existing.parent:
-        existing = existing.parent
+    existing = next(each for each in (Path(path), *Path(path).absolute().parents) if each.exists())
     if not existing.is_dir():
-        raise GtauError(f"{path} cannot be the output folder, as {existing} is a file; choose another one.")
+        raise GtauError(f"{path} cannot be the output folder, as {existing.name} is a file; choose another one.")
     if not os.access(existing, os.W_OK):
         raise GtauError(f"{path} cannot be the output folder, as {existing} is write-protected; choose another one.")
 

@@ -59,7 +59,7 @@ def kind_of(path: str | Path) -> Kind | None:
         return PICTURE
     if head.startswith(b"PAR1"):
         return LOG
-    if b"\x00" in head:
+    if b"\x00" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16 has zeros too
         return BINARY
     text = head.decode("utf-8-sig", errors="replace").lstrip()
     if text.startswith("{"):

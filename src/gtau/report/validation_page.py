@@ -5,13 +5,14 @@ from __future__ import annotations
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gtau.estimation.results.estimate import Prediction, TorqueError
+from gtau.estimation.results.model_file import torque_error
 from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.results.result import Result
 from gtau.report.figures import torques_figure
@@ -46,11 +47,11 @@ def validate_run(result: Result, run: Run) -> Validation:
 
 def describe_validations(validations: Sequence[Validation]) -> dict[str, Any]:
     """Torque errors as a JSON document: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent."""
-
-    def entry(error: TorqueError) -> dict[str, Any]:
-        return asdict(error) | {"relative": error.relative, "relative_all": error.relative_all}
-
-    return {"runs": [{"log": each.run.name, "joints": [entry(error) for error in each.errors]} for each in validations]}
+    return {
+        "runs": [
+            {"log": each.run.name, "joints": [torque_error(error) for error in each.errors]} for each in validations
+        ]
+    }
 
 
 def validation_page(document: dict[str, Any]) -> str:

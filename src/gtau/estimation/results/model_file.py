@@ -44,10 +44,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "essential": [_parameter(each) for each in result.essential.values()],
         "friction": [_estimate(each) for each in result.friction.values()],
         "payloads": payload_documents(result.payloads),
-        "residuals": [
-            {"joint": each.joint, "rms": each.rms, "signal": each.signal, "relative": each.relative, "unit": each.unit}
-            for each in result.residuals
-        ],
+        "residuals": [torque_error(each) for each in result.residuals],
         "preparation": {
             "bandwidth": preparation.bandwidth,
             "cutoff": preparation.cutoff,
@@ -62,6 +59,11 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "robot_file": native_text(result.robot),
         "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
     }
+
+
+def torque_error(error: TorqueError) -> dict[str, Any]:
+    """A torque error as a JSON document: ``relative`` in per cent."""
+    return asdict(error) | {"relative": error.relative, "relative_all": error.relative_all}
 
 
 def _standard(found: Consistency, robot: Robot) -> dict[str, Any]:
