@@ -31,8 +31,8 @@ def robot(
     """Show the joints, loops, degrees of freedom and base parameters of a robot."""
     with refusals(json_):
         with progress_bar():
-            from gtau.report.robot_page import describe, robot_page
             from gtau.model.home import load_robot
+            from gtau.report.robot_page import describe, robot_page
 
             found = load_robot(source)
             description = describe(found)
