@@ -8,7 +8,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from gtau.robots.load import load_robot
 from models_to_export import model_of
 from robots_for_tests import CLOSED, SERIAL
 
