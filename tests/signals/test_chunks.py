@@ -16,7 +16,8 @@ import polars as pl
 import pytest
 from five_bar_logs import JOINTS, Plant, five_bar
 
-import gtau.signals.log_file
+import gtau.signals.formats.table
+import gtau.signals.formats.text
 import gtau.signals.storage
 from gtau.errors import GtauError
 from gtau.estimation.regression.dataset import cut, joined, reduce_runs, reduce_shard
@@ -77,8 +78,8 @@ def test_a_log_read_in_blocks_is_the_log(
     whole = read_run(path, SIGNALS)
     monkeypatch.setattr(gtau.signals.storage, "BLOCK", 10 * size)
     monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", 1000)
-    monkeypatch.setattr(gtau.signals.log_file, "ROWS", 13 * size)
-    monkeypatch.setattr(gtau.signals.log_file, "BYTES", 500 * size)
+    monkeypatch.setattr(gtau.signals.formats.table, "ROWS", 13 * size)
+    monkeypatch.setattr(gtau.signals.formats.text, "BYTES", 500 * size)
     seen: list[float] = []
     run = read_run(path, SIGNALS, progress=seen.append)
     assert run.notes == whole.notes

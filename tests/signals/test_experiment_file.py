@@ -88,7 +88,7 @@ BAD = [
     ("one column twice", "12: q12", "12: q11", "the column 'q11' is given for joints '11' and '12'"),
     ("a list of columns", "{11: q11, 12: q12}", "[q11, q12]", "signals.position: write 'key: value' lines"),
     ("joint twice", "12: q12", "11: q12", "line 2: the key '11' is written twice"),
-    ("unknown unit", "runs:", "units: {position: grad}\nruns:", "units.position: write 'rad', 'deg', 'm' or 'mm'"),
+    ("unknown unit", "runs:", "units: {position: degC}\nruns:", "units.position: write 'rad', 'deg', 'm' or 'mm'"),
     ("unit of a stranger", "runs:", "units: {position: {13: m}}\nruns:", "units: the signals have no joint '13'"),
     ("unit unread", "runs:", "units: {torque: N m}\nruns:", "a unit of 'torque' is given, but the signals hold"),
     ("gain of a stranger", "{11: 2001,", "{21: 2001,", "prior_gains: the signals have no joint '21'"),

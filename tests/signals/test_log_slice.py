@@ -12,6 +12,8 @@ import polars as pl
 import pytest
 from five_bar_logs import EXPERIMENT, Plant, five_bar, write_log
 
+import gtau.signals.formats.table
+import gtau.signals.formats.text
 import gtau.signals.log_file
 import gtau.signals.log_slice
 import gtau.signals.resampling
@@ -90,8 +92,8 @@ def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gtau.signals.resampling, "LANDMARK", 128)
     monkeypatch.setattr(gtau.signals.log_slice, "LANDMARK", 128)
     monkeypatch.setattr(gtau.signals.storage, "BLOCK", 500)
-    monkeypatch.setattr(gtau.signals.log_file, "ROWS", 300)
-    monkeypatch.setattr(gtau.signals.log_file, "BYTES", 10_000)
+    monkeypatch.setattr(gtau.signals.formats.table, "ROWS", 300)
+    monkeypatch.setattr(gtau.signals.formats.text, "BYTES", 10_000)
 
 
 def write(kind: str, columns: Table, folder: Path) -> list[Path]:
@@ -156,11 +158,11 @@ def test_no_more_is_read_than_is_needed(
 
     monkeypatch.setattr(gtau.signals.log_file, "_numbers", counting)
     parsed = []
-    of_text = gtau.signals.log_file._csv_frame
+    of_text = gtau.signals.formats.text._frame
     monkeypatch.setattr(
-        gtau.signals.log_file,
-        "_csv_frame",
-        lambda path, text, *rest: parsed.append(len(text)) or of_text(path, text, *rest),
+        gtau.signals.formats.text,
+        "_frame",
+        lambda path, layout, text, *rest: parsed.append(len(text)) or of_text(path, layout, text, *rest),
     )
     read_excerpt.cache_clear()
     pickle.loads(sent)

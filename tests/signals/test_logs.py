@@ -221,8 +221,18 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
     ("time stands still", _set(0, "1"), HEADER, "line 3: the time 1 s stands in two rows"),
     ("a gap", lambda x: x[:500] + x[600:], HEADER, "line 501: 0.202 s are missing after 0.998 s; cut the log there"),
     ("many gaps", _sparse, HEADER, "samples (steps of 2 to 4 ms); record it at a steady rate"),
-    ("ragged", lambda x: [*x[:7], x[7] + ",1", *x[8:]], HEADER, "line 9 has 6 columns where the first line has 5"),
-    ("short header", lambda x: x, "t,qa,qb,va", "has no column 'vb'"),
+    (
+        "ragged",
+        lambda x: [*x[:7], x[7] + ",1", *x[8:]],
+        HEADER,
+        "line 9 has 6 columns where the header has 5; correct",
+    ),
+    (
+        "short header",
+        lambda x: x,
+        "t,qa,qb,va",
+        "line 2 has 5 columns where the header in line 1 has 4",
+    ),
     ("only a header, torn", lambda x: [], HEADER[:-4], "has no column 'va'"),
     ("empty", lambda x: [], "\n", "is empty or begins with an empty line"),
 ]
@@ -268,7 +278,7 @@ def test_one_column_for_two_things(log: Path) -> None:
     ("arguments", "sentence"),
     [
         ({"signals": {"time": "t", "postion": {}}}, "unknown key 'postion'; did you mean 'position'?"),
-        ({"units": {"current": "kA"}}, "units, current: write 'A' or 'mA', not 'kA'"),
+        ({"units": {"current": "kV"}}, "units, current: write 'A' or 'mA', or another unit of current, not 'kV'"),
         ({"payload": {"name": "L", "mass": 0}}, "payload, mass: 0 is out of range"),
     ],
 )

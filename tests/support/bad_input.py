@@ -127,7 +127,7 @@ LOGS = [
     ),
     Case(
         "decimal commas between commas",
-        "line 2 has 10 columns where the first line has 5",
+        "line 2 has 10 columns where the header in line 1 has 5",
         lines(lambda x: [x[0], *(row.replace(".", ",") for row in x[1:])]),
     ),
     Case("backwards", "line 3: time goes back from", lines(lambda x: [x[0], *x[:0:-1]])),

@@ -1,4 +1,4 @@
-"""Where a log holds what: its columns, their units, or a rate in the place of a time column."""
+"""Where a log holds what: its columns, their units, and its clock."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -18,8 +19,9 @@ from pydantic import (
 )
 
 from gtau.documents.yaml_document import Document, validate
+from gtau.signals.presets import expanded, time_unit
+from gtau.signals.units import SHARES, Kind, is_angle, si_factor
 
-PositionUnit = Literal["rad", "deg", "m", "mm"]
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
@@ -27,8 +29,14 @@ def _text_or_group(value: Any) -> str:
     return "text" if isinstance(value, str) else "group"
 
 
+def _kind_of_time(value: Any) -> str:
+    if isinstance(value, StampsOfEach) or (isinstance(value, dict) and value.keys() & {"position", "command"}):
+        return "each"
+    return "text" if isinstance(value, str) else "pair" if isinstance(value, (list, tuple)) else "group"
+
+
 class Keys(BaseModel):
-    """A group of a file: what it does not know is an error."""
+    """A group of a file: a key that it does not know is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -39,13 +47,36 @@ class SampleRate(Keys):
     rate: Positive
 
 
-class Signals(Keys):
-    """Columns of a log: time, and the position and the current (or torque) of every actuated joint."""
+TwoColumns = tuple[str, str]
+"""Columns of the seconds and of the nanoseconds."""
 
-    time: Annotated[Annotated[str, Tag("text")] | Annotated[SampleRate, Tag("group")], Discriminator(_text_or_group)]
+
+class StampsOfEach(Keys):
+    """Time columns of positions and of commands that were logged with stamps of their own."""
+
+    position: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
+    command: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
+
+
+class Signals(Keys):
+    """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
+
+    ``motor_torque`` times ``gear_ratio`` is the joint torque. A ``preset`` has filled in the columns of a maker's log.
+    """
+
+    time: Annotated[
+        Annotated[str, Tag("text")]
+        | Annotated[TwoColumns, Tag("pair")]
+        | Annotated[StampsOfEach, Tag("each")]
+        | Annotated[SampleRate, Tag("group")],
+        Discriminator(_kind_of_time),
+    ]
     position: dict[str, str] = Field(min_length=1)
     current: dict[str, str] | None = None
     torque: dict[str, str] | None = None
+    motor_torque: dict[str, str] | None = None
+    gear_ratio: dict[str, FiniteFloat] | None = None
+    preset: str | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -54,15 +85,30 @@ class Signals(Keys):
 
     @property
     def kind(self) -> Literal["current", "torque"]:
-        """What the command columns hold."""
+        """What the commands are, motor torques as those of the joints."""
         return "torque" if self.current is None else "current"
 
     @property
     def command(self) -> dict[str, str]:
         """Columns of the currents or torques by joint."""
-        return (self.torque if self.current is None else self.current) or {}
+        return self.current or self.torque or self.motor_torque or {}
 
-    @field_validator("position", "current", "torque")
+    @property
+    def time_columns(self) -> tuple[str, ...]:
+        """Columns of the positions' time, one or two, or none."""
+        return _columns_of_time(self.time.position if isinstance(self.time, StampsOfEach) else self.time)
+
+    @property
+    def command_time_columns(self) -> tuple[str, ...]:
+        """Columns of the commands' time, one or two, where they have stamps of their own."""
+        return _columns_of_time(self.time.command) if isinstance(self.time, StampsOfEach) else ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _preset(cls, data: Any) -> Any:
+        return expanded(data) if isinstance(data, dict) and data.get("preset") else data
+
+    @field_validator("position", "current", "torque", "motor_torque")
     @classmethod
     def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
         owners: dict[str, str] = {}
@@ -77,8 +123,11 @@ class Signals(Keys):
 
     @model_validator(mode="after")
     def _one_command_per_joint(self) -> Signals:
-        if (self.current is None) == (self.torque is None):
-            raise ValueError("give the columns of either 'current' or 'torque', one of the two")
+        if sum(each is not None for each in (self.current, self.torque, self.motor_torque)) != 1:
+            raise ValueError(
+                "give the columns of either 'current' or 'torque' (or of 'motor_torque', with a 'gear_ratio'), one of "
+                "them"
+            )
         missing = [joint for joint in self.position if joint not in self.command]
         extra = [joint for joint in self.command if joint not in self.position]
         if missing and extra:
@@ -92,24 +141,104 @@ class Signals(Keys):
             raise ValueError(f"joint '{extra[0]}' has a {self.kind} but no position; add its position column")
         return self
 
+    @model_validator(mode="after")
+    def _ratios_of_motor_torques(self) -> Signals:
+        ratios = self.gear_ratio or {}
+        if self.motor_torque is None and ratios:
+            raise ValueError("'gear_ratio' stands without 'motor_torque'; remove it, or name the torques so")
+        for joint in self.motor_torque or {}:
+            if not ratios.get(joint):
+                raise ValueError(
+                    f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
+                    "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
+                )
+        for joint in ratios:
+            if joint not in self.position:
+                raise ValueError(f"'gear_ratio' names the joint '{joint}', which has no position; correct the name")
+        return self
+
+
+def _columns_of_time(time: Any) -> tuple[str, ...]:
+    return () if isinstance(time, SampleRate) else (time,) if isinstance(time, str) else tuple(time)
+
+
+def _unit(kind: Kind) -> AfterValidator:
+    def checked(text: str) -> str:
+        if text not in SHARES or kind in ("time", "position"):
+            si_factor(text, kind)
+        return text
+
+    return AfterValidator(checked)
+
+
+def _one_or_by_joint(kind: Kind) -> Any:
+    unit = Annotated[str, _unit(kind)]
+    return Annotated[
+        Annotated[unit, Tag("text")] | Annotated[dict[str, unit], Tag("group")], Discriminator(_text_or_group)
+    ]
+
 
 class Units(Keys):
-    """Units of the log's columns; SI where nothing is said."""
+    """Units of the log's columns, or quantities that stand for 1 in it (``0.0012 A``); SI where nothing is said.
 
-    time: Literal["s", "ms", "us", "ns"] | None = None
-    position: (
-        Annotated[
-            Annotated[PositionUnit, Tag("text")] | Annotated[dict[str, PositionUnit], Tag("group")],
-            Discriminator(_text_or_group),
-        ]
-        | None
-    ) = None
-    current: Literal["A", "mA"] | None = None
-    torque: Literal["N m", "Nm", "N"] | None = None
+    ``rated`` are the rated currents (A) or torques (N m, N) of which ``%`` and ``‰`` are shares.
+    """
 
-    def of_position(self, joint: str) -> PositionUnit | None:
+    time: Annotated[str, _unit("time")] | None = None
+    position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
+    current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
+    torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
+    rated: dict[str, Positive] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _rated_values_of_shares(self) -> Units:
+        of_command = self.current if self.torque is None else self.torque
+        units = of_command.values() if isinstance(of_command, dict) else [of_command]
+        if self.rated and not any(unit in SHARES for unit in units):
+            raise ValueError("'rated' is given, but no unit is '%' or '‰'; remove it, or give that unit")
+        if not self.rated and any(unit in SHARES for unit in units):
+            raise ValueError(
+                "a unit is a share of the rated value, which is not given; add 'rated: {JOINT: ...}' in A (N m, N)"
+            )
+        return self
+
+    def of_position(self, joint: str) -> str | None:
         """Position unit of a joint; None where nothing is said."""
-        return self.position.get(joint) if isinstance(self.position, dict) else self.position
+        return _of(self.position, joint)
+
+    def measures_angle(self, joint: str) -> bool | None:
+        """Whether a joint's position unit is an angle and not a length; None where nothing is said."""
+        unit = self.of_position(joint)
+        return None if unit is None else is_angle(unit)
+
+    def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
+        """Factors to SI of the positions and of the commands, joint by joint, and of the time.
+
+        Raises
+        ------
+        GtauError
+            A share is logged of a rated value that is not given.
+        """
+        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.joints]
+        commands = [self._of_command(joint, signals) for joint in signals.joints]
+        return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
+
+    def _of_command(self, joint: str, signals: Signals) -> float:
+        unit = _of(self.current if signals.kind == "current" else self.torque, joint)
+        ratio = (signals.gear_ratio or {}).get(joint, 1.0)
+        if unit is None:
+            return ratio
+        if unit not in SHARES:
+            return ratio * si_factor(unit, signals.kind)
+        if joint not in self.rated:
+            raise document_of("units", {}).error(
+                ("rated",), f"joint '{joint}' has no rated {signals.kind}, of which its column is a share; add it"
+            )
+        return ratio * SHARES[unit] * self.rated[joint]
+
+
+def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
+    return units.get(joint) if isinstance(units, dict) else units
 
 
 def as_signals(signals: Signals | Mapping[str, Any]) -> Signals:

@@ -23,6 +23,7 @@ from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
+from gtau.signals.formats import is_log_folder
 
 
 class Payload(Keys):
@@ -98,7 +99,7 @@ class LoggedRun(Keys):
     """One run: its log, or two logs with positions and commands, and the payload carried, if any.
 
     In a file the logs may be patterns (``free_*.csv``): so many runs, of two patterns the first match of one with
-    the first of the other. A folder of ``.parquet`` files is one log.
+    the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2.
     """
 
     log: Annotated[
@@ -120,10 +121,11 @@ class LoggedRun(Keys):
             if not found and has_magic(str(written)):
                 raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
             for each in found or [path]:
-                if not each.is_file() and not any(each.glob("*.parquet")):
+                if not each.is_file() and not is_log_folder(each):
                     if each.is_dir():
                         raise ValueError(
-                            f"the folder '{each}' holds no .parquet files; give a file, or a folder of these"
+                            f"the folder '{each}' holds no .parquet files and is no rosbag2; give a file, or such a "
+                            "folder"
                         )
                     raise ValueError(f"there is no file '{each}'{_close_file(each)}")
         if len({len(found) for found in matches}) > 1:
@@ -187,8 +189,9 @@ class Experiment(Keys):
             raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
         if units.time is not None and isinstance(signals.time, SampleRate):
             raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
-        if isinstance(units.position, dict):
-            _known_joints(units.position, signals)
+        for by_joint in (units.position, units.current, units.torque, units.rated):
+            if isinstance(by_joint, dict):
+                _known_joints(by_joint, signals)
         return units
 
     @field_validator("prior_gains")
@@ -302,9 +305,9 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
             raise GtauError(
                 f"signals.position lacks the actuated joint '{joint}' of robot '{robot.name}'; add its column."
             )
-        kind, unit = robot.joint(joint).kind, experiment.units.of_position(joint)
-        if unit is not None and (unit in ("rad", "deg")) != (kind == "revolute"):
+        kind, units = robot.joint(joint).kind, experiment.units
+        if units.measures_angle(joint) not in (None, kind == "revolute"):
             raise GtauError(
-                f"units.position is '{unit}' for joint '{joint}', which is {kind}; write "
+                f"units.position is '{units.of_position(joint)}' for joint '{joint}', which is {kind}; write "
                 f"{'rad or deg' if kind == 'revolute' else 'm or mm'} (units may differ by joint: {{{joint}: ...}})."
             )

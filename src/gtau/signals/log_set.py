@@ -1,4 +1,4 @@
-"""The logs of a run, one file or two that were sampled together, as samples in SI units."""
+"""The logs of a run, one file or two, as samples in SI units."""
 
 from __future__ import annotations
 
@@ -11,32 +11,37 @@ import numpy as np
 
 from gtau.documents.kinds import LOG, refuse_other_kind
 from gtau.errors import GtauError
+from gtau.signals.aligned import Aligned, align, seconds
 from gtau.signals.columns import SampleRate, Signals, Units
-from gtau.signals.log_file import ALL, LogFile, Place, read_log
+from gtau.signals.formats.table import Place
+from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.samples import Source
-
-SI = {"rad": 1.0, "deg": np.pi / 180, "m": 1.0, "mm": 1e-3, "A": 1.0, "mA": 1e-3, "N m": 1.0, "Nm": 1.0, "N": 1.0}
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass(frozen=True, eq=False)
 class Logged:
     """The logs of a run, found but not yet read.
 
-    ``order`` and ``scale`` (2n or 2n + 1) make positions, commands and times in SI units of the ``files``' columns
-    side by side; ``rate`` (Hz) stands for a time column that there is not.
+    Of the ``files``' columns side by side, ``order`` are the positions and commands (2n), or the positions where
+    the commands are ``aligned``, and ``times`` the time, in one column or two; ``scale`` (2n) and ``time_scale`` bring
+    them to SI units. ``rate`` (Hz) stands for time columns that there are not. ``notes`` report what was left out or
+    aligned.
     """
 
     files: tuple[LogFile, ...]
     source: Source
     order: tuple[int, ...]
     scale: tuple[float, ...]
+    times: tuple[int, ...]
+    time_scale: float
     rate: float | None
+    aligned: Aligned | None
+    notes: tuple[str, ...]
 
     @property
     def places(self) -> tuple[tuple[Place, ...], ...]:
         """Of each file, as far as it has been read, rows and the bytes at which they begin."""
-        return tuple(tuple(file.places) for file in self.files)
+        return tuple(tuple(file.table.places) for file in self.files)
 
     def blocks(
         self,
@@ -44,7 +49,7 @@ class Logged:
         places: Sequence[Place] | None = None,
         progress: Callable[[float], None] = lambda done: None,
     ) -> Iterator[np.ndarray]:
-        """Samples (M, 2n + 1) in order: positions, commands and time.
+        """Read samples (M, 2n + 1) in order: positions, commands and time.
 
         Parameters
         ----------
@@ -61,13 +66,20 @@ class Logged:
             Where a file cannot be read on, or two files have different lengths.
         """
         row = rows.start
+        if self.aligned is not None:
+            shift = self.aligned.rows.start
+            rows = range(rows.start + shift, min(rows.stop + shift, self.aligned.rows.stop))
         for values, done in _side_by_side(self.files, rows, places or [(0, 0)] * len(self.files)):
             progress(done)
-            found = values[:, self.order] * self.scale
             if self.rate is not None:
-                found = np.column_stack([found, np.arange(row, row + len(found)) / self.rate])
-            row += len(found)
-            yield found
+                time = np.arange(row, row + len(values)) / self.rate
+            else:
+                time = seconds(values[:, self.times], self.time_scale)
+            found = values[:, self.order]
+            if self.aligned is not None:
+                found = np.hstack([found, self.aligned.at(time)])
+            row += len(values)
+            yield np.column_stack([found * self.scale, time])
 
 
 def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
@@ -77,7 +89,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
     for path in paths:
         if not path.is_dir():  # a folder may hold the parts of a log
             refuse_other_kind(path, LOG)
-    times = () if isinstance(signals.time, SampleRate) else (signals.time,)
+    times, stamps = signals.time_columns, signals.command_time_columns
     positions, commands = (
         [columns[joint] for joint in signals.joints] for columns in (signals.position, signals.command)
     )
@@ -86,28 +98,38 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
             f"{paths[0]}: the column '{min(set(positions) & set(commands))}' is given both as a position and as a "
             f"{signals.kind}; correct one of the two."
         )
-    files = [read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 else ())))]
-    if len(paths) == 2:
+    position_scale, command_scale, time_scale = units.scale(signals)
+    beside = commands if len(paths) == 1 and not stamps else []
+    files = [read_log(paths[0], (*times, *positions, *beside))]
+    aligned = None
+    if stamps:
+        clock = read_log(paths[0], times)
+        aligned = align(paths[-1], (*stamps, *commands), (clock, stamps), time_scale, f"{signals.kind}s")
+    elif len(paths) == 2:
         files.append(read_log(paths[1], commands))
-    beside = [(k, name) for k, file in enumerate(files) for name in file.names]
-    wanted = [*((0, name) for name in positions), *((len(files) - 1, name) for name in commands)]
-    wanted += [(0, name) for name in times]
-    scale = [SI[units.of_position(joint) or "rad"] for joint in signals.joints]
-    scale += [SI[units.current or units.torque or "A"]] * len(commands) + [SECONDS[units.time or "s"]] * len(times)
+    columns = [(k, name) for k, file in enumerate(files) for name in file.names]
+    wanted = [(0, name) for name in positions]
+    wanted += [(len(files) - 1, name) for name in commands if not stamps]
+    first = files[0].table
     source = Source(
         name=" and ".join(str(path) for path in paths),
         joints=signals.joints,
-        columns=(*positions, *commands, *(times or ("rate",))),
+        columns=(*positions, *commands, " and ".join(times) or "rate"),
         texts=ChainMap(*(file.texts for file in reversed(files))),
-        first_line=files[0].first_line,
-        line_word=files[0].line_word,
+        first_line=first.first_line + (aligned.rows.start if aligned else 0),
+        line_word=first.line_word,
     )
+    notes = [f"{file.path.name}: {note}" if len(files) > 1 else note for file in files for note in file.table.notes]
     return Logged(
         files=tuple(files),
         source=source,
-        order=tuple(beside.index(column) for column in wanted),
-        scale=tuple(scale),
+        order=tuple(columns.index(column) for column in wanted),
+        scale=(*position_scale, *command_scale),
+        times=tuple(columns.index((0, name)) for name in times),
+        time_scale=time_scale,
         rate=signals.time.rate if isinstance(signals.time, SampleRate) else None,
+        aligned=aligned,
+        notes=(*notes, *([aligned.note] if aligned and aligned.note else [])),
     )
 
 
@@ -129,6 +151,6 @@ def _side_by_side(
         rows[k] += (len(each[0]) if each else 0) + sum(len(values) for values, _ in stream)
     if len(set(rows)) > 1:
         raise GtauError(
-            f"{files[0].path} has {rows[0]} rows but {files[1].path} has {rows[1]}; "
-            "give two logs that were sampled together."
+            f"{files[0].path} has {rows[0]} rows but {files[1].path} has {rows[1]}; give two logs that were sampled "
+            "together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."
         )

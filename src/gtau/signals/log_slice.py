@@ -17,7 +17,7 @@ from gtau.errors import GtauError
 from gtau.signals.checks import drop_repeated, unwrapped
 from gtau.signals.clock import Clock
 from gtau.signals.columns import Signals, Units
-from gtau.signals.log_file import Place
+from gtau.signals.formats.table import Place
 from gtau.signals.log_set import find_logs
 from gtau.signals.resampling import LANDMARK, Findings, resampled, unclipped
 from gtau.signals.samples import gathered

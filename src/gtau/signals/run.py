@@ -119,7 +119,7 @@ def read_run(
         command=uniform.command,
         kind=signals.kind,
         payload=as_payload(payload),
-        notes=uniform.notes,
+        notes=(*logged.notes, *uniform.notes),
         valid=uniform.valid,
     )
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)

@@ -1,0 +1,78 @@
+"""Parquet files, folders of them, and Feather files (Arrow IPC), by Polars."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gtau.documents.files import in_order
+from gtau.errors import GtauError
+from gtau.signals.formats import table
+from gtau.signals.formats.table import Place, Table
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+def open_parquet(path: Path) -> Table:
+    """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
+
+    Raises
+    ------
+    GtauError
+        There is no such file in the folder, or it is damaged.
+    """
+    import polars as pl
+
+    parts = in_order(path.glob("*.parquet")) if path.is_dir() else [path]
+    if not parts:
+        raise GtauError(f"the folder {path} holds no .parquet files; give a log as CSV or as .parquet.")
+    return _table(path, parts, pl.scan_parquet, "Parquet")
+
+
+def open_feather(path: Path) -> Table:
+    """Find the columns of a Feather file, version 2 (Arrow IPC); raises GtauError where it is damaged."""
+    import polars as pl
+
+    return _table(path, [path], pl.scan_ipc, "Feather")
+
+
+def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFrame], kind: str) -> Table:
+    import polars as pl
+
+    def refused(error: Exception) -> GtauError:
+        return GtauError(f"{path} is not a readable {kind} file ({str(error).splitlines()[0]}).")
+
+    try:
+        schema = scan(parts[0]).collect_schema()
+        lengths = [scan(part).select(pl.len()).collect().item() for part in parts]
+    except pl.exceptions.PolarsError as error:
+        raise refused(error) from None
+
+    def frames(names: Sequence[str], rows: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+        first = 0  # row of the part
+        for part, length in zip(parts, lengths, strict=True):
+            begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
+            for start in range(begin, end, table.ROWS):
+                stop = min(start + table.ROWS, end)
+                try:
+                    frame = scan(part).select(names).slice(start, stop - start).collect()
+                except pl.exceptions.PolarsError as error:
+                    raise refused(error) from None
+                yield frame, (first + stop) / sum(lengths)
+            first += length
+
+    return Table(tuple(schema), frames, unusable=_unusable(schema))
+
+
+def _unusable(schema: Mapping[str, pl.DataType]) -> dict[str, str]:
+    import polars as pl
+
+    found = {}
+    for name, kind in schema.items():
+        if kind.is_temporal():
+            found[name] = f"holds dates or times ({kind}); write the seconds since the first sample, as numbers"
+        elif not (kind.is_numeric() or kind in (pl.String, pl.Boolean)):
+            found[name] = f"holds {kind} values; write it as numbers"
+    return found

@@ -1,0 +1,146 @@
+"""ROS bags, by the package rosbags: rosbag2 in SQLite (``.db3``) and MCAP, and ROS 1 (``.bag``).
+
+Columns are named as PlotJuggler names its curves: ``/joint_states/elbow/position`` for the joint ``elbow`` of a
+``sensor_msgs/JointState``, ``/TOPIC/FIELD`` or ``/TOPIC/FIELD[1]`` for the numbers of any other message. Every topic
+has its stamps: ``/TOPIC/header/stamp``, where its messages have a header, and ``/TOPIC/received``; both in s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gtau.errors import GtauError, missing_extra
+from gtau.signals.formats import table
+from gtau.signals.formats.table import WIDEST, Place, Table, common_length, readable
+
+if TYPE_CHECKING:
+    import polars as pl
+
+Getter = Callable[[Any], float]
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+SUFFIXES = (".db3", ".mcap", ".bag")
+
+
+def open_rosbag(path: Path) -> Table:
+    """Find the columns of a bag, a file or a rosbag2 folder, from the first message of every topic.
+
+    Raises
+    ------
+    GtauError
+        The package rosbags is not installed, or the bag is damaged.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise missing_extra(f"reading {path} (a ROS bag)", "rosbags", "ros") from None
+
+    def reader() -> Any:  # messages without a definition of their own: those that ROS 2 brings
+        return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+
+    columns: dict[str, tuple[str, Callable[[Any, int], float]]] = {}  # topic, and its value in a message
+    counts: dict[str, int] = {}
+    with readable(path, "a ROS bag"), reader() as bag:
+        for connection in bag.connections:
+            first = next(bag.messages(connections=[connection]), None)
+            if first is None:
+                continue
+            try:
+                message = bag.deserialize(first[2], connection.msgtype)
+            except KeyError:  # of a type that neither the bag nor ROS 2 describes
+                continue
+            topic = connection.topic
+            counts[topic] = counts.get(topic, 0) + connection.msgcount
+            for name, getter in _getters(message, connection.msgtype):
+                columns[f"{topic}/{name}"] = topic, _of_message(getter)
+            columns[f"{topic}/received"] = topic, lambda message, received: received * 1e-9
+
+    def frames(names: Sequence[str], rows: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+        import polars as pl
+
+        topics = [columns[name][0] for name in names]
+        count = common_length(path, {name: counts[topic] for name, topic in zip(names, topics, strict=True)})
+        if len(set(topics)) > 1:
+            raise GtauError(
+                f"{path}: '{names[0]}' and '{names[[t != topics[0] for t in topics].index(True)]}' are of two topics "
+                "with stamps of their own; give both (time: {position: COLUMN, command: COLUMN})."
+            )
+        getters = [columns[name][1] for name in names]
+        values = np.empty((min(table.ROWS, count), len(names)))
+        filled = 0
+        with readable(path, "a ROS bag"), reader() as bag:
+            connections = [each for each in bag.connections if each.topic == topics[0]]
+            for row, (connection, received, raw) in enumerate(bag.messages(connections=connections)):
+                if row < rows.start:
+                    continue
+                if row >= rows.stop:
+                    break
+                message = bag.deserialize(raw, connection.msgtype)
+                values[filled] = [getter(message, received) for getter in getters]
+                filled += 1
+                if filled == len(values):
+                    yield pl.DataFrame(values, schema=list(names)), (row + 1) / count
+                    filled = 0
+        if filled:
+            yield pl.DataFrame(values[:filled], schema=list(names)), 1.0
+
+    return Table(tuple(columns), frames)
+
+
+def _of_message(getter: Getter) -> Callable[[Any, int], float]:
+    return lambda message, received: getter(message)
+
+
+def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
+    """Names of the numbers in a message, and what gets each of them from the next ones."""
+    if kind == JOINT_STATE:
+        yield "header/stamp", lambda message: _seconds(message.header.stamp)
+        for field in ("position", "velocity", "effort"):
+            for k, joint in enumerate(message.name[: len(getattr(message, field))]):
+                yield f"{joint}/{field}", _of_joint(field, joint, k)
+        return
+    yield from _numbers(message, "", lambda message: message)
+
+
+def _of_joint(field: str, joint: str, k: int) -> Getter:
+    def value(message: Any) -> float:
+        names, values = message.name, getattr(message, field)
+        at = k if k < len(names) and names[k] == joint else names.index(joint) if joint in names else len(values)
+        return float(values[at]) if at < len(values) else np.nan  # drivers may leave joints out
+
+    return value
+
+
+def _numbers(value: Any, name: str, getter: Callable[[Any], Any]) -> Iterator[tuple[str, Getter]]:
+    if isinstance(value, (bool, int, float, np.number)):
+        yield name, lambda message: float(getter(message))
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size <= WIDEST:
+        for k in range(value.size):
+            yield f"{name}[{k + 1}]", _of_item(getter, k)
+    elif hasattr(value, "sec") and hasattr(value, "nanosec"):
+        yield name, lambda message: _seconds(getter(message))
+    elif hasattr(value, "__dataclass_fields__"):
+        for field in value.__dataclass_fields__:
+            if not field.startswith("__"):
+                yield from _numbers(getattr(value, field), f"{name}/{field}".lstrip("/"), _of_field(getter, field))
+
+
+def _of_item(getter: Callable[[Any], Any], k: int) -> Getter:
+    def value(message: Any) -> float:
+        array = getter(message)
+        return float(array[k]) if k < len(array) else np.nan
+
+    return value
+
+
+def _of_field(getter: Callable[[Any], Any], field: str) -> Callable[[Any], Any]:
+    return lambda message: getattr(getter(message), field)
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + stamp.nanosec * 1e-9)

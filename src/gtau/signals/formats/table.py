@@ -1,0 +1,122 @@
+"""What every reader of a log returns: the names of its columns, and a way to read some of them block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gtau.errors import GtauError
+
+if TYPE_CHECKING:
+    import polars as pl
+
+Place = tuple[int, int]
+"""A row of a text file and the byte at which it begins."""
+
+ROWS = 1 << 16  # of a table that are read at once
+WIDEST = 256  # columns of one array; a wider one is an image or a map, not signals
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a log, found but not yet read.
+
+    ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
+    log that is then read. Row 0 stands in ``first_line`` of a text file; other logs have rows, counted from 1.
+    ``numbered``: the log has no header, and its columns are named by their number. ``places`` holds, as far as a text
+    file has been read, rows and the bytes at which they begin. ``notes`` report what the reader left out;
+    ``unusable`` says of columns that hold no numbers what to do.
+    """
+
+    columns: tuple[str, ...]
+    frames: Callable[[Sequence[str], range, Place], Iterator[tuple[pl.DataFrame, float]]]
+    first_line: int = 1
+    line_word: str = "row"
+    numbered: bool = False
+    places: list[Place] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
+    unusable: Mapping[str, str] = field(default_factory=dict)
+
+
+@contextmanager
+def readable(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into one sentence; ``kind`` such as ``a MAT file``."""
+    try:
+        yield
+    except (GtauError, MemoryError):
+        raise
+    except Exception as error:  # libraries raise what they like, down to AssertionError
+        if isinstance(error, OSError) and error.errno is not None:  # of the system; HDF5's have no number
+            raise
+        reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+        raise GtauError(f"{path} is not {kind} that can be read ({reason}); export the log again.") from None
+
+
+def table_of_arrays(
+    path: Path, shapes: Mapping[str, tuple[int, ...]], load: Callable[[], AbstractContextManager[Mapping[str, Any]]]
+) -> Table:
+    """Make a table of named arrays, whose longer axis counts the samples.
+
+    A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
+    ``WIDEST``, of more axes or a single number is left out.
+
+    Parameters
+    ----------
+    path : Path
+        The log, for messages.
+    shapes : mapping
+        Shapes of the arrays by name.
+    load : callable
+        Opens the arrays, or what can be indexed as such, by name.
+    """
+    found: dict[str, tuple[str, int | None, bool]] = {}  # column: array, its number in it, samples on the last axis
+    rows: dict[str, int] = {}
+    for name, shape in shapes.items():
+        size = int(np.prod(shape))
+        if size < 2 or len(shape) not in (1, 2):
+            continue
+        long = max(shape)
+        if size == long:
+            found[name], rows[name] = (name, None, len(shape) == 2 and shape[1] == long), long
+        elif min(shape) <= WIDEST:
+            for k in range(min(shape)):
+                column = f"{name}[{k + 1}]"
+                found[column], rows[column] = (name, k, shape[1] == long), long
+
+    def frames(names: Sequence[str], wanted: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+        import polars as pl
+
+        count = common_length(path, {name: rows[name] for name in names})
+        with readable(path, "a log"), load() as arrays:
+            end = min(wanted.stop, count)
+            for start in range(wanted.start, end, ROWS):
+                stop = min(start + ROWS, end)
+                frame = {name: _column(arrays, found[name], start, stop) for name in names}
+                yield pl.DataFrame(frame), stop / count
+
+    return Table(tuple(found), frames)
+
+
+def common_length(path: Path, lengths: Mapping[str, int]) -> int:
+    """Rows of columns that must have as many; raises GtauError."""
+    if len(set(lengths.values())) > 1:
+        (one, rows), *others = lengths.items()
+        other = next(name for name, count in others if count != rows)
+        raise GtauError(
+            f"{path}: '{one}' has {rows} rows but '{other}' has {lengths[other]}; give columns that were sampled "
+            "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN})."
+        )
+    return next(iter(lengths.values()))
+
+
+def _column(arrays: Mapping[str, Any], where: tuple[str, int | None, bool], start: int, stop: int) -> np.ndarray:
+    name, k, last = where
+    array = arrays[name]
+    span = slice(start, stop)
+    part = array[span] if array.ndim == 1 else array[k or 0, span] if last else array[span, k or 0]
+    return np.asarray(part, dtype=float)

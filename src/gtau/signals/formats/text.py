@@ -1,0 +1,112 @@
+"""Text logs: columns separated by commas, semicolons, tabs or single spaces, in blocks of whole lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gtau.errors import GtauError
+from gtau.signals.formats.table import Place, Table
+from gtau.signals.formats.text_layout import BOM, Layout, layout_of
+
+if TYPE_CHECKING:
+    import polars as pl
+
+BYTES = 1 << 22  # of a file that are read at once
+
+
+def open_text(path: Path) -> Table:
+    """Find the columns of a text log.
+
+    Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
+    note says so. Without a header the columns are named by their number from 1.
+
+    Raises
+    ------
+    GtauError
+        The file is empty or no text.
+    """
+    layout = layout_of(path)
+    places: list[Place] = []
+
+    def frames(names: Sequence[str], rows: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+        first = place[0]
+        wanted = [layout.columns.index(name) for name in names]
+        for begin, text, done in _whole_lines(path, place[1] or layout.first_byte):
+            if not places or places[-1][0] < first:
+                places.append((first, begin))
+            frame = _frame(path, layout, text, wanted)
+            part = frame[max(rows.start - first, 0) : max(rows.stop - first, 0)]
+            first += len(frame)
+            if len(part):
+                yield part, done
+            if first >= rows.stop:
+                return
+
+    return Table(layout.columns, frames, layout.first_line, "line", layout.numbered, places, layout.notes)
+
+
+def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.DataFrame:
+    import polars as pl
+
+    columns = [f"column_{k + 1}" for k in range(len(layout.columns))]
+    end = text.find(b"\n") if b"\n" in text else len(text)
+    if lacking := len(columns) - 1 - text.count(layout.separator.encode(), 0, end):  # a cut row, which Polars takes
+        text = text[:end].rstrip(b"\r") + layout.separator.encode() * lacking + text[end:]  # for all there are
+    try:
+        frame = pl.read_csv(
+            text,
+            has_header=False,
+            separator=layout.separator,
+            schema=dict.fromkeys(columns, pl.String),
+            columns=sorted(columns[k] for k in wanted),
+            raise_if_empty=False,
+        )
+    except pl.exceptions.PolarsError as error:
+        raise GtauError(_unreadable_line(path, layout, str(error))) from None
+    entries = pl.col(pl.String).str.strip_chars()
+    if layout.separator != ",":
+        entries = entries.str.replace(",", ".", literal=True)
+    return frame.select(columns[k] for k in wanted).select(entries)
+
+
+def _whole_lines(path: Path, begin: int) -> Iterator[tuple[int, bytes, float]]:
+    """Lines from the byte ``begin`` on, many at once and each of them whole.
+
+    With the byte at which they begin, and the part of the file that is then read.
+    """
+    size, torn = path.stat().st_size, b""
+    with path.open("rb") as file:
+        file.seek(begin)
+        if not begin and file.read(len(BOM)) != BOM:
+            file.seek(0)
+        begin = file.tell()
+        while read := file.read(BYTES):
+            end = read.rfind(b"\n") + 1
+            if end:
+                text, torn = torn + read[:end], b""
+                yield begin, text, file.tell() / size
+                begin += len(text)
+            torn += read[end:]
+    if torn:
+        yield begin, torn, 1.0
+
+
+def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:
+    count = len(layout.columns)
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(file, start=1):
+            found = line.count(layout.separator) + 1
+            if number >= layout.first_line and found > count:
+                where = f"line {layout.first_line}" if layout.numbered else "the header"
+                return (
+                    f"{path}, line {number} has {found} columns where {where} has {count}; correct or delete the line "
+                    "(a header must name every column)."
+                )
+            if number >= layout.first_line and "\ufffd" in line:
+                return (
+                    f"{path}, line {number} is not text: the log was damaged there; delete the line, or record the "
+                    "log again."
+                )
+    return f"{path} is not a readable CSV file ({reason.splitlines()[0]})."

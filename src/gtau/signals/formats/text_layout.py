@@ -1,0 +1,143 @@
+"""Where the table begins in a text log: separator, header, and first row of numbers.
+
+Loggers write titles, settings and units before their table, and a log that was cut begins with half a row. The table
+begins with the first ``ROWS_ALIKE`` lines of mostly numbers that have as many fields.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gtau.errors import GtauError
+
+SEPARATORS = ";\t, "  # a semicolon or tab first: their files may hold decimal commas
+MISSING = ("", "na", "n/a", "null", "none", "nan")
+LOOK = 200  # lines at most that stand before a table
+ROWS_ALIKE = 4
+BOM = b"\xef\xbb\xbf"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of a text log, and the line (from 1) and byte at which its rows begin.
+
+    ``numbered``: there is no header, and columns are named by their number. ``notes`` report what was skipped.
+    """
+
+    separator: str
+    columns: tuple[str, ...]
+    numbered: bool
+    first_line: int
+    first_byte: int
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Line:
+    number: int
+    end: int  # the byte after it
+    fields: tuple[str, ...]
+    separator: str
+    numeric: bool  # a row: most of the fields are numbers, the first of them among these
+
+
+def layout_of(path: Path) -> Layout:
+    """Find where the table begins in a text log.
+
+    Raises
+    ------
+    GtauError
+        The file is empty or no text, or its header has fewer columns than its rows.
+    """
+    lines = _first_lines(path)
+    written = [line for line in lines if any(line.fields)]
+    if not written:
+        raise GtauError(f"{path} is empty or begins with an empty line; give a log with one sample a line.")
+    start = _start(written)
+    first = None if start is None else written[start]
+    # Without rows, or with none of numbers, the first line names what the others lack.
+    header = written[0] if first is None else _header(lines, first)
+    width = len((first or written[0]).fields)
+    if "\ufffd" in "".join((header or first or written[0]).fields):
+        raise GtauError(f"{path} is not a text file; give a log as CSV or as .parquet.")
+    if header is not None and first is not None and any(first.fields[len(header.fields) :]):
+        raise GtauError(
+            f"{path}, line {first.number} has {width} columns where the header in line {header.number} has "
+            f"{len(header.fields)}; correct the line (a header must name every column)."
+        )
+    begin = first.number if first else header.number + 1 if header else 1
+    before = next((line.end for line in lines if line.number == begin - 1), len(BOM) if _has_bom(path) else 0)
+    names = _names(header.fields, width) if header else tuple(str(k + 1) for k in range(width))
+    skipped = [line.number for line in written if line.number < begin and (header is None or line != header)]
+    notes: tuple[str, ...] = ()
+    if skipped:
+        where = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
+        named = f", took the names of its columns from line {header.number}" if header else ""
+        notes = (f"skipped {where} before the table{named}",)
+    return Layout((first or header or written[0]).separator, names, header is None, begin, before, notes)
+
+
+def _has_bom(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(BOM)) == BOM
+
+
+def _first_lines(path: Path) -> list[_Line]:
+    lines: list[_Line] = []
+    with path.open("rb") as file:
+        while len(lines) < LOOK and (raw := file.readline()):
+            text = (raw if lines else raw.removeprefix(BOM)).decode(errors="replace").lstrip("# ").rstrip("\r\n")
+            separator = next((each for each in SEPARATORS if each in text), ",")
+            fields = tuple(field.strip().strip('"').strip() for field in text.split(separator))
+            numbers = sum(is_number(field) for field in fields)
+            rest = sum(field.lower() in MISSING for field in fields)
+            numeric = numbers > 0 and 2 * (numbers + rest) > len(fields)
+            numeric &= is_number(fields[0]) or fields[0].lower() in MISSING
+            lines.append(_Line(len(lines) + 1, file.tell(), fields, separator, numeric))
+    return lines
+
+
+def _start(lines: list[_Line]) -> int | None:
+    """The first of ``ROWS_ALIKE`` rows, or of those that there are."""
+    for i, line in enumerate(lines):
+        block = lines[i : i + ROWS_ALIKE]
+        if all(each.numeric and len(each.fields) == len(line.fields) for each in block):
+            return i
+    return next((i for i, line in enumerate(lines) if line.numeric), None)
+
+
+def _header(lines: list[_Line], first: _Line) -> _Line | None:
+    """The line that names the columns: the topmost of those just before the rows that have as many fields."""
+    header, nearest = None, None
+    for line in reversed(lines[: first.number - 1]):
+        names = any(line.fields) and not line.numeric
+        if names and nearest is None:
+            nearest = line
+        if names and len(line.fields) == len(first.fields):
+            header = line
+        elif header is not None:
+            break
+    if header is not None or nearest is None:
+        return header
+    names_most = nearest.separator == first.separator and 2 * len(nearest.fields) > len(first.fields)
+    return nearest if names_most else None  # one that lacks names, which is refused, or a title
+
+
+def _names(fields: tuple[str, ...], width: int) -> tuple[str, ...]:
+    """Names of the columns; TwinCAT Scope calls a column of times ``Name``, and the channels after it by theirs."""
+    fields = fields + ("",) * (width - len(fields))
+    if fields[0] != "Name":
+        return fields
+    return tuple(
+        name if name != "Name" else f"time of {fields[k + 1]}" if k else "time"
+        for k, name in enumerate((*fields[:width],))
+    )
+
+
+def is_number(text: str) -> bool:
+    """Whether a field is a finite number or infinite, with a decimal point or comma."""
+    try:
+        return float(text.replace(",", ".")) == float(text.replace(",", "."))
+    except ValueError:
+        return False

@@ -1,0 +1,313 @@
+"""The same log in every format gives the same numbers; what cannot be read is refused in one sentence."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from gtau.errors import GtauError
+from gtau.signals.log_file import find_columns, read_log
+from gtau.signals.run import Run, read_run
+
+N, RATE = 1500, 500.0
+JOINTS = ("shoulder", "elbow")
+TOPIC = "/joint_states"
+
+
+@pytest.fixture(scope="module")
+def log() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time (N,), positions and efforts (N, 2); the time's nanoseconds are whole."""
+    time = 7.0 + np.arange(N) / RATE
+    angle = 2 * np.pi * 0.7 * time
+    return time, np.column_stack([np.sin(angle), 0.3 * np.cos(angle)]), np.column_stack([np.cos(angle), angle % 1.3])
+
+
+def signals(time: str, position: str, torque: str) -> dict:
+    """Column patterns of the two joints; ``#`` is the number from 1, ``@`` the name."""
+    columns = [
+        {joint: pattern.replace("#", str(k + 1)).replace("@", joint) for k, joint in enumerate(JOINTS)}
+        for pattern in (position, torque)
+    ]
+    return {"time": time, "position": columns[0], "torque": columns[1]}
+
+
+Log = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def csv(path: Path, log: Log) -> dict:
+    np.savetxt(path, np.column_stack(log), delimiter=",", header="t,q1,q2,v1,v2", comments="")
+    return signals("t", "q#", "v#")
+
+
+def feather(path: Path, log: Log) -> dict:
+    pl.DataFrame(np.column_stack(log), schema=["t", "q1", "q2", "v1", "v2"]).write_ipc(path)
+    return signals("t", "q#", "v#")
+
+
+def npz(path: Path, log: Log) -> dict:
+    np.savez(path, t=log[0], q=log[1], tau=log[2].T, note="a text is not a signal", scale=3.0)
+    return signals("t", "q[#]", "tau[#]")
+
+
+def mat(path: Path, log: Log) -> dict:
+    from scipy.io import savemat
+
+    savemat(path, {"log": {"t": log[0], "arm": {"q": log[1], "tau": log[2]}}, "name": "arm", "empty": []})
+    return signals("log.t", "log.arm.q[#]", "log.arm.tau[#]")
+
+
+def mat73(path: Path, log: Log) -> dict:
+    """As MATLAB writes it: HDF5 after 512 bytes, matrices transposed, a vector as a matrix of one row."""
+    import h5py
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        group = file.create_group("log")
+        group["t"], group["q"], group["tau"] = log[0][None], log[1].T, log[2].T
+        file["#refs#/a"] = log[1]
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return signals("log.t", "log.q[#]", "log.tau[#]")
+
+
+def hdf5(path: Path, log: Log) -> dict:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file["time"], file["arm/q"] = log[0], log[1]
+        file.create_dataset("arm/tau", data=log[2], chunks=(100, 2), compression="gzip")
+    return signals("time", "arm/q[#]", "arm/tau[#]")
+
+
+def rosbag(path: Path, log: Log, storage: str = "SQLITE3", step: float = 0.0) -> dict:
+    """Joint states, now and then in another order, beside a topic of a type that holds no numbers."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    state, text = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+    with Writer(path, version=9, storage_plugin=StoragePlugin[storage]) as bag:
+        states = bag.add_connection(TOPIC, state, typestore=store)
+        texts = bag.add_connection("/rosout", text, typestore=store)
+        for k, (time, position, effort) in enumerate(zip(*log, strict=True)):
+            nanoseconds = round(time * 1e9)
+            stamp = kinds["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+            order = slice(None, None, -1 if k % 10 == 3 else 1)
+            message = kinds[state](
+                kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+                list(JOINTS[order]),
+                *(np.ascontiguousarray(each[order]) for each in (position, 0 * position, effort)),
+            )
+            bag.write(states, nanoseconds + 1000, store.serialize_cdr(message, state))
+            if not k % 50:
+                bag.write(texts, nanoseconds, store.serialize_cdr(kinds[text](data="hello"), text))
+    return signals(f"{TOPIC}/header/stamp", f"{TOPIC}/@/position", f"{TOPIC}/@/effort")
+
+
+def mcap(path: Path, log: Log) -> dict:
+    return rosbag(path, log, "MCAP")
+
+
+FORMATS = {
+    "log.feather": feather,
+    "log.npz": npz,
+    "log.mat": mat,
+    "v73.mat": mat73,
+    "log.h5": hdf5,
+    "bag": rosbag,
+    "bag_mcap": mcap,
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_gives_the_same_numbers(tmp_path: Path, log: Log, name: str) -> None:
+    """To the digits that were written: a bag holds nanoseconds."""
+    csv(tmp_path / "log.csv", log)
+    expected = read_run(tmp_path / "log.csv", signals("t", "q#", "v#"))
+    columns = FORMATS[name](tmp_path / name, log)
+    run = read_run(tmp_path / name, columns)
+    assert (run.joints, run.kind, run.notes) == (JOINTS, "torque", ())
+    np.testing.assert_allclose(run.time, expected.time, atol=1e-9)
+    np.testing.assert_allclose(run.position, expected.position, atol=1e-15)
+    np.testing.assert_allclose(run.command, expected.command, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_blocks_and_parts_are_those_of_the_whole(
+    tmp_path: Path, log: Log, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = FORMATS[name](tmp_path / name, log)
+    names = [columns["time"], *columns["position"].values()]
+    monkeypatch.setattr("gtau.signals.formats.table.ROWS", 400)
+    file = read_log(tmp_path / name, names)
+    blocks = list(file.blocks())
+    assert [len(values) for values, _ in blocks] == [400, 400, 400, 300]
+    assert blocks[-1][1] == 1.0
+    np.testing.assert_allclose(np.vstack([values for values, _ in blocks])[:, 1:], log[1], atol=1e-15)
+    part = np.vstack([values for values, _ in file.blocks(range(350, 1250))])
+    np.testing.assert_allclose(part[:, 1:], log[1][350:1250], atol=1e-15)
+
+
+def test_a_bag_without_its_metadata_and_a_pattern_of_bags(tmp_path: Path, log: Log) -> None:
+    columns = rosbag(tmp_path / "bag", log)
+    (storage,) = (tmp_path / "bag").glob("*.db3")
+    np.testing.assert_array_equal(read_run(storage, columns).position, read_run(tmp_path / "bag", columns).position)
+    assert f"{TOPIC}/received" in find_columns(storage).columns
+    received = read_log(storage, [f"{TOPIC}/received"]).columns[f"{TOPIC}/received"]
+    np.testing.assert_allclose(received, log[0] + 1e-6, atol=1e-9)
+
+
+def test_the_panda_bag_is_what_others_decoded(shared: Path) -> None:
+    folder = shared / "panda_rosbag2"
+    joints = [f"fer_joint{k}" for k in range(1, 8)]
+    names = [
+        f"{TOPIC}/header/stamp",
+        *(f"{TOPIC}/{joint}/{field}" for field in ("position", "effort") for joint in joints),
+    ]
+    bag = read_log(folder / "panda_exciting_trajectory.db3", names).columns
+    decoded = read_log(
+        folder / "panda_exciting_trajectory.csv", ["t", *(f"{k}_{j}" for k in ("q", "effort") for j in joints)]
+    )
+    for ours, theirs in zip(bag.values(), decoded.columns.values(), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-8)  # nine digits were written
+
+
+DAMAGED: list[tuple[str, bytes, str]] = [
+    ("log.npz", b"no archive", "log.npz is not a NumPy archive that can be read ("),
+    ("log.mat", b"MATLAB 5.0 MAT-file, but cut" * 9, "log.mat is not a MAT file that can be read ("),
+    (
+        "log.mat",
+        b"\0" * 512 + b"\x89HDF\r\n\x1a\n and no more",
+        "log.mat is not a MAT file of version 7.3 that can be read",
+    ),
+    ("log.h5", b"\x89HDF\r\n\x1a\n cut", "log.h5 is not an HDF5 file that can be read ("),
+    ("log.db3", b"SQLite format 3\0 cut", "log.db3 is not a ROS bag that can be read ("),
+    ("log.mcap", b"\x89MCAP0\r\n cut", "log.mcap is not a ROS bag that can be read ("),
+    ("log.feather", b"ARROW1 cut", "log.feather is not a readable Feather file ("),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "sentence"), DAMAGED)
+def test_damaged_files_are_refused_in_one_sentence(tmp_path: Path, name: str, content: bytes, sentence: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(GtauError) as refusal:
+        read_log(tmp_path / name, ["t"])
+    assert sentence in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_pickles_are_refused(tmp_path: Path, log: Log) -> None:
+    np.savez(tmp_path / "log.npz", run=np.array([{"t": 1}], dtype=object))
+    with pytest.raises(GtauError, match=r"holds pickled objects \('run'\), which are not read as they can run code"):
+        read_log(tmp_path / "log.npz", ["t"])
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "package", "extra"),
+    [(rosbag, "bag", "rosbags", "ros"), (hdf5, "log.h5", "h5py", "hdf5"), (mat73, "v73.mat", "h5py", "hdf5")],
+)
+def test_a_missing_extra_is_named_with_its_command(
+    tmp_path: Path, log: Log, write: Callable, name: str, package: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = write(tmp_path / name, log)
+    real = builtins.__import__
+
+    def without(module: str, *rest: object, **more: object) -> object:
+        if module.split(".")[0] == package:
+            raise ImportError(module)
+        return real(module, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(GtauError, match=rf"needs the package {package}.*pip install 'gtau\[{extra}\]'"):
+        read_run(tmp_path / name, columns)
+
+
+def test_columns_of_different_length(tmp_path: Path, log: Log) -> None:
+    np.savez(tmp_path / "log.npz", t=log[0], q=log[1], tau=log[2][:-7])
+    with pytest.raises(GtauError, match=r"'t' has 1500 rows but 'tau\[1\]' has 1493; give columns that were sampled"):
+        read_run(tmp_path / "log.npz", signals("t", "q[#]", "tau[#]"))
+
+
+def stamps(run: Run) -> tuple[float, float]:
+    return float(run.time[0]), float(run.time[-1])
+
+
+@pytest.fixture
+def topics(tmp_path: Path) -> Callable[[np.ndarray, np.ndarray], list[Path]]:
+    """Writes one text file a topic, its time in seconds and nanoseconds."""
+
+    def write(of_position: np.ndarray, of_command: np.ndarray) -> list[Path]:
+        paths = []
+        for name, time, wave in (("position", of_position, np.sin), ("command", of_command, np.cos)):
+            nanoseconds = np.round(time * 1e9).astype(np.int64)
+            rows = [f"{n // 10**9}\t{n % 10**9}\t{x:.9f}" for n, x in zip(nanoseconds, wave(3 * time), strict=True)]
+            paths.append(tmp_path / f"{name}.txt")
+            paths[-1].write_text("\n".join([f"sec\tnsec\t{name}", *rows]) + "\n")
+        return paths
+
+    return write
+
+
+PAIR = {"time": ["sec", "nsec"], "position": {"a": "position"}, "torque": {"a": "command"}}
+EACH = PAIR | {"time": {"position": ["sec", "nsec"], "command": ["sec", "nsec"]}}
+
+
+def test_time_in_two_columns(topics: Callable) -> None:
+    time = 1000.0 + np.arange(N) / RATE
+    run = read_run(topics(time, time), PAIR)
+    assert run.notes == ()
+    np.testing.assert_allclose(run.time, time, atol=1e-9)
+    np.testing.assert_allclose(run.position[:, 0], np.sin(3 * time), atol=1e-9)
+
+
+def test_topics_with_stamps_of_their_own_are_aligned(topics: Callable, rng: np.random.Generator) -> None:
+    """On lines: a sine of 3 rad/s sampled each 4 ms lies within (3 * 0.004)^2 / 8 of them."""
+    time, other = 1000.0 + np.arange(N) / RATE, 1000.1013 + np.arange(600) / 250
+    run = read_run(topics(time, other), EACH)
+    (note,) = run.notes
+    assert note == (
+        "aligned the torques with the positions on lines between their stamps (250 Hz; positions 500 Hz; usually 1.3 "
+        "ms from a position to the closest); left out 302 positions before the first or after the last of them"
+    )
+    assert stamps(run) == pytest.approx((1000.102, 1002.496), abs=1e-6)
+    np.testing.assert_allclose(run.position[:, 0], np.sin(3 * run.time), atol=1e-8)
+    np.testing.assert_allclose(run.command[:, 0], np.cos(3 * run.time), atol=2e-5)
+
+
+def test_equal_stamps_are_left_as_they_are(topics: Callable) -> None:
+    time = 1000.0 + np.arange(N) / RATE
+    run = read_run(topics(time, time), EACH)
+    assert run.notes == ()
+    np.testing.assert_allclose(run.command[:, 0], np.cos(3 * time), atol=1e-8)
+
+
+def test_commands_that_pause_are_missing_there(topics: Callable) -> None:
+    time = 1000.0 + np.arange(N) / RATE
+    run = read_run(topics(time, np.delete(time, slice(700, 710))), EACH)
+    assert "dropped 10 rows with missing or non-numeric values" in run.notes[0]
+    assert np.flatnonzero(~run.valid[:, 0]).tolist() == list(range(700, 710))
+
+
+def test_two_clocks_are_refused(topics: Callable) -> None:
+    time = 1000.0 + np.arange(N) / RATE
+    with pytest.raises(GtauError) as refusal:
+        read_run(topics(time, time - 900), EACH)
+    assert "holds positions from 1000 to 1002.998 s, but" in str(refusal.value)
+    assert "torques from 100 to 102.998 s: their clocks do not overlap; log both with one clock" in str(refusal.value)
+
+
+def test_commands_whose_time_goes_back(topics: Callable) -> None:
+    time = 1000.0 + np.arange(N) / RATE
+    with pytest.raises(GtauError, match=r"command.txt, line 702: the time of the torques goes back; cut the log there"):
+        read_run(topics(time, np.r_[time[:700], time[600:]]), EACH)
+
+
+def test_topics_of_different_length_name_the_way_out(topics: Callable) -> None:
+    time = 1000.0 + np.arange(N) / RATE
+    with pytest.raises(GtauError, match=r"or the stamps of each \(time: \{position: COLUMN, command: COLUMN\}\)"):
+        read_run(topics(time, time[:-3]), PAIR)

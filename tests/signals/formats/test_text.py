@@ -1,0 +1,152 @@
+"""Text logs as loggers leave them: titles and units before the table, half rows at its ends, words in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gtau.errors import GtauError
+from gtau.signals.formats.text_layout import layout_of
+from gtau.signals.run import read_run
+
+N = 600
+TIME = np.arange(N) / 500
+VALUES = np.column_stack([np.sin(3 * TIME), np.cos(3 * TIME)])
+ROWS = [f"{t:.6f},{q:.9f},{v:.9f}" for t, (q, v) in zip(TIME, VALUES, strict=True)]
+SIGNALS = {"time": "t", "position": {"a": "q"}, "current": {"a": "v"}}
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    def written(*lines: str, end: str = "\n") -> Path:
+        path = tmp_path / "log.csv"
+        path.write_text("\n".join(lines) + end)
+        return path
+
+    return written
+
+
+# what stands before the rows, the note, and the columns' names
+BEFORE: list[tuple[list[str], str, tuple[str, str, str]]] = [
+    (["t,q,v"], "", ("t", "q", "v")),
+    (["# t,q,v"], "", ("t", "q", "v")),
+    (["", "t,q,v"], "", ("t", "q", "v")),
+    (
+        ["Logger 3.1", "recorded on Monday, by A", "", "t,q,v"],
+        "skipped lines 1 to 2 before the table, took the names of",
+        ("t", "q", "v"),
+    ),
+    (
+        ["t,q,v", "s,rad,A"],
+        "skipped line 2 before the table, took the names of its columns from line 1",
+        ("t", "q", "v"),
+    ),
+    (["t,q,v", "123,0.5"], "skipped line 2 before the table, took the names", ("t", "q", "v")),
+    (["43,-0.62"], "skipped line 1 before the table", ("1", "2", "3")),
+    (["\x00\x01\x02garbage \x7f"], "skipped line 1 before the table", ("1", "2", "3")),
+    ([], "", ("1", "2", "3")),
+]
+
+
+@pytest.mark.parametrize(("lines", "note", "names"), BEFORE, ids=[str(k) for k in range(len(BEFORE))])
+def test_what_stands_before_the_table_is_skipped_and_reported(
+    write: Callable[..., Path], lines: list[str], note: str, names: tuple[str, str, str]
+) -> None:
+    path = write(*lines, *ROWS)
+    if note.endswith("before the table") and names[0] == "1":
+        with pytest.raises(GtauError, match="has no header, so its 3 columns are named 1 to 3"):
+            read_run(path, SIGNALS)
+    run = read_run(path, {"time": names[0], "position": {"a": names[1]}, "current": {"a": names[2]}})
+    assert [each[: len(note)] for each in run.notes] == ([note] if note else [])
+    np.testing.assert_allclose(run.position[:, 0], VALUES[:, 0], atol=1e-9)
+    np.testing.assert_allclose(run.command[:, 0], VALUES[:, 1], atol=1e-9)
+
+
+def test_binary_garbage_before_the_header(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"\xff\xfe\x80 cut\n" + "\n".join(["t,q,v", *ROWS]).encode())
+    assert read_run(path, SIGNALS).notes == (
+        "skipped line 1 before the table, took the names of its columns from line 2",
+    )
+
+
+def test_binary_garbage_in_the_middle_names_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    lines = [line.encode() for line in ["t,q,v", *ROWS]]
+    path.write_bytes(b"\n".join([*lines[:300], b"\xff\xfe\x00,\x80", *lines[300:]]))
+    with pytest.raises(GtauError) as refusal:
+        read_run(path, SIGNALS)
+    assert str(refusal.value) == (
+        f"{path}, line 301 is not text: the log was damaged there; delete the line, or record the log again."
+    )
+
+
+@pytest.mark.parametrize("last", ["1.2", "1.2,0.5", "1.2,0.5,", "1.2,0.5,-"])
+def test_a_cut_last_row_is_dropped_and_reported(write: Callable[..., Path], last: str) -> None:
+    run = read_run(write("t,q,v", *ROWS, last, end=""), SIGNALS)
+    assert run.notes == (f"dropped 1 row with missing or non-numeric values (line {N + 2})",)
+    assert len(run.time) == N
+
+
+def test_text_among_numbers_names_its_lines(write: Callable[..., Path]) -> None:
+    rows = list(ROWS)
+    rows[100] = rows[100].rsplit(",", 1)[0] + ",overrun"
+    assert read_run(write("t,q,v", *rows), SIGNALS).notes[0] == (
+        "dropped 1 row with missing or non-numeric values (line 102)"
+    )
+    rows[200:300] = [row.rsplit(",", 1)[0] + ",overrun" for row in rows[200:300]]
+    with pytest.raises(GtauError, match=r"101 of 600 rows .*\(first in line 102, column 'v': 'overrun'\)"):
+        read_run(write("t,q,v", *rows), SIGNALS)
+
+
+def test_a_log_read_in_parts_begins_where_its_table_does(
+    write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write("Logger 3.1", "t,q,v", "s,rad,A", *ROWS)
+    monkeypatch.setattr("gtau.signals.formats.text.BYTES", 1000)
+    run = read_run(path, SIGNALS)
+    assert run.log is not None
+    assert run.log.places[0][0] == (0, layout_of(path).first_byte)
+    np.testing.assert_allclose(run.position[:, 0], VALUES[:, 0], atol=1e-9)
+
+
+SCOPE = """\
+Name\tYT Scope
+File\tD:\\arm.csv
+Starttime of export\t133238090039920000\tMontag, 20. März 2023\t19:03:23.992
+Endtime of export\t133238090060450000\tMontag, 20. März 2023\t19:03:26.045
+
+{names}
+{properties}
+
+"""
+
+
+@pytest.mark.parametrize("each", [True, False], ids=["a time each", "one time"])
+def test_twincat_scope(tmp_path: Path, each: bool) -> None:
+    """A column of times for every channel or one for all, properties above them, decimal commas, and EOF."""
+    channels, cell = ["Axis.ActPos", "Axis.ActCurrent"], "{}\t{}".format
+    join = "\t".join
+    properties = {"SymbolComment": "", "Data-Type": "REAL64", "SampleTime[ms]": "2", "Port": "851"}
+    head = SCOPE.format(
+        names=join(cell("Name", name) for name in channels) if each else join(["Name", *channels]),
+        properties="\n".join(
+            join([cell(key, value)] * 2) if each else join([key, value, value]) for key, value in properties.items()
+        ),
+    )
+    rows = [
+        join([f"{2 * k}", f"{q:.9f}", f"{2 * k}", f"{v:.9f}"] if each else [f"{2 * k}", f"{q:.9f}", f"{v:.9f}"])
+        for k, (q, v) in enumerate(VALUES)
+    ]
+    path = tmp_path / "scope.csv"
+    path.write_text(head + "\n".join(rows).replace(".", ",") + "\nEOF\n", encoding="utf-8")
+    columns = {"position": {"a": channels[0]}, "current": {"a": channels[1]}}
+    run = read_run(path, {"preset": "twincat_scope", **columns})
+    np.testing.assert_allclose(run.position[:, 0], VALUES[:, 0], atol=1e-9)
+    np.testing.assert_allclose(run.command[:, 0], VALUES[:, 1], atol=1e-9)
+    np.testing.assert_allclose(run.time, TIME, atol=1e-9)
+    assert run.notes[0].startswith("skipped lines 1 to ")
+    assert run.notes[1:] == ("dropped 1 row with missing or non-numeric values (line 612)",)
