@@ -254,7 +254,7 @@ def test_files_that_are_no_logs(tmp_path: Path, log: Path) -> None:
     with pytest.raises(GtauError, match="cannot be read: no such file"):
         read_run(tmp_path / "none.csv", SIGNALS)
     log.write_bytes(b"\x89PNG\xff\x00" * 50)
-    with pytest.raises(GtauError, match="is not a text file"):
+    with pytest.raises(GtauError, match="is a picture, not a log"):
         read_run(log, SIGNALS)
     (tmp_path / "log.parquet").write_bytes(b"no parquet")
     with pytest.raises(GtauError, match="is not a readable Parquet file"):

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.documents.kinds import LOG, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.signals.aligned import Aligned, align, seconds
 from gtau.signals.columns import SampleRate, Signals, Units
@@ -86,9 +85,6 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
     """Find the columns of a run in its logs; raises GtauError."""
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
-    for path in paths:
-        if not path.is_dir():  # a folder may hold the parts of a log
-            refuse_other_kind(path, LOG)
     times, stamps = signals.time_columns, signals.command_time_columns
     positions, commands = (
         [columns[joint] for joint in signals.joints] for columns in (signals.position, signals.command)

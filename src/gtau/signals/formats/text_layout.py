@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from gtau.documents.kinds import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 
 SEPARATORS = ";\t, "  # a semicolon or tab first: their files may hold decimal commas
@@ -55,6 +56,8 @@ def layout_of(path: Path) -> Layout:
     if not written:
         raise GtauError(f"{path} is empty or begins with an empty line; give a log with one sample a line.")
     start = _start(written)
+    if start is None or kind_of(path) is not BINARY:  # zero bytes may stand in the rubble before a table
+        refuse_other_kind(path, LOG)
     first = None if start is None else written[start]
     # Without rows, or with none of numbers, the first line names what the others lack.
     header = written[0] if first is None else _header(lines, first)
