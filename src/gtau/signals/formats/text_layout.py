@@ -123,7 +123,7 @@ def _header(lines: list[_Line], first: _Line) -> _Line | None:
             break
     if header is not None or nearest is None:
         return header
-    names_most = nearest.separator == first.separator and 2 * len(nearest.fields) > len(first.fields)
+    names_most = nearest.separator == first.separator and 2 * len(nearest.fields) >= len(first.fields)
     return nearest if names_most else None  # one that lacks names, which is refused, or a title
 
 
