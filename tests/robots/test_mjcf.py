@@ -42,10 +42,10 @@ def load(text: str, tmp_path: Path) -> Robot:
 
 def read(text: str, tmp_path: Path) -> Robot:
     """Without assembly, which would refuse what can still move."""
-    from gtau.robots.readers.mjcf import _compiled, _robot
+    from gtau.robots.readers.mjcf import _robot, compile_geometry
 
     (tmp_path / "robot.xml").write_text(text)
-    return _robot(_compiled(tmp_path / "robot.xml"), tmp_path / "robot.xml")
+    return _robot(compile_geometry(tmp_path / "robot.xml"), tmp_path / "robot.xml")
 
 
 @pytest.mark.parametrize(

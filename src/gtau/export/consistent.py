@@ -27,6 +27,11 @@ class ConsistentModel:
         """A parameter of a joint, 0 where it has none."""
         return self.standard.get(f"{kind}_{joint}", 0.0)
 
+    def cubic(self, joint: str) -> float:
+        """Friction cubic in speed (f3) of a joint, 0 where it has none."""
+        term = f"f3_{joint}"
+        return (self.result.friction[term].value or 0.0) if term in self.result.friction else 0.0
+
 
 def consistent_model(result: Result, target: str) -> ConsistentModel:
     """The consistent parameters of a result; raises GtauError where it has none, naming the ``target``."""
@@ -52,15 +57,9 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: b
     values = np.array([expressed.get(name, 0.0) for name in idm.parameter_names])
     made = idm.full.torques_along(idm.layout, motion, values)
     if cubic:
-        made += _f3(result)[:, None] * motion.yd[idm.layout.actuated] ** 3
+        made += np.array([[model.cubic(joint)] for joint in idm.actuated]) * motion.yd[idm.layout.actuated] ** 3
     rms, size = (np.sqrt(np.mean(each**2, axis=1)) for each in (made - tau, tau))
     return {joint: float(100 * a / b) for joint, a, b in zip(idm.actuated, rms, size, strict=True)}
-
-
-def _f3(result: Result) -> np.ndarray:
-    """Cubic friction of the actuated joints, (n,)."""
-    names = [f"f3_{joint}" for joint in result.robot.actuated]
-    return np.array([(result.friction[name].value or 0.0) if name in result.friction else 0.0 for name in names])
 
 
 def difference_note(found: Mapping[str, float]) -> str:

@@ -38,7 +38,7 @@ def export(result: Result, out: Path) -> Exported:
     _add_home(spec, compiled, result)
     found = differences(model, expressed, cubic=_polynomial(spec))
     files = written(out, {f"{identifier(result.robot.name)}.xml": _text(spec)})
-    return Exported(files, (difference_note(found), *_notes(model, expressed, _polynomial(spec))), found)
+    return Exported(files, (difference_note(found), *notes(model, expressed, _polynomial(spec))), found)
 
 
 def imported() -> ModuleType:
@@ -85,7 +85,7 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
         placed = spec.joint(joint.name)
         placed.frictionloss = model.of("fs", joint.name)
         if cubic:
-            placed.damping = (model.of("fv", joint.name), 0.0, _cubic(model, joint.name))
+            placed.damping = (model.of("fv", joint.name), 0.0, model.cubic(joint.name))
         if joint.limits.position is not None:
             placed.range = joint.limits.position
     _draw(mujoco, robot, spec)
@@ -93,11 +93,6 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
     _add_actuators(mujoco, spec, model)
     unable = {f"off_{joint.name}" for joint in robot.joints if not joint.actuated}
     return spec, {name: value for name, value in model.standard.items() if name not in unable}
-
-
-def _cubic(model: ConsistentModel, joint: str) -> float:
-    term = f"f3_{joint}"
-    return (model.result.friction[term].value or 0.0) if term in model.result.friction else 0.0
 
 
 def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
@@ -172,21 +167,21 @@ def _text(spec: Any) -> str:
         source = named.get(element.get("name", ""))
         for attribute in attributes:
             if source is not None and attribute in element.attrib:
-                element.set(attribute, _digits(getattr(source, attribute)))
+                element.set(attribute, digits(getattr(source, attribute)))
         inertial = element.find("inertial")
         if element.tag == "body" and inertial is not None and source is not None:
             inertial.attrib.clear()
             values = (("mass", "mass"), ("pos", "ipos"), ("quat", "iquat"), ("diaginertia", "inertia"))
-            inertial.attrib |= {name: _digits(getattr(source, attribute)) for name, attribute in values}
+            inertial.attrib |= {name: digits(getattr(source, attribute)) for name, attribute in values}
         if element.tag == "option" and "gravity" in element.attrib:
-            element.set("gravity", _digits(spec.option.gravity))
+            element.set("gravity", digits(spec.option.gravity))
     for element, coupling in zip(root.findall("equality/joint"), _couplings(spec), strict=True):
-        element.set("polycoef", _digits(coupling.data[:5]))
+        element.set("polycoef", digits(coupling.data[:5]))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _digits(values: Any) -> str:
+def digits(values: Any) -> str:
     """Numbers as they are read back to the last digit."""
     numbers = [float(value) for value in np.atleast_1d(values)]
     return " ".join(repr(number) if number != int(number) else f"{number:.0f}" for number in numbers)
@@ -198,14 +193,15 @@ def _couplings(spec: Any) -> list[Any]:
     return [tie for tie in spec.equalities if tie.type == mujoco.mjtEq.mjEQ_JOINT]
 
 
-def _notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> list[str]:
+def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> list[str]:
+    """What the file lacks: friction terms, offsets, masslessness."""
     result = model.result
-    notes = term_notes(result, "MJCF", [name for name in result.friction if not (cubic and name.startswith("f3"))])
+    said = term_notes(result, "MJCF", [name for name in result.friction if not (cubic and name.startswith("f3"))])
     unable = [name for name, value in model.standard.items() if name not in expressed and value]
     if unable:
-        notes.append(f"MJCF has no constant torque at a joint without actuator, left out: {', '.join(unable)}")
+        said.append(f"constant torques (offsets) are left out: {', '.join(unable)}")
     light = [joint.name for joint in result.robot.joints if not joint.has_mass]
     if light:
-        notes.append(f"MuJoCo moves no massless body, so these weigh {LIGHTEST:g} kg: {', '.join(light)}")
-    notes.append("Coulomb friction is MuJoCo's frictionloss, which also holds the robot at rest")
-    return notes
+        said.append(f"MuJoCo moves no massless body, so these weigh {LIGHTEST:g} kg: {', '.join(light)}")
+    said.append("Coulomb friction is MuJoCo's frictionloss, which also holds the robot at rest")
+    return said

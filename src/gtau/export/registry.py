@@ -16,6 +16,9 @@ KINDS = {
     "urdf": "URDF with inertias and friction, loops and drives in YAML files beside it",
 }
 
+INTO = ("urdf", "mjcf")
+"""Kinds that can be put back into the robot's own file."""
+
 
 def export_model(model: Result | str | Path, kind: str, out: str | Path, into: str | Path | None = None) -> Exported:
     """Write an identified model in the form that a controller, simulator or paper takes.
@@ -47,9 +50,8 @@ def export_model(model: Result | str | Path, kind: str, out: str | Path, into: s
         hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(KINDS)}."
         raise GtauError(f"there is no export to '{kind}'; {hint}")
     result = model if isinstance(model, Result) else Result.load(model)
-    module = import_module(f"gtau.export.{kind}")
     if into is None:
-        return module.export(result, Path(out))
-    if not hasattr(module, "export_into"):
+        return import_module(f"gtau.export.{kind}").export(result, Path(out))
+    if kind not in INTO:
         raise GtauError(f"--into puts a model back into a URDF or MJCF file, not into '{kind}'; leave it out.")
-    return module.export_into(result, Path(into), Path(out))
+    return import_module(f"gtau.export.{kind}_into").export(result, Path(into), Path(out))

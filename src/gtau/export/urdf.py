@@ -195,16 +195,11 @@ def drives_text(model: ConsistentModel) -> str:
             entry["armature"] = {"value": armature, "unit": "kg m2" if turns else "kg"}
         if offset := model.of("off", joint.name):
             entry["offset"] = {"value": offset, "unit": unit}
-        if cubic := _cubic(model.result, joint.name):
+        if cubic := model.cubic(joint.name):
             entry["cubic_friction"] = {"value": cubic, "unit": "N m s3/rad3" if turns else "N s3/m3"}
         if entry:
             joints[joint.name] = entry
     return str(yaml.safe_dump({"robot": model.result.robot.name, "joints": joints}, sort_keys=False))
-
-
-def _cubic(result: Result, joint: str) -> float:
-    term = f"f3_{joint}"
-    return (result.friction[term].value or 0.0) if term in result.friction else 0.0
 
 
 def _number(value: float) -> str:

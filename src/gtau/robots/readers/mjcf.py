@@ -52,13 +52,14 @@ def read_mjcf(path: str | Path) -> Robot:
     try:
         if (root := read_xml(path)).tag != "mujoco":
             raise GtauError(f"the outermost element is <{root.tag}>, not <mujoco>; give an MJCF file.")
-        robot = replace(_robot(_compiled(path), path), name=root.get("model") or path.stem)
+        robot = replace(_robot(compile_geometry(path), path), name=root.get("model") or path.stem)
         return without_idle_pins(robot)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
 
-def _compiled(path: Path) -> mujoco.MjModel:
+def compile_geometry(path: Path) -> mujoco.MjModel:
+    """The MuJoCo model of a file without its shapes, all bodies of unit mass; raises GtauError where it is refused."""
     try:
         import mujoco
     except ImportError:

@@ -1,0 +1,175 @@
+"""An identified model put back into the MJCF file it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import casadi as ca
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
+from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences
+from gtau.export.exported import Exported
+from gtau.export.input_file import InputFile, input_file
+from gtau.export.mjcf import digits, imported, notes
+from gtau.export.rigid_body import RigidBody, rigid_body
+from gtau.model.kinematics import frames
+from gtau.robots.readers.mjcf import SHAPES, compile_geometry
+
+NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
+def export(result: Result, source: Path, out: Path) -> Exported:
+    """Write a copy of the MJCF file ``source`` with identified inertias, friction and gears into ``out``.
+
+    Raises
+    ------
+    GtauError
+        Where the result has no physically consistent parameters, the file is not that of its robot, or its bodies do
+        not stand in it one by one.
+    """
+    mujoco = imported()
+    model = consistent_model(result, "MJCF")
+    file = input_file(source, result.robot)
+    compiled = compile_geometry(source)
+    elements = [element for world in file.root.findall("worldbody") for element in _bodies(world)]
+    if len(elements) != compiled.nbody - 1 or file.root.find(".//replicate") is not None:
+        raise GtauError(
+            f"{source} includes or repeats bodies that do not stand in the file itself; save it from MuJoCo as one "
+            "file and give that."
+        )
+    inertias, lumped = _inertias(mujoco, model, compiled), []
+    for number, element in enumerate(elements, start=1):
+        _put_inertial(element, inertias.get(number, NO_BODY))
+        if number not in inertias:
+            lumped.append(element.get("name", f"body {number}"))
+        for place, joint in enumerate(_joints(element)):
+            _put_friction(joint, model, _joint_name(compiled, int(compiled.body_jntadr[number]) + place))
+    said = [*_put_gears(file.root, model), *_allow_inertias(file.root)]
+    _check(mujoco, file)
+    expressed = {name: value for name, value in model.standard.items() if not name.startswith("off_")}
+    found = differences(model, expressed, cubic=True)
+    if lumped:
+        said.append(f"bodies without joints are part of those that carry them, and weigh nothing: {', '.join(lumped)}")
+    said.append("meshes and textures are named as in the original: put the file where they are found")
+    return file.save(out, [difference_note(found), *notes(model, expressed, True), *said], found)
+
+
+def _bodies(element: Element) -> Iterator[Element]:
+    """Body elements in the order in which MuJoCo numbers them."""
+    for child in element:
+        if child.tag == "body":
+            yield child
+        if child.tag in ("body", "frame"):
+            yield from _bodies(child)
+
+
+def _joints(body: Element) -> Iterator[Element]:
+    for child in body:
+        if child.tag in ("joint", "freejoint"):
+            yield child
+        elif child.tag == "frame":
+            yield from _joints(child)
+
+
+def _joint_name(compiled: Any, number: int) -> str:
+    return compiled.joint(number).name or f"joint {number + 1}"
+
+
+def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, RigidBody]:
+    """Rigid bodies by number of the MuJoCo body, in its frame."""
+    robot, layout = model.result.robot, model.result.model.layout
+    data = mujoco.MjData(compiled)
+    mujoco.mj_kinematics(compiled, data)
+    number, c = {}, np.zeros(layout.n_c)
+    for place in range(compiled.njnt):
+        number[_joint_name(compiled, place)] = int(compiled.jnt_bodyid[place])
+    for body in range(1, compiled.nbody):
+        number.setdefault(compiled.body(body).name or f"body {body + 1}", body)
+    for k, joint in enumerate(robot.joints):
+        if joint.name in number and _single(mujoco, compiled, joint.name):
+            c[k] = data.qpos[compiled.joint(joint.name).qposadr[0]]
+    for slots in layout.platforms:
+        body = data.body(slots.platform.name)
+        c[slots.position], c[slots.quaternion] = body.xpos, body.xquat
+    frame = frames(layout, ca.SX(c))
+    found = {}
+    for name in robot.bodies:
+        if f"m_{name}" in model.standard:
+            at = data.body(number[name])
+            R, p = np.array(ca.evalf(frame[name].R_0)), np.array(ca.evalf(frame[name].p_0)).ravel()
+            rotation, position = R.T @ at.xmat.reshape(3, 3), R.T @ (at.xpos - p)
+            found[number[name]] = rigid_body(model.standard, name).seen_from(rotation, position)
+    return found
+
+
+def _single(mujoco: Any, compiled: Any, joint: str) -> bool:
+    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    return int(compiled.joint(joint).type[0]) in [int(kind) for kind in kinds]
+
+
+def _put_inertial(element: Element, body: RigidBody) -> None:
+    old = element.find("inertial")
+    inertial = Element("inertial") if old is None else old
+    if old is None:
+        inertial.tail = element.text
+        element.insert(0, inertial)
+    inertial.attrib.clear()
+    entries = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    inertia = {"fullinertia": digits(entries)} if body.mass else {"diaginertia": "0 0 0"}
+    inertial.attrib |= {"pos": digits(body.center), "mass": digits(body.mass), **inertia}
+
+
+def _put_friction(element: Element, model: ConsistentModel, joint: str) -> None:
+    if f"fv_{joint}" in model.standard:
+        cubic = model.cubic(joint)
+        element.set("armature", digits(model.of("ia", joint)))
+        element.set("damping", digits((model.of("fv", joint), 0.0, cubic) if cubic else model.of("fv", joint)))
+        element.set("frictionloss", digits(model.of("fs", joint)))
+
+
+def _put_gears(root: Element, model: ConsistentModel) -> list[str]:
+    """Drive gains as gears of motors, and what to mind."""
+    put, left = [], []
+    for actuator in (each for section in root.findall("actuator") for each in section if each.get("joint")):
+        joint = actuator.get("joint", "")
+        if actuator.tag == "motor" and joint in model.gains:
+            actuator.set("gear", digits(model.gains[joint]))
+            put.append(joint)
+        elif joint in model.gains:
+            left.append(joint)
+    notes = []
+    if put:
+        notes.append(f"ctrl of the motors of {', '.join(put)} is now the current in A; check their ctrlrange")
+    if left:
+        notes.append(f"actuators that are no motors were left as they are: {', '.join(left)}")
+    return notes
+
+
+def _allow_inertias(root: Element) -> list[str]:
+    """Let MuJoCo take the inertias of the file rather than those of the shapes."""
+    notes = []
+    for compiler in root.findall("compiler"):
+        if compiler.get("inertiafromgeom") == "true":
+            compiler.set("inertiafromgeom", "auto")
+            notes.append("inertiafromgeom is now 'auto', so that the identified inertias count")
+        if float(compiler.get("settotalmass", "-1")) > 0:
+            raise GtauError("the file rescales all masses (settotalmass); remove that attribute of <compiler> first.")
+    return notes
+
+
+def _check(mujoco: Any, file: InputFile) -> None:
+    try:
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(file.root, encoding="unicode"))
+        for kind in SHAPES:
+            for each in list(getattr(spec, kind)):
+                spec.delete(each)
+        spec.compile()
+    except ValueError as error:
+        said = " ".join(str(error).split()).rstrip(".")
+        raise GtauError(f"{file.path}: MuJoCo refuses the identified parameters in it ({said}).") from None

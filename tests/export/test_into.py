@@ -1,0 +1,152 @@
+"""Models put back into the URDF and MJCF files that the robots came from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from models_to_export import model_of
+
+import gtau
+from gtau.model.home import load_robot
+from gtau.model.random_states import random_motion
+
+URDF = """<?xml version="1.0"?>
+<!-- the arm of the tests -->
+<robot name="arm">
+  <material name="blue"><color rgba="0 0 1 1"/></material>
+  <link name="base"><visual><geometry><mesh filename="package://arm/base.stl"/></geometry></visual></link>
+  <link name="upper">
+    <inertial>
+      <origin xyz="0.1 0 0" rpy="0 0 0.3"/>
+      <mass value="3"/>
+      <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>
+    </inertial>
+    <visual><geometry><mesh filename="package://arm/upper.stl" scale="0.001 0.001 0.001"/></geometry></visual>
+  </link>
+  <link name="lower"/> <!-- without inertia -->
+  <link name="flange">
+    <inertial><mass value="0.5"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+  </link>
+  <joint name="shoulder" type="revolute">
+    <origin xyz="0 0 0.4" rpy="0.2 -0.1 0.3"/><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="10" velocity="2"/><dynamics damping="1" friction="2"/>
+    <safety_controller k_velocity="5"/>
+  </joint>
+  <joint name="elbow" type="continuous">
+    <origin xyz="0.5 0 0"/><parent link="upper"/><child link="lower"/><axis xyz="0 0.6 0.8"/>
+  </joint>
+  <joint name="flange_fixed" type="fixed"><origin xyz="0.2 0.1 0"/><parent link="lower"/><child link="flange"/></joint>
+  <gazebo reference="upper"><selfCollide>true</selfCollide></gazebo>
+</robot>
+<!-- the end -->
+"""
+MJCF = """<mujoco model="arm">
+  <!-- the arm of the tests -->
+  <compiler angle="radian" inertiafromgeom="true" meshdir="meshes"/>
+  <option gravity="0.3 -0.4 -9.81"/>
+  <default><joint damping="7" armature="3"/><default class="small"><geom rgba="1 0 0 1"/></default></default>
+  <asset><mesh name="part" file="part.stl"/></asset>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body name="upper" pos="0 0 0.4" euler="0.1 0.2 0.3">
+      <joint name="shoulder" axis="0 1 0" pos="0.05 0 0.02" ref="0.3" range="-1 1.5"/>
+      <geom class="small" type="mesh" mesh="part"/>
+      <body name="lower" pos="0.5 0.1 0" quat="0.9 0.1 0.3 0.2">
+        <joint name="turn" axis="0 0 1" pos="0 0.1 0"/>
+        <joint name="slide" type="slide" axis="0.6 0 0.8" pos="0.1 0 0"/>
+        <geom type="box" size="0.1 0.1 0.1"/>
+        <body name="flange" pos="0.2 0 0" euler="0.3 0 0"><geom type="sphere" size="0.05"/></body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="m1" joint="shoulder" gear="50"/><motor joint="turn"/><position joint="slide" kp="30"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def without_numbers(root: ElementTree.Element, ignored: tuple[str, ...]) -> list[tuple[str, dict[str, str]]]:
+    """Tags and attributes of a file, less what an identification is about."""
+    return [(each.tag, dict(each.attrib)) for each in root.iter() if each.tag not in ignored]
+
+
+def test_a_urdf_keeps_all_but_inertias_and_friction(tmp_path: Path, rng: np.random.Generator) -> None:
+    source = tmp_path / "arm.urdf"
+    source.write_text(URDF)
+    robot = load_robot(source)
+    result = model_of(robot, terms=False)
+    exported = gtau.export_model(result, "urdf", tmp_path / "out", into=source)
+    text = exported.files[0].read_text()
+    assert text.startswith('<?xml version="1.0"?>\n<!-- the arm of the tests -->\n<robot name="arm">')
+    assert text.endswith("</robot>\n<!-- the end -->\n")
+    assert "<!-- without inertia -->" in text
+    ignored = ("inertial", "origin", "mass", "inertia", "dynamics")
+    one, other = (without_numbers(ElementTree.fromstring(each), ignored) for each in (URDF, text))
+    assert one == other
+    assert any("flange" in note for note in exported.notes)
+    model = pin.buildModelFromUrdf(str(exported.files[0]))
+    data, idm = model.createData(), result.model
+    motion = random_motion(idm, 5, rng)
+    inertial = {name: v for name, v in result.consistency.standard.items() if name[:2] not in ("ia", "fv", "fs", "of")}
+    tau = idm.full.torques_along(idm.layout, motion, np.array([inertial.get(name, 0) for name in idm.parameter_names]))
+    model.gravity.linear = np.array(robot.gravity)
+    for k in range(5):
+        q = np.array([motion.c[0, k], np.cos(motion.c[1, k]), np.sin(motion.c[1, k])])
+        np.testing.assert_allclose(pin.rnea(model, data, q, motion.yd[:, k], motion.ydd[:, k]), tau[:, k], atol=1e-9)
+    standard = result.consistency.standard
+    np.testing.assert_allclose(model.damping, [standard["fv_shoulder"], standard["fv_elbow"]])
+    assert load_robot(exported.files[0]).joints == robot.joints
+
+
+def test_an_mjcf_keeps_all_but_inertias_friction_and_gears(tmp_path: Path, rng: np.random.Generator) -> None:
+    source = tmp_path / "arm.xml"
+    source.write_text(MJCF)
+    robot = load_robot(source)
+    result = model_of(robot, terms=False)
+    exported = gtau.export_model(result, "mjcf", tmp_path / "out", into=source)
+    text = exported.files[0].read_text()
+    assert "<!-- the arm of the tests -->" in text
+    assert 'file="part.stl"' in text
+    assert 'ref="0.3"' in text
+    notes = " ".join(exported.notes)
+    for said in ("inertiafromgeom is now 'auto'", "motors of shoulder, turn", "left as they are: slide", "flange"):
+        assert said in notes
+    spec = mujoco.MjSpec.from_string(text)
+    for kind in ("geoms", "meshes"):
+        for each in list(getattr(spec, kind)):
+            spec.delete(each)
+    model = spec.compile()
+    data, idm = mujoco.MjData(model), result.model
+    assert model.actuator("m1").gear[0] == result.consistency.gains["shoulder"][0]
+    motion = random_motion(idm, 5, rng)
+    standard = {name: 0.0 if name.startswith("off") else v for name, v in result.consistency.standard.items()}
+    tau = idm.full.torques_along(idm.layout, motion, np.array([standard[name] for name in idm.parameter_names]))
+    for k in range(5):
+        data.qpos, data.qvel, Ma = motion.c[:, k], motion.yd[:, k], np.zeros(3)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_mulM(model, data, Ma, motion.ydd[:, k].copy())
+        found = Ma + data.qfrc_bias - data.qfrc_passive + model.dof_frictionloss * np.sign(data.qvel)
+        np.testing.assert_allclose(found, tau[:, k], rtol=1e-8, atol=1e-8)
+
+
+def test_another_robot_s_file_is_refused(tmp_path: Path) -> None:
+    source = tmp_path / "arm.urdf"
+    source.write_text(URDF)
+    result = model_of(load_robot(source), terms=False)
+    with pytest.raises(gtau.GtauError, match="would be overwritten; choose another folder"):
+        gtau.export_model(result, "urdf", tmp_path, into=source)
+    source.write_text(URDF.replace('xyz="0.5 0 0"', 'xyz="0.6 0 0"'))
+    with pytest.raises(gtau.GtauError, match=r"is not the file of the model's robot 'arm': joint 'elbow' is placed"):
+        gtau.export_model(result, "urdf", tmp_path / "out", into=source)
+    source.write_text(URDF.replace("elbow", "knee"))
+    with pytest.raises(gtau.GtauError, match="'elbow' is missing there; give its own file"):
+        gtau.export_model(result, "urdf", tmp_path / "out", into=source)
+    with pytest.raises(gtau.GtauError, match="is no URDF"):
+        gtau.export_model(replace(result), "urdf", tmp_path / "out", into=tmp_path / "arm.xml")
