@@ -25,9 +25,6 @@ from robots_for_tests import (
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import base_parameters
-from gtau.model import loops as loops_module
-from gtau.model import random_states as states_module
 from gtau.model.coordinates import coordinates
 from gtau.model.home import close_home, load_robot, loop_errors
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -149,12 +146,10 @@ def test_order_and_company_of_samples_do_not_matter(robot, rng):
 
 
 @every_robot
-def test_segments_are_the_same_path(robot, monkeypatch):
+def test_segments_are_the_same_path(robot):
     """Followed sample by sample or in parallel segments, the configurations are the same."""
     q = trajectory(robot, np.linspace(0.0, 9.0, 301))[0]
-    parallel = path_of(robot, q)
-    monkeypatch.setattr(loops_module, "SEGMENTS", 1)
-    assert_allclose(path_of(robot, q), parallel, atol=1e-10)
+    assert_allclose(follow(model(robot).loops, q.T, segments=1), path_of(robot, q), atol=1e-10)
 
 
 @winding
@@ -194,7 +189,7 @@ def test_angles_of_thousands_of_turns_are_no_reason_to_refuse():
 
 
 @pytest.mark.parametrize("corners", [[(0.548, 1.587), (-1.975, 1.764)], [(-2.072, -0.644), (-2.195, 2.395)]])
-def test_the_way_decides_not_the_place(corners, monkeypatch):
+def test_the_way_decides_not_the_place(corners):
     """Round a singular pose of the five-bar the path comes to the end with other turns than straight from home."""
     robot = load_robot("five-bar")
     loops = model(robot).loops
@@ -207,8 +202,7 @@ def test_the_way_decides_not_the_place(corners, monkeypatch):
     assert not reached[0] or np.abs(c[:, 999] - straight[:, 0]).max() > 6.0
     assert np.abs(loops.newton(c)[0]).max() < 1e-12
     assert np.abs(np.diff(c, axis=1)).max() < 0.1
-    monkeypatch.setattr(loops_module, "SEGMENTS", 1)
-    assert_allclose(path_of(robot, q), c, atol=1e-10)
+    assert_allclose(follow(loops, q.T, segments=1), c, atol=1e-10)
 
 
 @every_robot
@@ -407,13 +401,12 @@ def test_a_pose_out_of_reach_names_sample_and_pose():
 
 @pytest.mark.parametrize("bad", [0, 1, 250, 598, 599])
 @pytest.mark.parametrize("segments", [512, 7, 1])
-def test_the_first_bad_sample_is_named(bad, segments, monkeypatch):
+def test_the_first_bad_sample_is_named(bad, segments):
     """Wherever it stands in its segment, and whatever follows."""
-    monkeypatch.setattr(loops_module, "SEGMENTS", segments)
     robot = load_robot("orthoglide")
     q = trajectory(robot, np.linspace(0.0, 5.0, 600))[0]
     q[[bad, -1], 0] -= 0.5
-    assert f"at sample {bad} (" in refusal(path_of, robot, q)
+    assert f"at sample {bad} (" in refusal(follow, model(robot).loops, q.T, segments=segments)
 
 
 def test_a_pose_near_the_orthoglides_singularity_on_the_diagonal():
@@ -445,20 +438,18 @@ def test_not_a_number_is_refused():
         path_of(robot, q)
 
 
-def test_random_states_that_are_nearly_singular_are_drawn_anew(rng, monkeypatch):
+def test_random_states_that_are_nearly_singular_are_drawn_anew(rng):
     """However few the regular poses are, there are as many states as asked for, or a refusal."""
     idm = model(load_robot("five-bar"))
-    counts = []
-    for limit in (22.0, 20.5):
-        monkeypatch.setattr(states_module, "CONDITION", limit)  # a tenth of it; at best the condition number is 2
+    for limit in (2.2, 2.05):  # at best the condition number is 2
         for samples in (7, 300):
-            motion = random_motion(idm, samples, rng)
+            motion = random_motion(idm, samples, rng, limit)
             assert motion.J.shape == (4, 2, samples)
-            assert motion.condition.max() < limit / 10
-        counts += [base_parameters(idm, seed).count for seed in range(2)]
-    assert set(counts) == {25}
-    monkeypatch.setattr(states_module, "CONDITION", 20.0)
-    assert "even close to home" in refusal(random_motion, idm, 7, rng)
+            assert motion.condition.max() < limit
+        W = np.zeros((2, 300, len(idm.parameter_names)))
+        W[idm.full.rows, :, idm.full.columns] = idm.full(idm.layout, motion)
+        assert np.linalg.matrix_rank(W.reshape(600, -1), tol=1e-9) == 25  # as many as base parameters
+    assert "even close to home" in refusal(random_motion, idm, 7, rng, 2.0)
 
 
 def test_limits_without_a_workspace_leave_no_random_states(rng):

@@ -21,7 +21,7 @@ from gtau.model.home import load_robot
 from gtau.model.interpreter import kernel as interpreter
 from gtau.model.interpreter.lanes import LANES
 from gtau.model.interpreter.program import compile_program
-from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.inverse_dynamics import PATH, InverseDynamics
 from gtau.model.loops import follow
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, SampleWindow
@@ -177,16 +177,17 @@ def test_threads_change_nothing(robot, monkeypatch):
             assert np.array_equal(one, other)
 
 
-def test_blocks_change_nothing(monkeypatch):
+def test_blocks_change_nothing():
+    """Torques along a path longer than a block, and than a part of a path, are those of all its samples at once."""
     robot = load_robot("orthoglide")
-    q, qd, qdd = trajectory(robot, np.linspace(0.0, 3.0, 1201))
     idm = InverseDynamics(robot)
     chi = np.linspace(-1.0, 1.0, len(idm.parameter_names))
-    whole = idm.torques(q, qd, qdd, chi)
-    assert_allclose(np.einsum("tjk,k->tj", idm.regressor(q, qd, qdd), chi), whole, rtol=1e-12, atol=1e-9)
-    monkeypatch.setattr(inverse_dynamics_module, "PATH", 500)
-    monkeypatch.setattr(inverse_dynamics_module, "BLOCK", 130)
-    assert_allclose(idm.torques(q, qd, qdd, chi), whole, rtol=1e-10, atol=1e-9 * np.abs(whole).max())
+    for samples, rtol in ((5001, 1e-12), (PATH + 5001, 1e-10)):
+        q, qd, qdd = trajectory(robot, np.linspace(0.0, 3.0, samples))
+        whole = idm.full.torques_along(idm.layout, idm.motion(q.T, qd.T, qdd.T), chi).T
+        assert_allclose(idm.torques(q, qd, qdd, chi), whole, rtol=rtol, atol=rtol * np.abs(whole).max())
+    W = idm.regressor(q[:5001], qd[:5001], qdd[:5001])
+    assert_allclose(W @ chi, whole[:5001], rtol=1e-10, atol=1e-10 * np.abs(whole).max())
 
 
 def test_a_path_at_slow_and_at_fast_sampling_is_the_same():
@@ -242,12 +243,16 @@ def test_factors_are_those_of_all_rows(rng):
 def test_compiled_code_knows_its_sources(tmp_path):
     """A change of any compiled module must not find results of the one before in the cache."""
     source = Path(inverse_dynamics_module.__file__).parents[1]
-    code = "import gtau.model.interpreter.kernel as i; print(i.interpret.py_func.__qualname__)"
+    probe = tmp_path / "probe.py"  # a function of its own: the interpreter's would be compiled, which takes seconds
+    probe.write_text(
+        "from gtau.model.interpreter.compiled import compiled\n\n\ndef probe():\n    pass\n\n\n"
+        "print(compiled(probe).py_func.__qualname__)\n"
+    )
 
     def name(root: Path) -> str:
         environment = {**os.environ, "PYTHONPATH": str(root)}
         return subprocess.run(
-            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+            [sys.executable, str(probe)], env=environment, capture_output=True, text=True, check=True
         ).stdout
 
     copy = tmp_path / "gtau"
@@ -256,7 +261,7 @@ def test_compiled_code_knows_its_sources(tmp_path):
         (copy / file).parent.mkdir(exist_ok=True, parents=True)
         (copy / file).write_bytes((source / file).read_bytes())
     before = name(tmp_path)
-    assert before.startswith("interpret_")
+    assert before.startswith("probe_")
     assert name(tmp_path) == before
     with (copy / "model" / "interpreter" / "lanes.py").open("a") as file:
         file.write("# another edition\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -149,5 +150,8 @@ def test_the_robot_must_suit_the_signals(folder: Path, robot: Robot, units: str,
     assert sentence in str(refusal.value)
 
 
-def test_a_suitable_robot(folder: Path) -> None:
-    check_robot(read(folder, GOOD + "units: {position: {11: mm, 12: deg}}\n"), ARM)
+def test_only_the_robot_of_another_kind_is_refused(folder: Path) -> None:
+    experiment = read(folder, GOOD + "units: {position: {11: mm, 12: deg}}\n")
+    assert check_robot(experiment, ARM) is None
+    with pytest.raises(GtauError, match="mm"):
+        check_robot(experiment, replace(ARM, joints=tuple(replace(joint, kind="revolute") for joint in ARM.joints)))

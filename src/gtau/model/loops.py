@@ -30,7 +30,7 @@ CONTRACTION = 0.3  # a step is too long if Newton's second correction is not thi
 REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
 SHORTEST = 2.0**-14  # of the way between two samples: shorter steps mean that there is no way
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
-SEGMENTS = 128  # of a path, followed at once, each of at least SEGMENT samples
+SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samples
 SEGMENT = 16
 CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
 
@@ -191,7 +191,13 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTE
     return c, reached
 
 
-def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
+def follow(
+    loops: Loops,
+    q: np.ndarray,
+    labels: Labels | None = None,
+    start: np.ndarray | None = None,
+    segments: int = SEGMENTS,
+) -> np.ndarray:
     """Configurations (n_c, N) along the path ``q`` (n, N), all in the assembly mode of home.
 
     Parameters
@@ -204,6 +210,8 @@ def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.
         What a message calls the samples; ``"sample 17"`` if left out.
     start : ndarray, optional
         Closed configuration (n_c,) that the path begins from; home if left out.
+    segments : int
+        Parts of the path that are followed in parallel, at most.
 
     Raises
     ------
@@ -216,7 +224,7 @@ def follow(loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.
     c = np.repeat(begin[:, None], samples, axis=1)
     if not samples:
         return c
-    length = max(-(-samples // SEGMENTS), min(SEGMENT, samples))
+    length = max(-(-samples // segments), min(SEGMENT, samples))
     starts = np.arange(0, samples, length)
     c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
     if not first_reached[0]:

@@ -15,6 +15,7 @@ FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer
 ENOUGH = 500  # poses that show the share
 MOVED = 0.1  # of the way from home to a pose: one that stops before shows no more than home does
 SMALLEST = 2.0**-8  # share of the range about home in which poses are drawn
+REGULAR = CONDITION / 10  # condition number of regular poses
 
 
 def _range(joint: Joint, length: float) -> tuple[float, float]:
@@ -24,13 +25,24 @@ def _range(joint: Joint, length: float) -> tuple[float, float]:
     return joint.home - reach, joint.home + reach
 
 
-def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) -> Motion:
+def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, condition: float = REGULAR) -> Motion:
     """Random states within the position limits, with the loops closed and away from singular poses.
 
     Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and
     ten times that per second where there are none) as standard deviation. A pose that cannot be
     reached in the assembly mode of home is replaced by the last one on the way to it; one that hardly left home, is
     nearly singular or beyond the limits is drawn anew. Where few others are left, all are drawn nearer to home.
+
+    Parameters
+    ----------
+    idm : InverseDynamics
+        Model of the robot.
+    samples : int
+        States wanted.
+    rng : Generator
+        Of the random numbers.
+    condition : float
+        Condition number of the scaled passive columns below which a pose is regular.
 
     Returns
     -------
@@ -63,13 +75,15 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator) 
         q = home + box * (rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), count)) - home)
         qd = rng.normal(size=q.shape) * speed[:, None]
         qdd = rng.normal(size=q.shape) * push[:, None]
-        parts.append(_regular(idm, bounds, q, qd, qdd))
+        parts.append(_regular(idm, bounds, q, qd, qdd, condition))
         found, drawn = found + parts[-1].c.shape[1], drawn + count
         share = found / drawn
     return joined(parts)[slice(samples)]
 
 
-def _regular(idm: InverseDynamics, bounds: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Motion:
+def _regular(
+    idm: InverseDynamics, bounds: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, condition: float
+) -> Motion:
     """The states (n, N) whose poses are within ``bounds`` and regular."""
     if idm.loops is None:
         return idm.motion(q, qd, qdd)
@@ -79,5 +93,5 @@ def _regular(idm: InverseDynamics, bounds: np.ndarray, q: np.ndarray, qd: np.nda
     arrived, start = c[idm.layout.actuated], home[idm.layout.actuated]
     inside = ((bounds[:, :1] <= arrived) & (arrived <= bounds[:, 1:])).all(axis=0)  # home may lie outside
     moved = np.linalg.norm(arrived - start, axis=0) >= MOVED * np.linalg.norm(q - start, axis=0)
-    regular = inside & moved & (idm.loops.condition(c) < CONDITION / 10)
+    regular = inside & moved & (idm.loops.condition(c) < condition)
     return differentiate(idm.loops, c[:, regular], qd[:, regular], qdd[:, regular])
