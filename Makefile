@@ -11,10 +11,10 @@ demo: $(READY)
 	@echo "(gtau is in $(BIN): '. $(BIN)/activate' puts it on the path)"
 
 test: lint
-	$(BIN)/pytest -n auto -m "not slow"
+	$(BIN)/pytest -n auto --dist loadfile -m "not slow"
 
 slow: $(READY)
-	$(BIN)/pytest -n auto -m slow
+	$(BIN)/pytest -n auto --dist loadfile -m slow
 
 lint: $(READY)
 	$(BIN)/ruff check

@@ -68,7 +68,7 @@ def experiment(model: InverseDynamics, rng: np.random.Generator) -> tuple[list[R
     return runs, gains
 
 
-@pytest.mark.parametrize("source", ["five-bar", "delta"])
+@pytest.mark.parametrize("source", ["five-bar", pytest.param("delta", marks=pytest.mark.slow)])
 def test_no_alarm_in_25_clean_experiments(source: str) -> None:
     model = InverseDynamics(load_robot(source))
     alarms, outside = [], 0

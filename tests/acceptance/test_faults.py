@@ -61,7 +61,7 @@ def errors(result: Result) -> np.ndarray:
 # No fault
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_no_false_alarm(seed: int, runs: list[Run]) -> None:
     result = identify(ROBOT, runs if seed == 1 else experiment(seed))
     every = [gain.verdict for gain in result.drive_gains.values()] + [each.verdict for each in result.payloads]
@@ -156,7 +156,12 @@ FAULTS: dict[str, tuple[Fault, Outcome, str]] = {
 }
 
 
-@pytest.mark.parametrize("name", FAULTS)
+LIKE_ANOTHER = {"gravity upside down", "positions in the wrong order", "a sign flipped in one run"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in LIKE_ANOTHER else ()) for name in FAULTS]
+)
 def test_a_fault_is_noticed(name: str, runs: list[Run]) -> None:
     put_in, outcome, advice = FAULTS[name]
     robot, faulty = put_in(runs)
@@ -187,7 +192,14 @@ def longer(names: Sequence[str], factor: float) -> Robot:
     return replace(ROBOT, joints=tuple(joints))
 
 
-@pytest.mark.parametrize("names", [["41"], ["42"], ["43"], [joint.name for joint in ROBOT.joints]])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["41"],
+        *(pytest.param([name], marks=pytest.mark.slow) for name in ("42", "43")),
+        [joint.name for joint in ROBOT.joints],
+    ],
+)
 def test_a_link_two_per_cent_off_is_found(names: list[str], runs: list[Run]) -> None:
     result = identify(longer(names, 1.02), runs)
     assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}

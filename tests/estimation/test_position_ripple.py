@@ -70,7 +70,7 @@ def test_a_result_says_it_and_has_it_in_its_deviations(runs: list[Run]) -> None:
     assert "the errors hang together" in " ".join(result.summary().split())
 
 
-@pytest.mark.parametrize("decay", [0.05, 0.2])
+@pytest.mark.parametrize("decay", [0.05, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_slow_noise_is_not_taken_for_ripple(decay: float, runs: list[Run]) -> None:
     """It hangs together in time, as ripple does, but what the first half of a run has is not found in the second."""
     rng, rho = np.random.default_rng(4), np.exp(-1 / (RATE * decay))

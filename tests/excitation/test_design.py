@@ -99,7 +99,9 @@ def test_deviations_expected_are_those_of_100_simulated_experiments(found: Desig
     assert np.abs(gains.mean(axis=0) - found.task.gains).max() < 4 * expected.max() / 10
 
 
-@pytest.mark.parametrize("robot", ["orthoglide", "delta", "ur10e"])
+@pytest.mark.parametrize(
+    "robot", ["orthoglide", *(pytest.param(name, marks=pytest.mark.slow) for name in ("delta", "ur10e"))]
+)
 def test_forecasts_hold_for_three_motors_and_six_axes(robot: str, rng: np.random.Generator) -> None:
     task, _ = read_design(BENCHMARKS / f"excitation_{robot}.yaml")
     task = replace(task, repetitions=1)
@@ -136,6 +138,7 @@ def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path)
     assert not any(each["assumed"] for each in describe_design(start, known, [])["gains"])
 
 
+@pytest.mark.slow
 def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
     path, out = write(tmp_path, FIVE_BAR + "motions: each run\n"), tmp_path / "out"
     done = CliRunner().invoke(app, ["excite", str(path), "--out", str(out), "--starts", "1"])

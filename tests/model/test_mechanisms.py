@@ -32,6 +32,7 @@ def agrees_with_pinocchio(robot: Robot, rng: np.random.Generator) -> None:
     assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_a_ball_as_a_chain_of_massless_links(rng: np.random.Generator) -> None:
     """Three revolute joints and a weld are a connect, whose balls have neither links nor coordinates."""
     tied = hexapod()

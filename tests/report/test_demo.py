@@ -127,6 +127,7 @@ def test_the_demo_writes_what_it_lists_and_nothing_else(made: tuple[Path, dict[s
         assert all(path.read_bytes().startswith(b"\x89PNG") for path in (out / "figures").iterdir())
 
 
+@pytest.mark.slow
 def test_the_printed_commands_give_the_same_numbers(
     made: tuple[Path, dict[str, Any], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
