@@ -234,8 +234,8 @@ def follow(
     while half := half // 2:  # the head in the middle of the way, those of its halves, and so on
         heads = np.arange(half, starts.size, 2 * half)
         c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
-    segments = np.flatnonzero(reached)
-    lost = _follow_segments(loops, q, c, starts[segments], length)
+    begun = np.flatnonzero(reached)
+    lost = _follow_segments(loops, q, c, starts[begun], length)
     # a segment must begin where the one before it leads
     led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
     redone = False

@@ -15,6 +15,7 @@ from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.singularities import singularities
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store, store
@@ -92,7 +93,7 @@ def reduce_run(
     GtauError
         Where the closures refuse a sample.
     """
-    regressor = idm.columns(columns)
+    regressor, near = idm.columns(columns), singularities(idm)
     outputs = decimator.outputs(len(prepared))
     chosen = outputs_of(stretches, outputs)
     n, p = len(idm.actuated), len(columns) + EXTRA
@@ -111,7 +112,7 @@ def reduce_run(
                 waiting[j].clear()
 
     for part in stream_rows(idm, regressor, prepared, decimator, load, chosen):
-        distances.append(part.distances.T)
+        distances.append(near.distances(part.motion).T)
         stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs - stretches.start
         A = np.zeros((n, len(part.time), p))
         A[regressor.rows, :, regressor.columns] = part.entries

@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
-from gtau.model.singularities import singularities
+from gtau.model.loops import Motion
 from gtau.signals.decimation import Block, Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 
@@ -22,8 +22,7 @@ class Rows:
 
     ``time`` (K,) in s; ``keep`` (n, K); ``entries`` of the regressor (entries, K); ``currents``
     (3, n, K): the command and its first two time derivatives; ``terms`` (2, n, K), the columns of further
-    friction; ``outputs`` their numbers in the run; ``distances`` (2, K) to singularities of type 1
-    and 2, the latter NaN without closures.
+    friction; ``outputs`` their numbers in the run; ``motion`` of the whole tree at these instants.
     """
 
     time: np.ndarray
@@ -32,7 +31,7 @@ class Rows:
     currents: np.ndarray
     terms: np.ndarray
     outputs: slice
-    distances: np.ndarray
+    motion: Motion
 
 
 def stream_rows(
@@ -49,7 +48,7 @@ def stream_rows(
     ----------
     idm, regressor : InverseDynamics, Regressor
         The model, and the columns wanted of it.
-    prepared, decimator : PreparedRun or Held, Decimator
+    prepared, decimator : PreparedRun or InMemoryRun, Decimator
         The run, and its filter.
     load : ndarray, optional
         Values of the columns (columns,) that give the torques transmitted by the joints, for friction
@@ -62,7 +61,7 @@ def stream_rows(
     GtauError
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
-    n, near = len(prepared), singularities(idm)
+    n = len(prepared)
     size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
     outputs = range(decimator.outputs(n)) if outputs is None else outputs
     for block, of, c in _along(idm, prepared, decimator.blocks(n, size, outputs), decimator.reach(n, outputs).stop):
@@ -81,7 +80,7 @@ def stream_rows(
             decimator.apply(currents, block),
             decimator.apply(term_columns(qd, effort), block),
             block.outputs,
-            near.distances(motion[kept]),
+            motion[kept],
         )
 
 
