@@ -82,7 +82,7 @@ def test_predictions_are_the_plant_s_torques(result: Result) -> None:
             # The decimation filter takes off a little of the fastest motion, in the same way from both.
             assert np.abs(found.predicted[kept, j] - true[kept, j]).max() < 0.1 * rms
             error = (found.predicted - found.measured)[kept, j]
-            assert np.sqrt(np.mean(error**2)) < 0.004 * rms
+            assert np.sqrt(np.mean(error**2)) < 0.005 * rms  # the noise of the currents, behind the filter
         for error, residual in zip(result.validate(run), result.residuals, strict=True):
             assert error.rms == pytest.approx(residual.rms, rel=0.3)
             assert error.unit == "N m"

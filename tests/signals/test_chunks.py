@@ -22,7 +22,7 @@ import gtau.signals.storage
 from gtau.errors import GtauError
 from gtau.estimation.regression.dataset import cut, joined, reduce_runs, reduce_shard
 from gtau.estimation.regression.factors import STRETCHES, HuberWeights
-from gtau.signals.filters import SEGMENT, joint_bandwidths, position_filter
+from gtau.signals.filters import position_filter
 from gtau.signals.preparation import Preparation, choose_preparation, prepare
 from gtau.signals.quantiles import Quantiles, medians
 from gtau.signals.run import Run, arrange, read_run
@@ -148,15 +148,6 @@ def test_samples_of_a_block_are_those_of_the_whole(cutoff: float | None, size: i
             one, other = getattr(part, name), getattr(same, name)
             atol = 1e-12 * np.abs(getattr(whole, name)).max() + rounding.get(name, 0.0)
             np.testing.assert_allclose(one, other, rtol=0, atol=atol)
-
-
-def test_bandwidth_of_a_long_log_is_that_of_its_parts(rng: np.random.Generator) -> None:
-    time = np.arange(3 * SEGMENT + 1234) / 1000.0
-    position = np.sin(2 * np.pi * 1.1 * time) + 0.2 * np.sin(2 * np.pi * 3.7 * time) + 1e-5 * rng.normal(size=time.size)
-    assert joint_bandwidths(position[:, None], 1000.0) == pytest.approx(
-        joint_bandwidths(position[: SEGMENT // 2, None], 1000.0), abs=0.02
-    )
-    assert np.isnan(joint_bandwidths(1e-5 * rng.normal(size=(time.size, 1)), 1000.0))
 
 
 def test_quantiles_of_what_goes_by(rng: np.random.Generator) -> None:

@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from gtau.errors import GtauError
 from gtau.signals.decimation import Decimator, decimation_factor
-from gtau.signals.filters import (
-    bandwidth,
-    cutoff_frequency,
-    differentiate,
-    filter_edge,
-    joint_bandwidths,
-    low_pass,
-    position_filter,
-)
-from gtau.signals.run import Run
+from gtau.signals.filters import cutoff_frequency, differentiate, filter_edge, low_pass, position_filter
 
 
 def phasor(x: np.ndarray, time: np.ndarray, frequency: float) -> complex:
@@ -71,42 +61,14 @@ def test_edges_cover_what_the_filter_does_not_know() -> None:
         np.testing.assert_allclose(cut[used], whole[part][used], atol=tolerance * scale)
 
 
-def run_of(position: np.ndarray, rate: float) -> Run:
-    n = position.shape[1]
-    joints = tuple(f"j{i}" for i in range(n))
-    return Run("r", joints, np.arange(len(position)) / rate, position, np.ones_like(position))
-
-
-def test_bandwidth_of_sines_in_noise(rng: np.random.Generator) -> None:
-    rate = 1000.0
-    time = np.arange(20000) / rate
-    position = np.column_stack(
-        [
-            np.sin(2 * np.pi * 0.5 * time) + 0.1 * np.sin(2 * np.pi * 3 * time),
-            np.sin(2 * np.pi * 1 * time) + 0.01 * np.sin(2 * np.pi * 2 * time),  # 0.04 % of the power
-            np.zeros_like(time),
-        ]
-    )
-    noisy = np.round((position + 1e-3 * rng.standard_normal(position.shape)) / 1e-4) * 1e-4
-    found = joint_bandwidths(noisy, rate)
-    assert found[:2] == pytest.approx([3, 1], abs=0.7)
-    assert np.isnan(found[2])
-    assert bandwidth(run_of(noisy, rate)) == pytest.approx(found[0])
-    # At 1 kHz this noise is a tenth of the speed's power: counted with it, it would win.
-    assert np.diff(noisy - position, axis=0)[:, 0].var() > 0.1 * np.diff(position[:, 0]).var()
-
-
-def test_rest_has_no_bandwidth(rng: np.random.Generator) -> None:
-    rest = np.round(0.5 + 0.4 * rng.standard_normal((2000, 2))) * 1e-4
-    with pytest.raises(GtauError, match="no joint's motion stands out"):
-        bandwidth(run_of(rest, 95.0))
-
-
 def test_rules_of_thumb() -> None:
-    assert cutoff_frequency(0.3, 95.0) == 5.0
-    assert cutoff_frequency(7.0, 1000.0) == 70.0
-    assert cutoff_frequency(4.0, 95.0) is None
+    assert cutoff_frequency(0.3, 20.0, 95.0) == 5.0
+    assert cutoff_frequency(7.0, 100.0, 1000.0) == 70.0
+    assert cutoff_frequency(7.0, 15.0, 1000.0) == 30.0  # noise takes over at 15 Hz
+    assert cutoff_frequency(7.0, 7.0, 1000.0) == 21.0  # and here within the motion
+    assert cutoff_frequency(4.0, 30.0, 95.0) is None
     assert [decimation_factor(1000, f) for f in (0.1, 12, 100, 400)] == [20, 16, 2, 1]
+    assert decimation_factor(1000, 0.5, 400) == 400
 
 
 KINDS = [

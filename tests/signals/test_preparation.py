@@ -32,7 +32,7 @@ def test_preparation_of_a_run() -> None:
     preparation = choose_preparation([run])
     assert 1.2 <= preparation.bandwidth < 3
     assert preparation.cutoff == pytest.approx(10 * preparation.bandwidth)
-    assert preparation.decimator.factor == 20
+    assert preparation.decimator.factor > 20
     prepared = prepare(run, preparation).samples()
     assert prepare(run, preparation).notes == ("joint 'c' hardly moves: its rows are left out",)
     # Rest is cut off, the motion is not.
@@ -82,8 +82,16 @@ def test_all_runs_share_one_preparation() -> None:
     shared = choose_preparation([slow, fast])
     assert shared.bandwidth == choose_preparation([fast]).bandwidth > choose_preparation([slow]).bandwidth
     assert choose_preparation([slow], decimator="chebyshev").decimator.kind == "chebyshev"
-    with pytest.raises(GtauError, match="run 'half' is sampled at 500 Hz and run 'slow' at 1000 Hz"):
-        choose_preparation([slow, run_with_rest("half", 500.0)])
+
+
+def test_runs_of_different_rates_share_filter_and_rate_of_rows() -> None:
+    whole, half = run_with_rest(), run_with_rest("half", 500.0)
+    shared = choose_preparation([whole, half])
+    assert shared.rate == half.rate
+    assert shared.at(half.rate) is shared
+    fast = shared.at(whole.rate)
+    assert fast.cutoff == shared.cutoff
+    assert fast.decimator.factor == 2 * shared.decimator.factor
 
 
 def test_a_run_at_rest_is_refused() -> None:

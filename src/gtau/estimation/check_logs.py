@@ -18,9 +18,9 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singularities
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
+from gtau.signals.bandwidth import spectra
 from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import check_robot, read_experiment
-from gtau.signals.filters import joint_bandwidths
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import BLOCK, Store
@@ -140,7 +140,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         np.max(highest, axis=0).tolist(),
         np.sqrt(np.diag(prepared.speeds)).tolist(),
         np.max(fastest, axis=0).tolist(),
-        joint_bandwidths(run.position, run.rate).tolist(),
+        [each.bandwidth for each in spectra(run)],
         np.sqrt(power / rows).tolist(),
         np.max(strongest, axis=0).tolist(),
         (kept / rows).tolist(),

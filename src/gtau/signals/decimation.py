@@ -144,9 +144,9 @@ def _chebyshev(factor: int) -> np.ndarray:
     return cheby1(8, 0.05, 0.8 / factor, output="sos")
 
 
-def decimation_factor(rate: float, bandwidth: float) -> int:
+def decimation_factor(rate: float, bandwidth: float, most: int = MAX_FACTOR) -> int:
     """Factor that leaves five samples in a period of the fastest motion.
 
-    ``floor(0.4 rate / (2 bandwidth))``, at least 1 and at most 20; both in Hz.
+    ``floor(0.4 rate / (2 bandwidth))``, at least 1 and at most ``most``; both in Hz.
     """
-    return int(min(max(0.4 * rate // (2 * bandwidth), 1), MAX_FACTOR))
+    return int(min(max(0.4 * rate // (2 * bandwidth), 1), most))

@@ -6,84 +6,19 @@ from math import ceil
 
 import numpy as np
 
-from gtau.errors import GtauError
-from gtau.signals.run import Run
 from gtau.signals.storage import block
 
-SPEED_POWER = 0.999  # part of a joint's speed power below its bandwidth
-SIGNIFICANT = 15.0  # ratio to the mean that a spectral line of noise exceeds once in three million
-LEAST_SIGNAL = 100.0  # least ratio of a motion's power to the noise's in its band; logs have 1e7, rest has 1
 STENCIL = 2  # samples that a central difference reaches to either side
-SEGMENT = 1 << 17  # samples of a periodogram, at most: those of a longer log are averaged
 FORGOTTEN = 18.0  # periods of the cut-off after which a filter has forgotten where it began, to 1e-18
 
 
-def joint_bandwidths(position: np.ndarray, rate: float) -> np.ndarray:
-    """Highest frequency of each joint's motion.
+def cutoff_frequency(bandwidth: float, end: float, rate: float) -> float | None:
+    """Cut-off of the position filter, Hz; None, no filter, where that is not below 0.8 of the Nyquist frequency.
 
-    Below it lie 99.9 % of the power of the speed, counted over the spectral lines that stand out from
-    the white noise and rounding of the position (measured at 0.25 to 0.45 of the sampling rate).
-
-    Parameters
-    ----------
-    position : ndarray (N, n)
-        Positions on a uniform grid.
-    rate : float
-        Sampling rate, Hz.
-
-    Returns
-    -------
-    ndarray (n,)
-        Hz; nan for a joint whose motion does not stand out from noise, or reaches beyond a fifth of the
-        sampling rate.
+    Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where noise takes over below that, twice
+    the ``end`` of the signal, but three times the bandwidth at least: the gain at the bandwidth is then 1 - 2e-4.
     """
-    from scipy.signal.windows import tukey
-
-    speeds = len(position) - 2
-    segments = -(-speeds // SEGMENT)
-    length = min(speeds, SEGMENT)
-    # The window keeps a log that begins or ends in motion from looking like a jump.
-    window = tukey(length, 0.1)[:, None]
-    power = np.zeros((length // 2 + 1, position.shape[1]))
-    for start in np.linspace(0, speeds - length, segments).astype(int):
-        part = block(position, start, start + length + 2)
-        power += np.abs(np.fft.rfft((part[2:] - part[:-2]) * (rate / 2) * window, axis=0)) ** 2
-    power /= segments
-    frequency = np.fft.rfftfreq(length, 1 / rate)
-    shape = np.sin(2 * np.pi * frequency / rate)[:, None] ** 2  # of white noise after the difference
-    high = (frequency > 0.25 * rate) & (frequency < 0.45 * rate)
-    # The mean of an exponential distribution is its median over ln 2; the median ignores single lines.
-    noise = np.median(power[high] / shape[high], axis=0) / np.log(2) * shape
-    held = np.cumsum(np.where(power > SIGNIFICANT * noise, power, 0.0), axis=0)
-    found = np.argmax(held >= SPEED_POWER * held[-1], axis=0)
-    joint = np.arange(position.shape[1])
-    stands_out = held[found, joint] > LEAST_SIGNAL * np.cumsum(noise, axis=0)[found, joint]
-    return np.where(stands_out & (found > 0) & (frequency[found] <= 0.2 * rate), frequency[found], np.nan)
-
-
-def bandwidth(run: Run) -> float:
-    """Bandwidth of a run, Hz: the largest of its joints' (see :func:`joint_bandwidths`).
-
-    Raises
-    ------
-    GtauError
-        No joint's motion stands out from noise.
-    """
-    found = joint_bandwidths(run.position, run.rate)
-    if np.isnan(found).all():
-        raise GtauError(
-            f"run '{run.name}': no joint's motion stands out from the noise of its position; give a log of a moving "
-            "robot, sampled at least ten times as fast as it moves."
-        )
-    return float(np.nanmax(found))
-
-
-def cutoff_frequency(bandwidth: float, rate: float) -> float | None:
-    """Cut-off of the position filter, Hz: ten times the bandwidth, at least 5 Hz.
-
-    None, no filter, where that is not below 0.8 of the Nyquist frequency.
-    """
-    cutoff = max(10 * bandwidth, 5.0)
+    cutoff = max(min(max(10 * bandwidth, 5.0), 2 * end), 3 * bandwidth)
     return cutoff if cutoff < 0.4 * rate else None
 
 

@@ -15,6 +15,7 @@ from gtau.signals.columns import Signals, Units, as_signals, as_units
 from gtau.signals.experiment import Payload, as_payload
 from gtau.signals.log_set import find_logs
 from gtau.signals.log_slice import Excerpt, Log, read_excerpt, stamps_of
+from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.storage import Placed, block, spans, store
 
 
@@ -24,7 +25,8 @@ class Run:
 
     ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, n), the current
     references in A or, where ``kind`` says so, torques in N m (forces in N). Where ``valid`` (N, n) is
-    false the joint's sample was interpolated or clipped. ``notes`` say what was repaired.
+    false the joint's sample was interpolated or clipped. ``notes`` say what was repaired, ``settings`` what is given of
+    the preparation.
 
     The arrays of a long log lie in a file, of which NumPy reads what is looked at. A run that was read from a ``log``
     is pickled as that, and read again where it arrives.
@@ -39,6 +41,7 @@ class Run:
     payload: Payload | None = None
     notes: tuple[str, ...] = ()
     valid: np.ndarray = field(default_factory=lambda: np.ones((0, 0), dtype=bool), repr=False)
+    settings: PreparationSettings = CHOSEN
     # What is made by dataclasses.replace has neither:
     log: Log | None = field(default=None, init=False, repr=False)
     pickled: range | None = field(default=None, init=False, repr=False)  # samples that other processes get
@@ -136,7 +139,8 @@ Known = tuple[str, tuple[str, ...], Literal["current", "torque"], Payload | None
 def _again(known: Known, excerpt: Excerpt) -> Run:
     """A run read in this process; raises GtauError where its logs have changed since."""
     name, joints, kind, payload, notes = known
-    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, **read_excerpt(excerpt))
+    arrays: dict[str, Any] = read_excerpt(excerpt)
+    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, **arrays)
 
 
 def _put_back(
@@ -150,7 +154,7 @@ def _put_back(
     for column, rows in parts.items():
         places[column] = Placed(samples, rows.shape[1:], rows.dtype.type)
         places[column].put(first, rows)
-    arrays = {column: place.array() for column, place in places.items()}
+    arrays: dict[str, Any] = {column: place.array() for column, place in places.items()}
     return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, **arrays)
 
 

@@ -21,9 +21,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
-from gtau.signals.decimation import Decimator, decimation_factor
+from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import Payload
-from gtau.signals.filters import cutoff_frequency
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, prepare
 from gtau.signals.run import Run, arrange
 
@@ -173,13 +172,7 @@ def cut(samples: int, shard: int = SHARD) -> list[range]:
 
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:
     """A preparation chosen for other runs, with filters for the sampling rate of these."""
-    rate = min(run.rate for run in runs)
-    factor = decimation_factor(rate, preparation.bandwidth)
-    return replace(
-        preparation,
-        cutoff=cutoff_frequency(preparation.bandwidth, rate),
-        decimator=replace(preparation.decimator, factor=factor),
-    )
+    return preparation.at(min(run.rate for run in runs))
 
 
 def reduce_runs(

@@ -1,0 +1,44 @@
+"""What a user may set of the preparation by hand, instead of what is chosen from the data."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat
+
+from gtau.signals.columns import Keys, Positive
+
+
+class PreparationSettings(Keys):
+    """The key ``preparation`` of an experiment file; what is left out is chosen from the logs.
+
+    Attributes
+    ----------
+    bandwidth : float, optional
+        Of the motion, Hz.
+    position_filter : float or "none", optional
+        Cut-off of the low-pass of the positions, Hz.
+    decimation : int, optional
+        Samples of the slowest log for one row of the regression.
+    delay : float
+        By how much the currents (or torques) lag behind the positions in the logs, s; they are shifted by it.
+    least_speed : float, optional
+        Share of a joint's rms speed below which its rows are left out.
+    clock : {"stamps", "regular"}, optional
+        Whether samples were taken at their time stamps, or at a regular rate and stamped late.
+    """
+
+    bandwidth: Positive | None = None
+    position_filter: Positive | Literal["none"] | None = None
+    decimation: Annotated[int, Field(ge=1, le=1000)] | None = None
+    delay: FiniteFloat = 0.0
+    least_speed: Annotated[FiniteFloat, Field(ge=0, lt=1)] | None = None
+    clock: Literal["stamps", "regular"] | None = None
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of what is set by hand, in the order of the class."""
+        return tuple(name for name in type(self).model_fields if name in self.model_fields_set)
+
+
+CHOSEN = PreparationSettings()
