@@ -53,7 +53,7 @@ def test_representations_are_short_and_say_something(result: gtau.Result) -> Non
     assert "'free'" in repr(run)
     assert str(result.drive_gains["left"]) in repr(result)
     assert re.fullmatch(r"2\.\d+ \+- 0\.\d+ N m/A", str(result.drive_gains["left"]))
-    assert str(replace(result.drive_gains["left"], value=None)) == "cannot be told"
+    assert str(replace(result.drive_gains["left"], value=None)) == "not identifiable"
 
 
 def test_a_name_that_is_not_there_is_answered_with_those_that_are(result: gtau.Result) -> None:

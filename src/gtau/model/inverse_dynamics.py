@@ -109,7 +109,12 @@ class InverseDynamics:
         self.layout = coordinates(robot)
         self.parameter_names = parameter_names(robot, parameters)
         self.actuated = robot.actuated
+        self._kind = parameters
         self._regressors: dict[tuple[str, ...], Regressor] = {}
+
+    def __reduce__(self) -> tuple[type[InverseDynamics], tuple[Robot, str]]:
+        """Pickle what the model is made of: compiled programs hold symbols of CasADi, which cannot be pickled."""
+        return InverseDynamics, (self.robot, self._kind)
 
     def __repr__(self) -> str:
         return f"InverseDynamics({self.robot!r}, {len(self.parameter_names)} standard parameters)"
@@ -219,7 +224,7 @@ class InverseDynamics:
         self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, work: Callable[[slice, Motion], None]
     ) -> None:
         """Do some work, in threads, with the blocks of a path and their motion, which stays in the cache."""
-        q, qd, qdd = self._samples(q, qd, qdd)
+        q, qd, qdd = self.samples(q, qd, qdd)
         c: np.ndarray | None = None
         for start in range(0, q.shape[1], PATH):
             chunk = slice(start, min(start + PATH, q.shape[1]))
@@ -239,7 +244,8 @@ class InverseDynamics:
 
         share(stretch, c.shape[1])
 
-    def _samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
+    def samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
+        """Check arrays (N, n), a column for each actuated joint, and return them as (n, N); raises GtauError."""
         n = len(self.actuated)
         samples = [np.asarray(array, dtype=float) for array in arrays]
         if samples[0].ndim != 2 or samples[0].shape[1] != n or len({array.shape for array in samples}) > 1:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -252,5 +253,11 @@ def as_units(units: Units | Mapping[str, Any] | None) -> Units:
 
 
 def document_of(name: str, data: Mapping[str, Any]) -> Document:
-    """A mapping as if it had been read from a file called ``name``."""
-    return Document(Path(name), dict(data), {})
+    """A mapping as if it had been read from a file called ``name``, where keys and integers are texts."""
+    return Document(Path(name), _as_written(data), {})
+
+
+def _as_written(data: Any) -> Any:
+    if isinstance(data, Mapping):
+        return {str(key): _as_written(value) for key, value in data.items()}
+    return str(data) if isinstance(data, (int, np.integer)) and not isinstance(data, bool) else data

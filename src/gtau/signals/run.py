@@ -13,6 +13,7 @@ from gtau.errors import GtauError
 from gtau.signals.checks import check
 from gtau.signals.columns import Signals, Units, as_signals, as_units
 from gtau.signals.experiment import Payload, as_payload
+from gtau.signals.frames import as_log
 from gtau.signals.log_set import find_logs
 from gtau.signals.log_slice import Excerpt, Log, read_excerpt, stamps_of
 from gtau.signals.settings import CHOSEN, PreparationSettings
@@ -81,7 +82,7 @@ class Run:
 
 
 def read_run(
-    log: str | Path | Sequence[str | Path],
+    log: str | Path | Sequence[str | Path] | Any,
     signals: Signals | Mapping[str, Any],
     payload: Payload | Mapping[str, Any] | None = None,
     units: Units | Mapping[str, Any] | None = None,
@@ -91,11 +92,12 @@ def read_run(
 
     Parameters
     ----------
-    log : path or two paths
+    log : path, two paths, or a table
         A CSV or Parquet file (or a folder of the latter), or one with the positions (and the time) and one with the
-        commands.
+        commands; or a Polars or pandas data frame, a mapping of columns, or an array (N, columns), whose columns are
+        numbered from 1.
     signals, payload, units : mapping
-        As under these keys of an experiment file.
+        As under these keys of an experiment file; columns and joints may be written as integers.
     progress : callable, optional
         Called with the part of the log that has been read.
 
@@ -110,6 +112,9 @@ def read_run(
         A file cannot be read, lacks a column, or fails the checks of :func:`gtau.signals.checks.check`.
     """
     signals, units = as_signals(signals), as_units(units)
+    if not (isinstance(log, (str, Path)) or (isinstance(log, (list, tuple)) and all(map(_is_path, log)))):
+        with as_log(log) as path:
+            return _from(None, read_run(path, signals, payload, units, progress))
     paths = tuple([Path(log)] if isinstance(log, (str, Path)) else [Path(each) for each in log])
     logged = find_logs(paths, signals, units)
     stamps = stamps_of(paths)
@@ -126,6 +131,10 @@ def read_run(
         valid=uniform.valid,
     )
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
+
+
+def _is_path(each: Any) -> bool:
+    return isinstance(each, (str, Path))
 
 
 def _from(log: Log | None, run: Run) -> Run:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NoReturn
+from numbers import Integral
 
 import numpy as np
 
@@ -31,13 +31,21 @@ class Estimate:
     freedom: float | None = None
 
     def __str__(self) -> str:
-        """Value, deviation and unit."""
+        """Value, standard deviation and unit."""
         if self.value is None:
-            return "cannot be told"
+            return "not identifiable"
         return f"{self.value:.5g}{'' if self.std is None else f' +- {self.std:.2g}'} {self.unit}"
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval by the t distribution, in ``unit``; None without value or deviation."""
+        """Confidence interval by the t distribution, in ``unit``; None without value or standard deviation.
+
+        Raises
+        ------
+        GtauError
+            Where the ``level`` is not between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise GtauError(f"the level {level:g} is not between 0 and 1; write 0.95 for 95 %.")
         if self.value is None or self.std is None:
             return None
         from scipy.special import ndtri, stdtrit
@@ -53,9 +61,11 @@ class Estimate:
 
 
 class Named(dict[str, Estimate]):
-    """Estimates by joint or parameter; a name that is not there is answered with those that are (GtauError)."""
+    """Estimates by joint or parameter; ``[11]`` finds joint ``'11'``, a missing name raises GtauError with all."""
 
-    def __missing__(self, name: str) -> NoReturn:
+    def __missing__(self, name: object) -> Estimate:
+        if isinstance(name, Integral) and str(name) in self:
+            return self[str(name)]
         raise GtauError(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
 
 

@@ -8,18 +8,24 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.dataset import at_rate_of
-from gtau.estimation.regression.friction import TERMS, transmitted
+from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import known_values
 from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.robots.units import torque_unit
+from gtau.signals.experiment import Payload
 from gtau.signals.preparation import prepare
 from gtau.signals.run import Run, arrange
 
 
 def predict(result: IdentifiedModel, run: Run) -> Prediction:
-    """Predicted and measured torques at the decimated instants of a run; see :meth:`IdentifiedModel.predict`."""
+    """Predicted and measured torques at the decimated instants of a run; see :meth:`gtau.Result.predict`."""
+    if not isinstance(run, Run):
+        raise GtauError(
+            f"a run is wanted, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
+            "its columns."
+        )
     model, base = result.model, result.base
     run = arrange(run, model.actuated)
     if run.kind != result.kind:
@@ -30,26 +36,13 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     preparation = at_rate_of([run], result.preparation)
     prepared = prepare(run, preparation)
     decimator = preparation.decimator
-    missing = [name for name in base.names if name not in result.parameters]
-    if missing:
-        raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
-    chi = np.array([result.params[name] for name in base.names])
-    if run.payload is not None:
-        tool = {name: k for k, name in enumerate(model.parameter_names)}
-        identified = result.payload(run.payload.name)
-        if run.payload.mass is None and "m" not in identified:
-            raise GtauError(
-                f"run '{run.name}' carries the payload '{run.payload.name}', whose mass neither the run nor the model "
-                "knows; add its 'mass'."
-            )
-        for kind, value in {**identified, **known_values(run.payload)}.items():
-            chi = chi + value * base.matrix[:, tool[f"{kind}_{result.robot.tool}"]]
+    chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     regressor = model.columns(base.standard)
     gains = np.array([result.drive_gains[joint].value for joint in model.actuated])
     delays = np.array([result.delays[joint].value for joint in model.actuated])
     time, predicted, measured, keep, valid = [], [], [], [], []
     load = chi * transmitted(base.names)
-    terms = np.array([[_value(result.friction, f"{term}_{joint}") for joint in model.actuated] for term in TERMS])
+    terms = _friction_terms(result)
     for part in stream_rows(model, regressor, prepared, decimator, load):
         tau = regressor.torques(part.entries, chi, len(model.actuated)) + np.einsum("tj,tjk->jk", terms, part.terms)
         v, v_d, v_dd = part.currents
@@ -64,6 +57,53 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     if not np.any([each.any() for each in keep]):
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
     return Prediction(model.actuated, *(np.concatenate(each) for each in (time, predicted, measured, keep, valid)))
+
+
+def torques(
+    result: IdentifiedModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None
+) -> np.ndarray:
+    """Torques (N, n) of the identified model at any states; see :meth:`gtau.Result.torques`."""
+    model, base = result.model, result.base
+    chi = loaded_parameters(result, payload, "the robot")
+    regressor = model.columns(base.standard)
+    q, qd, qdd = model.samples(q, qd, qdd)
+    entries = regressor(model.layout, model.motion(q, qd, qdd))
+    load = regressor.torques(entries, chi * transmitted(base.names), len(model.actuated))
+    tau = regressor.torques(entries, chi, len(model.actuated))
+    return np.asarray((tau + np.einsum("tj,tjk->jk", _friction_terms(result), term_columns(qd, load))).T)
+
+
+def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier: str) -> np.ndarray:
+    """Base parameters (n_b,) with a ``payload``: of what it leaves out, the values that were identified.
+
+    Raises
+    ------
+    GtauError
+        Where the model lacks a parameter, or nothing says how heavy the payload is that the ``carrier`` carries.
+    """
+    model, base = result.model, result.base
+    missing = [name for name in base.names if name not in result.parameters]
+    if missing:
+        raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
+    chi = np.array([result.params[name] for name in base.names])
+    if payload is None:
+        return chi
+    tool = {name: k for k, name in enumerate(model.parameter_names)}
+    identified = result.payload(payload.name)
+    if payload.mass is None and "m" not in identified:
+        raise GtauError(
+            f"{carrier} carries the payload '{payload.name}', whose mass neither the run nor the model knows; add its "
+            "'mass'."
+        )
+    for kind, value in {**identified, **known_values(payload)}.items():
+        chi = chi + value * base.matrix[:, tool[f"{kind}_{result.robot.tool}"]]
+    return chi
+
+
+def _friction_terms(result: IdentifiedModel) -> np.ndarray:
+    """Values (terms, n) of the friction beyond the paper's."""
+    joints = result.model.actuated
+    return np.array([[_value(result.friction, f"{term}_{joint}") for joint in joints] for term in TERMS])
 
 
 def _value(estimates: Mapping[str, Estimate], name: str) -> float:

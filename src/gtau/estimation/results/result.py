@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from gtau.estimation.results.estimate import Prediction, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_file import load, save
-from gtau.estimation.results.prediction import predict, torque_errors
+from gtau.estimation.results.prediction import predict, torque_errors, torques
 from gtau.estimation.results.summary import summary
+from gtau.signals.experiment import Payload, as_payload
 from gtau.signals.run import Run
 
 
@@ -24,6 +29,50 @@ class Result(IdentifiedModel):
         """The result as a table to print."""
         return summary(self)
 
+    def torques(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        qdd: np.ndarray,
+        payload: Payload | Mapping[str, Any] | None = None,
+    ) -> np.ndarray:
+        """Torques of the identified model at any states, all its friction included.
+
+        Parameters
+        ----------
+        q, qd, qdd : ndarray
+            Positions, velocities and accelerations (N, n) of the actuated joints, SI units. The samples are taken as
+            points of a path that starts at home.
+        payload : mapping, optional
+            As in an experiment file: ``{"name": "steel"}`` for one that was identified, or with its ``mass``, ...
+
+        Returns
+        -------
+        ndarray
+            (N, n), N m or N.
+
+        Raises
+        ------
+        GtauError
+            Where the loops cannot be closed, a pose is too close to a singularity, or the payload's mass is unknown.
+        """
+        return torques(self, q, qd, qdd, as_payload(payload))
+
+    def currents(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        qdd: np.ndarray,
+        payload: Payload | Mapping[str, Any] | None = None,
+    ) -> np.ndarray:
+        """Currents (N, n) in A that give the torques of :meth:`torques`: ``v = tau / g_tau``.
+
+        Delays are not applied: the current reference leads the motion by ``delays``. From logs of torques, whose gains
+        are 1, they are these torques.
+        """
+        gains = np.array([gain.value for gain in self.drive_gains.values()])
+        return self.torques(q, qd, qdd, payload) / gains
+
     def predict(self, run: Run) -> Prediction:
         """Torques that the model predicts along ``run``, beside the measured ``v g_tau``.
 
@@ -35,7 +84,7 @@ class Result(IdentifiedModel):
         return predict(self, run)
 
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
-        """Torque error of each joint on a run, over the samples that identification would use."""
+        """Torque errors of each joint on a run of :func:`gtau.read_run`: away from reversals, and over all samples."""
         return torque_errors(self, self.predict(run))
 
     def save(self, path: str | Path) -> None:

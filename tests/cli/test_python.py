@@ -1,0 +1,148 @@
+"""What people write in Python around a result: joints by number, torques at any state, tables in memory, pickles."""
+
+from __future__ import annotations
+
+import pickle
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars
+import pytest
+from five_bar_logs import EXPERIMENT, STEEL, Plant, path, write_log
+
+import gtau
+from gtau.signals.experiment import as_payload
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder, plant = tmp_path_factory.mktemp("python"), Plant(noise=0.01)
+    write_log(folder / "free.csv", plant.run("free", seed=1))
+    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
+    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3))
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> gtau.Result:
+    return gtau.identify(folder / "experiment.yaml")
+
+
+def test_joints_may_be_called_by_numbers(result: gtau.Result) -> None:
+    gains = replace(result, drive_gains={"11": result.drive_gains["left"]}).drive_gains
+    assert gains[11] is gains["11"]  # type: ignore[index]
+    with pytest.raises(gtau.GtauError, match="there is no '12' here; choose from 11"):
+        gains[12]  # type: ignore[index]
+
+
+def test_a_level_in_per_cent_is_refused(result: gtau.Result) -> None:
+    gain = result.drive_gains["left"]
+    low, high = gain.interval(0.95)  # type: ignore[misc]
+    assert low < gain.value < high  # type: ignore[operator]
+    for level in (95, 1.0, 0.0, float("nan")):
+        with pytest.raises(gtau.GtauError, match=r"write 0\.95 for 95 %"):
+            gain.interval(level)
+
+
+def test_torques_and_currents_of_the_identified_model(result: gtau.Result) -> None:
+    run = Plant(noise=0.0).run("path", seed=5, seconds=4.0)
+    q, qd, qdd = path(run.time, seed=5)
+    predicted = result.predict(run)
+    tau = result.torques(q, qd, qdd)
+    assert tau.shape == q.shape
+    at = np.searchsorted(run.time, predicted.time - 1e-9)
+    rms = np.sqrt(np.mean(predicted.predicted**2, axis=0))
+    assert np.all(np.median(np.abs(tau[at] - predicted.predicted), axis=0) < 0.01 * rms)
+    gains = [gain.value for gain in result.drive_gains.values()]
+    assert result.currents(q, qd, qdd) == pytest.approx(tau / gains)
+    heavier = result.torques(q, qd, qdd, {"name": "steel"})
+    assert np.abs(heavier - tau).max() > 0.1
+    loaded = replace(run, payload=as_payload({"name": "steel"}))
+    of_run = result.predict(loaded).predicted
+    rms = np.sqrt(np.mean(of_run**2, axis=0))
+    assert np.all(np.median(np.abs(heavier[at] - of_run), axis=0) < 0.01 * rms)
+    with pytest.raises(gtau.GtauError, match="carries the payload 'lead', whose mass neither"):
+        result.torques(q, qd, qdd, {"name": "lead"})
+    with pytest.raises(gtau.GtauError, match=r"give each as \(N, 2\)"):
+        result.torques(q[0], qd[0], qdd[0])
+
+
+def test_what_has_been_used_can_still_be_pickled(result: gtau.Result) -> None:
+    q, qd, qdd = (each[:5] for each in path(np.linspace(0.0, 1.0, 5), seed=5))
+    before = result.torques(q, qd, qdd)
+    again = pickle.loads(pickle.dumps(result))
+    assert np.array_equal(again.torques(q, qd, qdd), before)
+    model = gtau.InverseDynamics(gtau.load_robot("five-bar"), "inertial")
+    model.torques(q, qd, qdd, {"m_left_forearm": 1.0})
+    assert pickle.loads(pickle.dumps(model)).parameter_names == model.parameter_names
+
+
+def test_runs_are_read_from_tables_in_memory(folder: Path) -> None:
+    frame = polars.read_csv(folder / "free.csv")
+    names = frame.columns
+    signals = {"time": names[0]} | {
+        kind: dict(zip(("left", "right"), pair, strict=True))
+        for kind, pair in (("position", names[1:3]), ("current", names[3:5]))
+    }
+    numbered = {"time": 1, "position": {"left": 2, "right": 3}, "current": {"left": 4, "right": 5}}
+    file = gtau.read_run(folder / "free.csv", signals)
+    for table, columns in (
+        (frame, signals),
+        (frame.lazy(), signals),
+        (frame.to_dict(), signals),
+        (frame.to_numpy(), numbered),
+        (frame.to_numpy(structured=True), signals),
+        (_LikePandas(frame), signals),
+    ):
+        run = gtau.read_run(table, columns)
+        for array in ("time", "position", "command"):
+            assert getattr(run, array) == pytest.approx(getattr(file, array))
+        assert np.array_equal(pickle.loads(pickle.dumps(run)).position, run.position)
+    for table, message in (
+        ([1, 2, 3], "a log cannot be a list; give the path"),
+        (frame.to_numpy()[:, 0], "a log cannot be a ndarray"),
+        ({"t": [1.0], "q": [1.0, 2.0]}, "the table cannot be used as a log"),
+        (frame.drop(names[0]), f"the table.*'{names[0]}'"),
+    ):
+        with pytest.raises(gtau.GtauError, match=message):
+            gtau.read_run(table, signals)
+
+
+class _LikePandas:
+    """The part of a pandas data frame that is used."""
+
+    def __init__(self, frame: Any) -> None:
+        self.columns, self._frame = frame.columns, frame
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._frame[name].to_numpy()
+
+
+def test_a_path_in_the_place_of_a_run(result: gtau.Result) -> None:
+    for use in (result.validate, result.predict):
+        with pytest.raises(gtau.GtauError, match=r"a run is wanted, not a str; read the log with gtau\.read_run"):
+            use("free.csv")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_type_checkers_see_what_is_offered(tmp_path: Path) -> None:
+    names = {
+        "identify": "results.result.Result",
+        "weigh": "PayloadEstimate",
+        "compare": "EstimatorComparison",
+        "excite": "design.Design",
+    }
+    reveals = "".join(f"reveal_type(gtau.{name})\n" for name in names)
+    (tmp_path / "use.py").write_text(f"import gtau\n{reveals}")
+    command = [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), str(tmp_path / "use.py")]
+    shown = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False).stdout
+    for returned in names.values():
+        assert re.search(rf'Revealed type is "def \(.*-> .*{returned}', shown), shown
