@@ -1,0 +1,48 @@
+"""The structure of the package: no import circles, every equation of the paper cited, and the table of them current."""
+
+from __future__ import annotations
+
+import importlib.util
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_no_import_circles_type_only_imports_included() -> None:
+    grimp = pytest.importorskip("grimp")
+    graph = grimp.build_graph("gtau", exclude_type_checking_imports=False, cache_dir=None)
+    assert len(graph.modules) > 150
+    TopologicalSorter({m: graph.find_modules_directly_imported_by(m) for m in graph.modules}).prepare()
+
+
+@pytest.fixture(scope="module")
+def equations():
+    path = ROOT / "docs" / "make_equations.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_citations_are_read(equations) -> None:
+    assert equations.numbers("eq. (15) and eqs. 29 to 33, eqs. (34), (36) and (39); eq. 7") == {
+        7, 15, *range(29, 34), 34, 36, 39,
+    }  # fmt: skip
+    assert equations.numbers("sequence 3, eq 4 and page 5") == set()
+    places = set(equations.citations(ROOT / "src" / "gtau" / "model" / "dynamics.py"))
+    assert {(15, "torques"), (14, "torques"), (2, "_wrench"), (1, "")} <= places
+
+
+def test_every_equation_of_the_paper_is_cited_where_it_is_implemented(equations) -> None:
+    found = equations.collect()
+    assert found.keys() == set(equations.EQUATIONS) == set(range(1, 40))
+    modules = {path.stem for path in (ROOT / "src").rglob("*.py")}
+    only_modules = [number for number, places in found.items() if places[0].rsplit(".", 1)[1] in modules]
+    assert not only_modules, "cite them in the functions that implement them"
+
+
+def test_the_table_of_equations_is_current(equations) -> None:
+    assert equations.TABLE.read_text(encoding="utf-8") == equations.page(), "run python docs/make_equations.py"
