@@ -171,9 +171,10 @@ def finish(
     free_gains: bool,
     J_known: np.ndarray,
 ) -> Solution:
-    """Covariances of what was found at ``state``; ``J_known`` (., k) are further equations, of priors."""
+    """Compute the covariances at ``state``; ``J_known`` (., k) are further equations, of priors."""
     n, n_theta = len(problem.joints), problem.n_theta
     size = _size(n, n_theta, free_gains)
+    # eqs. (25) and (26), joint by joint
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - size / n, 1))
     J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]  # (n, p, size)
     rows = np.concatenate([J.reshape(-1, size), J_known])
@@ -181,6 +182,7 @@ def finish(
     back = whitening(rows, curvature_of_delays(triangles, state, problem, weights))
     white = (J @ back * (sigma * weights)[:, None, None]).reshape(-1, back.shape[1])
     of_prior = back @ (back.T @ (J_known.T @ J_known) @ back) @ back.T
+    # eq. (27), with the errors' own variance in every joint
     formula = back @ (white.T @ white) @ back.T + of_prior
     gains, T = 1 / state.b, to_gains(state, n_theta, free_gains)
 

@@ -75,7 +75,7 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on busy cores threads make the QR a hundred times slower
 def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
-    """Base parameters of a robot from the structure of its model.
+    """Find the base parameters chi of eq. (21) from the structure of the robot's model.
 
     The regressor of random feasible states is factorised by QR without pivoting, its columns
     normalised and in the symmetric order of eq. (23); a column that depends on those kept before it is

@@ -42,7 +42,7 @@ def stream_rows(
     load: np.ndarray | None = None,
     outputs: range | None = None,
 ) -> Iterator[Rows]:
-    """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (section 3.1).
+    """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (eqs. 19 and 20).
 
     Parameters
     ----------

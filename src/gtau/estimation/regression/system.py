@@ -100,7 +100,7 @@ def assemble_system(
     slowest: float,
     friction: Friction,
 ) -> System:
-    """Join the runs' factors into one problem.
+    """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33).
 
     A payload is a further body on the robot's tool (eq. 18), so its columns are
     combinations of the base columns, and each run's factor becomes a block of the problem by one

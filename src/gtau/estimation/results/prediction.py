@@ -45,7 +45,7 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     terms = _friction_terms(result)
     for part in stream_rows(model, regressor, prepared, decimator, load):
         tau = regressor.torques(part.entries, chi, len(model.actuated)) + np.einsum("tj,tjk->jk", terms, part.terms)
-        v, v_d, v_dd = part.currents
+        v, v_d, v_dd = part.currents  # eq. (17), each current at its delayed time
         time.append(part.time)
         predicted.append(tau.T)
         measured.append((gains[:, None] * (v - delays[:, None] * v_d + delays[:, None] ** 2 / 2 * v_dd)).T)
@@ -117,7 +117,7 @@ def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[Torq
         return float(np.sqrt(np.mean(values**2)))
 
     errors = []
-    difference = prediction.measured - prediction.predicted
+    difference = prediction.measured - prediction.predicted  # e of eq. (16)
     for j, joint in enumerate(prediction.joints):
         kept, valid = prediction.keep[:, j], prediction.valid[:, j]
         if kept.any():
