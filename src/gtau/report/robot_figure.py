@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from math import cos, floor, log10, radians, sin
+from math import floor, log10
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.model.coordinates import coordinates
-from gtau.model.home import close_home
-from gtau.model.kinematics import poses
+from gtau.report.robot_scene import foot_of, platform_attachments, scene_of
 from gtau.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, new_figure, require_matplotlib, styled
 from gtau.robots.geometry import Frame, attached
-from gtau.robots.robot import GROUND, Attachment, Joint, Robot
+from gtau.robots.robot import GROUND, Joint, Robot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
 LETTER, AWAY = (
     (4.6, 9.0),
     6.0,
@@ -58,20 +55,9 @@ def robot_figure(robot: Robot) -> Figure:
         The loops close nowhere, or matplotlib is not installed.
     """
     require_matplotlib()
-    robot = close_home(robot)
-    upright = _upright(np.array(robot.gravity))
-    layout = coordinates(robot)
-    found = {name: (upright @ R, upright @ p) for name, (R, p) in poses(layout, layout.home).items()}
-    shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
-    joints = [joint for joint in robot.joints if joint.name not in shafts]
-    lines = _links(robot, joints, found)
-    rails = [_rail(joint, found) for joint in joints if joint.kind == "prismatic"]
-    feet = [_foot(joint, found) for joint in joints if joint.antecedent == GROUND]
-    points = np.vstack([*(line for _, line in lines), *rails, *feet, *(frame[1] for frame in found.values())])
-    view = _view(np.ptp(points, axis=0))
-    corners = points @ view.T
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    size = float((high - low).max()) or 1.0
+    scene = scene_of(robot)
+    robot, view, found, joints = scene.robot, scene.view, scene.found, scene.joints
+    lines, rails, feet, low, high, size = scene.lines, scene.rails, scene.feet, scene.low, scene.high, scene.size
     height = float(np.clip(WIDTH * (high[1] - low[1] + 0.2 * size) / (1.2 * size), LOWEST, HIGHEST))
     with styled():
         figure = new_figure(WIDTH, height + KEY)
@@ -92,11 +78,14 @@ def robot_figure(robot: Robot) -> Figure:
         tool, ends = view @ found[robot.tool][1], 0.13 * size * view @ found[robot.tool][0]
         _triad(axes, tool, ends, GREEN, zorder=8)
         places = _joints(axes, view, robot, joints, found, size)
-        closings = [view @ attached(closure.a, found)[1] for closure in robot.closures]
+        closings = scene.closings
         for place in closings:
             axes.plot(*place, marker="D", **CLOSING)
         strokes = [np.linspace(line[0], line[1], 30) @ view.T for _, line in lines]
-        strokes += [np.linspace(view @ found[end.body][1], view @ attached(end, found)[1], 30) for end in _held(robot)]
+        strokes += [
+            np.linspace(view @ found[end.body][1], view @ attached(end, found)[1], 30)
+            for end in platform_attachments(robot)
+        ]
         point = 1.2 * size / (72 * WIDTH)
         marks = np.array([*places.values(), *closings, tool, *(tool + ends.T)])
         _names(axes, robot, places, marks, np.vstack([*strokes, tool]), point)
@@ -104,59 +93,9 @@ def robot_figure(robot: Robot) -> Figure:
         _scale(axes, low - [0.0, 0.15 * size], size)
         axes.set_axis_off()
         left, right = key.subplots(1, 2, width_ratios=(1, 2.6))
-        _compass(left, view @ upright, bool(np.any(robot.gravity)))
+        _compass(left, view @ scene.upright, bool(np.any(robot.gravity)))
         _legend(right, robot, joints, {body for body, _ in lines})
     return figure
-
-
-def _upright(gravity: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) after which gravity points along -z, with x where it was if that can be."""
-    size = np.linalg.norm(gravity)
-    up = -gravity / size if size else np.array([0.0, 0.0, 1.0])
-    x = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    x = x - (x @ up) * up
-    x /= np.linalg.norm(x)
-    return np.array([x, np.cross(up, x), up])
-
-
-def _view(extent: np.ndarray) -> np.ndarray:
-    """The plane of the page, to the right and up, (2, 3), for a robot of that extent (3,)."""
-    elevation, azimuth = 24.0, -58.0
-    thin = int(np.argmin(extent))
-    if extent[thin] < FLAT * extent.max():
-        elevation, azimuth = ((18.0, -20.0), (18.0, -72.0), (62.0, -72.0))[thin]
-    e, a = radians(elevation), radians(azimuth)
-    return np.array([[-sin(a), cos(a), 0.0], [-cos(a) * sin(e), -sin(a) * sin(e), cos(e)]])
-
-
-def _links(robot: Robot, joints: list[Joint], found: dict[str, Frame]) -> list[tuple[str, np.ndarray]]:
-    """Bodies and lines (2, 3) from every joint to what its link carries."""
-    lines = []
-    for joint in joints:
-        foot = _foot(joint, found)
-        if joint.antecedent != GROUND:
-            lines.append((joint.antecedent, np.array([found[joint.antecedent][1], foot])))
-        if joint.kind == "prismatic":
-            lines.append((joint.name, np.array([foot, found[joint.name][1]])))
-    platforms = {platform.name for platform in robot.platforms}
-    for end in (end for closure in robot.closures for end in (closure.a, closure.b)):
-        if end.body not in platforms | {GROUND}:
-            lines.append((end.body, np.array([found[end.body][1], attached(end, found)[1]])))
-    return [(body, line) for body, line in lines if np.linalg.norm(line[1] - line[0]) > 1e-6]
-
-
-def _foot(joint: Joint, found: dict[str, Frame]) -> np.ndarray:
-    """Where a joint stands on the link before it, (3,)."""
-    R, p = found[joint.antecedent]
-    foot: np.ndarray = p + R @ joint.placement.position
-    return foot
-
-
-def _rail(joint: Joint, found: dict[str, Frame]) -> np.ndarray:
-    """The way of a prismatic joint within its limits, (2, 3)."""
-    R, p = found[joint.name]
-    low, high = joint.limits.position or (joint.home, joint.home)
-    return np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in (low, high)])
 
 
 def _line(axes: Axes, view: np.ndarray, start: np.ndarray, end: np.ndarray, **style: Any) -> None:
@@ -170,16 +109,12 @@ def _stand(axes: Axes, point: np.ndarray, length: float) -> None:
     axes.plot([x - length / 2, x + length / 2], [y - length, y - length], **BASE)
 
 
-def _held(robot: Robot) -> list[Attachment]:
-    """Where platforms are held."""
-    platforms = {platform.name for platform in robot.platforms}
-    return [end for closure in robot.closures for end in (closure.a, closure.b) if end.body in platforms]
-
-
 def _platforms(axes: Axes, view: np.ndarray, robot: Robot, found: dict[str, Frame]) -> None:
     for platform in robot.platforms:
         color = GREEN if platform.name == robot.tool else SKY
-        corners = np.array([attached(end, found)[1] for end in _held(robot) if end.body == platform.name])
+        corners = np.array(
+            [attached(end, found)[1] for end in platform_attachments(robot) if end.body == platform.name]
+        )
         centre = corners.mean(axis=0)
         if np.linalg.norm(corners - centre, axis=1).max() < 1e-6:
             axes.plot(*(view @ centre), marker="h", markersize=11, color=color, markeredgecolor=BLACK, zorder=3)
@@ -198,7 +133,7 @@ def _joints(
         R, p = found[joint.name]
         driven = joint.name in robot.driven
         if joint.kind == "prismatic":
-            p = (p + _foot(joint, found)) / 2
+            p = (p + foot_of(joint, found)) / 2
         else:
             half = (0.06 if driven else 0.04) * size * (R @ np.array(joint.axis))
             _line(axes, view, p - half, p + half, color=BLACK, linewidth=1.0, zorder=4)

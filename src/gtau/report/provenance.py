@@ -1,0 +1,107 @@
+"""Where a report comes from: the command, its inputs by their hashes, versions, settings, and the time it took."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import shlex
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from gtau.report.html.document import Section
+from gtau.report.html.elements import Column, escape, facts, folded, table, text
+
+PACKAGES = ("numpy", "scipy", "polars", "casadi", "numba", "clarabel", "mujoco")
+LISTED = 12  # inputs that are shown unfolded
+LARGEST = 1 << 31  # bytes of an input that is hashed
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a report was made from.
+
+    ``inputs`` are files, by what they are for; ``settings`` values by name; ``seconds`` the time that the work took.
+    """
+
+    command: str
+    inputs: tuple[tuple[str, Path], ...] = ()
+    settings: Mapping[str, str] = field(default_factory=dict)
+    seconds: float | None = None
+
+
+def command_line() -> str:
+    """The command that runs now, as it can be typed again."""
+    return shlex.join(["gtau", *sys.argv[1:]])
+
+
+def section(of: Provenance) -> Section:
+    """The provenance as a section of a page."""
+    rows = []
+    for what, path in of.inputs:
+        size, digest = fingerprint(path)
+        rows.append([text(what), text(path), text(size), text(digest, "mono")])
+    parts = [
+        "<h3>The command that reproduces this report</h3>",
+        f'<code class="command">{escape(of.command)}</code>',
+        facts(
+            {
+                "made on": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+                **({} if of.seconds is None else {"time taken": f"{of.seconds:.1f} s"}),
+                **versions(),
+            }
+        ),
+    ]
+    if of.settings:
+        parts += ["<h3>Settings</h3>", facts(of.settings)]
+    if rows:
+        columns = [Column("input"), Column("file"), Column("size"), Column("SHA-256")]
+        parts.append(
+            folded(f"Inputs: {len(rows)} files with their hashes", table(columns, rows), shown=len(rows) <= 12)
+        )
+    return Section("provenance", "Provenance", "\n".join(parts))
+
+
+def versions() -> dict[str, str]:
+    """Versions of gtau, Python and the packages that compute."""
+    from gtau import __version__
+
+    found = {"gtau": __version__, "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}"}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def fingerprint(path: Path) -> tuple[str, str]:
+    """Size of a file in words, and its SHA-256; a folder is told by its files, and a missing file as such."""
+    if path.is_dir():
+        parts = sorted(each for each in path.iterdir() if each.is_file())
+        return f"{len(parts)} files", _digest(parts)
+    if not path.is_file():
+        return "–", "not there any more"
+    return _size(path.stat().st_size), _digest([path])
+
+
+def _digest(paths: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        if path.stat().st_size > LARGEST:
+            return f"not computed: larger than {_size(LARGEST)}"
+        with path.open("rb") as file:
+            while part := file.read(1 << 20):
+                digest.update(part)
+    return digest.hexdigest()
+
+
+def _size(size: int) -> str:
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000  # type: ignore[assignment]
+    return f"{size:.3g} GB"

@@ -1,0 +1,374 @@
+"""Sections on a result: verdict, gains, payloads, parameters, correlation, singular values, alternatives, notes."""
+
+from __future__ import annotations
+
+import json
+from base64 import b64encode
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.results.estimate import Estimate, PayloadEstimate
+from gtau.estimation.results.result import Result
+from gtau.report.evidence import (
+    GOOD_OUTCOMES,
+    Evidence,
+    alternatives,
+    error_over_all,
+    interval_parts,
+    remarks,
+    singular_values,
+)
+from gtau.report.html.document import Section
+from gtau.report.html.drawings import Interval, Panel, interval_rows, panel_figure
+from gtau.report.html.elements import (
+    Cell,
+    Column,
+    badge,
+    bullets,
+    escape,
+    facts,
+    number,
+    paragraph,
+    plain,
+    table,
+    text,
+    verdict,
+)
+from gtau.report.style import joint_label
+
+STRONG = 0.9  # correlation from which on a pair is listed
+LISTED = 20
+POORLY_KNOWN = 1000.0  # per cent: of a larger standard deviation the value says nothing
+
+
+def verdict_section(evidence: Evidence) -> Section:
+    """The verdict in words, and the figures that a reader asks for first."""
+    result = evidence.result
+    outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
+    grade = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
+    if outcomes[Outcome.CONTRADICTORY] or outcomes[Outcome.NOT_IDENTIFIABLE]:
+        grade = "bad"
+    shown = facts(
+        {
+            "robot": result.robot.name,
+            "estimator": result.method,
+            "runs used": str(len(result.runs)),
+            **_worst_errors(evidence),
+            "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
+        }
+    )
+    return Section("verdict", "Verdict", verdict(grade, headline(result), remarks(result)) + shown)
+
+
+def headline(result: Result) -> str:
+    """The verdict on the drive gains in one sentence."""
+    gains = result.drive_gains
+    outcomes = [gain.verdict.outcome for gain in gains.values()]
+    if all(each == Outcome.GIVEN for each in outcomes):
+        what = "Torques were logged" if result.kind == "torque" else "The drive gains were given"
+        return f"{what}; {len(result.parameters)} base parameters were identified."
+    counted = Counter(outcomes)
+    if counted[Outcome.GOOD] == len(gains):
+        largest = max((gain.rel_std or 0.0) for gain in gains.values())
+        return f"All {len(gains)} drive gains are identified, with standard deviations of {largest:.2g} % or less."
+    (first, count), *others = counted.most_common()
+    more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
+    return f"{count} of {len(gains)} drive gains {'is' if count == 1 else 'are'} {first.value}{more}."
+
+
+def _worst_errors(evidence: Evidence) -> dict[str, str]:
+    """The largest torque error of the fit, and on the runs kept for validation."""
+    found = {}
+    if evidence.result.residuals:
+        worst = max(evidence.result.residuals, key=lambda each: each.relative)
+        found["largest torque error of the fit"] = f"{worst.relative:.2g} % ({worst.joint})"
+    unused = [error for run in evidence.runs if not run.used for error in run.errors]
+    if unused:
+        worst = max(unused, key=lambda each: each.relative)
+        whole = error_over_all(worst)
+        more = "" if whole is None else f", {whole:.2g} % with reversals"
+        found["largest torque error of validation"] = f"{worst.relative:.2g} %{more} ({worst.joint})"
+    return found
+
+
+def gains_section(evidence: Evidence) -> Section:
+    """Drive gains with their 95 % intervals, beside the prior ones, as a table and as a chart."""
+    result, prior = evidence.result, evidence.prior_gains
+    joints = list(result.drive_gains)
+    parts = {joint: interval_parts(gain) for joint, gain in result.drive_gains.items()}
+    split = any(inner is not None for _, inner in parts.values())
+    rows, bars = [], []
+    for joint, gain in result.drive_gains.items():
+        whole, inner = parts[joint]
+        given = prior.get(joint)
+        rows.append(
+            [
+                Cell(f'<span class="name">{escape(joint)}</span>'),
+                number(gain.value),
+                interval_cell(whole),
+                *([interval_cell(inner)] if split else []),
+                text(gain.unit, "unit"),
+                *_prior_cells(gain, given if prior else None, bool(prior)),
+                *_delay_cells(result.delays.get(joint)),
+                badge(gain.verdict.outcome.value),
+            ]
+        )
+        bars.append(
+            Interval(0.0, _relative(whole, gain.value), _relative(inner, gain.value), _off(given, gain.value))
+            if gain.value
+            else Interval(None)
+        )
+    columns = [
+        Column("joint"),
+        Column("gain", True),
+        Column("95 % interval", True),
+        *([Column("random part", True)] if split else []),
+        Column("unit"),
+        *([Column("prior", True), Column("prior off by", True)] if prior else []),
+        Column("delay, ms", True),
+        Column("verdict"),
+    ]
+    shown = table(columns, rows)
+    if any(bar.outer or bar.other is not None for bar in bars):
+        shown += "<h3>Intervals, per cent of the identified gain</h3>" + _interval_table(
+            joints, bars, split, bool(prior)
+        )
+    shown += scale_note(result)
+    return Section("gains", "Drive gains", shown)
+
+
+def scale_note(result: Result) -> str:
+    """What the scale of the gains rests on."""
+    if not any(gain.std is not None for gain in result.drive_gains.values()):
+        return ""
+    masses = {each.name: each.parameters["m"].value for each in result.payloads if "m" in each.known}
+    if not masses:
+        return ""
+    named = ", ".join(f"'{name}' ({mass:g} kg)" for name, mass in masses.items())
+    return paragraph(f"The scale of all gains rests on the known mass of payload {named}.", "soft")
+
+
+def _interval_table(joints: Sequence[str], bars: Sequence[Interval], split: bool, prior: bool) -> str:
+    drawn, axis = interval_rows(bars, zero=0.0)
+    rows = "".join(
+        f'<tr><td class="name">{escape(joint_label(joint))}</td><td class="bar">{bar}</td></tr>'
+        for joint, bar in zip(joints, drawn, strict=True)
+    )
+    words = ["disc: identified gain", "thin line: 95 % interval"]
+    words += ["thick line: its random part"] if split else []
+    words += ["diamond: prior gain"] if prior else []
+    return (
+        f'<div class="scroll"><table class="intervals"><tbody>{rows}<tr><td class="soft">difference, %</td>'
+        f'<td class="bar">{axis}</td></tr></tbody></table></div>' + paragraph("; ".join(words) + ".", "soft")
+    )
+
+
+def interval_cell(interval: tuple[float, float] | None) -> Cell:
+    """An interval as a cell."""
+    if interval is None:
+        return Cell("–", True)
+    low, high = interval
+    decimals = int(np.clip(1 - np.floor(np.log10(high - low)), 0, 12)) if high > low else 4
+    words = f"{low:.{decimals}f} to {high:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+    return Cell(words, True, high - low)
+
+
+def _prior_cells(gain: Estimate, given: float | None, wanted: bool) -> list[Cell]:
+    if not wanted:
+        return []
+    return [number(given), _percent_cell(_off(given, gain.value))]
+
+
+def _percent_cell(value: float | None) -> Cell:
+    return Cell("–", True) if value is None else Cell(f"{escape(plain(value, 3))} %", True, value)
+
+
+def _delay_cells(delay: Estimate | None) -> list[Cell]:
+    if delay is None or delay.value is None or delay.verdict.outcome not in GOOD_OUTCOMES:
+        return [Cell("not identifiable", True)]
+    half = "" if delay.std is None else f" ± {1.96e3 * delay.std:.2g}"
+    return [Cell(f"{escape(plain(1e3 * delay.value, 3))}{half}", True, delay.value)]
+
+
+def _relative(interval: tuple[float, float] | None, value: float | None) -> tuple[float, float] | None:
+    if interval is None or not value:
+        return None
+    a, b = (100 * (end / value - 1) for end in interval)
+    return min(a, b), max(a, b)
+
+
+def _off(given: float | None, value: float | None) -> float | None:
+    return None if given is None or not value else 100 * (given / value - 1)
+
+
+def payloads_section(payloads: Sequence[PayloadEstimate], title: str = "Payloads") -> Section | None:
+    """Inertial parameters of the payloads; None without any."""
+    if not payloads:
+        return None
+    parts = []
+    for each in payloads:
+        rows = [
+            [
+                Cell(f'<span class="name">{escape(kind)}</span>'),
+                number(found.value, missing="not identifiable"),
+                interval_cell(found.interval()),
+                text(found.unit, "unit"),
+                text("known" if kind in each.known else found.regrouping if found.regrouping != kind else "identified"),
+            ]
+            for kind, found in each.parameters.items()
+        ]
+        columns = [
+            Column("parameter"),
+            Column("value", True),
+            Column("95 % interval", True),
+            Column("unit"),
+            Column("origin, or what it regroups"),
+        ]
+        parts.append(f"<h3>Payload ‘{escape(each.name)}’ of run {escape(each.run)}</h3>")
+        if each.verdict.why:
+            parts.append(paragraph(f"{each.verdict.sentence}.".capitalize()))
+        parts.append(table(columns, rows))
+    parts.append(paragraph("In the frame of the body that carries the payload.", "soft"))
+    return Section("payloads", title, "\n".join(parts))
+
+
+def parameters_section(result: Result) -> Section:
+    """Essential, cancelled and friction parameters in one table that sorts and searches."""
+    rows, faint = [], []
+    entries = [(name, result.essential.get(name, each)) for name, each in result.parameters.items()]
+    for name, each in entries:
+        kept = name in result.essential
+        role = "essential" if kept else "not identifiable" if each.value is None else "cancelled"
+        rows.append(_parameter_row(name, each, role))
+        if not kept:
+            faint.append(len(rows) - 1)
+    rows += [_parameter_row(name, each, "friction, by BIC") for name, each in result.friction.items()]
+    columns = [
+        Column("parameter"),
+        Column("value", True),
+        Column("std", True),
+        Column("std, %", True),
+        Column("unit"),
+        Column("role"),
+        Column("regroups"),
+    ]
+    cancelled, loss = len(result.parameters) - len(result.essential), result.statistics.get("reduction_loss", 0.0)
+    words = (
+        f"{len(result.essential)} of {len(result.parameters)} base parameters are essential; cancelling the other "
+        f"{cancelled} raises the torque error of the worst joint by {loss:.2g} %. "
+        "A standard deviation above 100 % belongs to a parameter that the torques need but that is known only in sums."
+    )
+    return Section(
+        "parameters", "Parameters", paragraph(words) + table(columns, rows, sortable="parameter-table", cancelled=faint)
+    )
+
+
+def _parameter_row(name: str, each: Estimate, role: str) -> list[Cell]:
+    percent = each.rel_std
+    relative = (
+        Cell("–", True)
+        if percent is None
+        else Cell(f"{percent:.2f}" if percent < POORLY_KNOWN else f"&gt; {POORLY_KNOWN:g}", True, percent)
+    )
+    return [
+        Cell(f'<span class="mono">{escape(name)}</span>'),
+        number(each.value, missing="–"),
+        number(each.std, 2),
+        relative,
+        text(each.unit, "unit"),
+        text(role),
+        Cell(f'<span class="mono soft">{escape(each.regrouping if each.regrouping != name else "")}</span>'),
+    ]
+
+
+def correlation_section(evidence: Evidence) -> Section | None:
+    """Correlation matrix of the estimates, and the pairs that are strongly correlated."""
+    names, matrix = evidence.correlation
+    if len(names) < 2:
+        return None
+    packed = b64encode(np.round(100 * matrix).astype(np.int8).tobytes()).decode("ascii")
+    upper = np.triu(np.abs(matrix), 1)
+    strongest = np.argsort(upper, axis=None)[::-1]
+    pairs = [np.unravel_index(k, upper.shape) for k in strongest if upper.flat[k] >= STRONG]
+    rows = [[text(names[i], "mono"), text(names[j], "mono"), number(float(matrix[i, j]), 3)] for i, j in pairs[:LISTED]]
+    hint = "Point at a cell to read it. Blue: positive, orange: negative; the darker, the stronger."
+    drawn = (
+        f'<div class="matrix" data-names="{escape(json.dumps(names))}" data-values="{packed}">'
+        f'<canvas role="img" aria-label="Correlation matrix of {len(names)} estimates"></canvas>'
+        f'<output class="soft">{hint}</output></div>'
+    )
+    words = (
+        f"{len(names)} estimates in the order of model.json: parameters, then drive gains, then delays. "
+        f"{len(pairs) or 'No'} pair{'' if len(pairs) == 1 else 's'} with a correlation of {STRONG:g} or more"
+        + (f", the {LISTED} strongest listed." if len(pairs) > LISTED else ".")
+    )
+    shown = paragraph(words) + drawn
+    if rows:
+        shown += table([Column("estimate"), Column("and"), Column("correlation", True)], rows)
+    return Section("correlation", "Correlation", shown)
+
+
+def singular_values_section(evidence: Evidence) -> Section | None:
+    """Singular values in falling order with the gap before the smallest; None where the result has none."""
+    values = singular_values(evidence.result)
+    if values is None or len(values) < 2 or values[-1] <= 0:
+        return None
+    gap = float(values[-2] / values[-1])
+    order = np.arange(1, len(values) + 1)
+    panel = Panel(
+        (0.5, len(values) + 0.5),
+        (10.0 ** np.floor(np.log10(values[-1])), 10.0 ** np.ceil(np.log10(values[0]))),
+        "number",
+        "singular value",
+        (420.0, 220.0),
+        log_y=True,
+    )
+    panel.line(order.astype(float), values, "grid")
+    panel.points(
+        order, values, "predicted", [f"{k}: {plain(value, 4)}" for k, value in zip(order, values, strict=True)]
+    )
+    panel.points(order[-1:], values[-1:], "residual", [f"smallest: {plain(float(values[-1]), 4)}"])
+    words = (
+        f"The smallest of {len(values)} singular values is {gap:.3g} times below the next. The larger this gap, the "
+        "better the solution is determined; a ratio near 1 means that a second direction explains the data as well."
+    )
+    return Section(
+        "singular-values",
+        "Singular values",
+        paragraph(words) + panel_figure("Singular values in falling order", panel.svg("Singular values"), "wide-panel"),
+    )
+
+
+def alternatives_section(evidence: Evidence) -> Section | None:
+    """Other models of the same data, and by how much each moves the gains; None where the result lists none."""
+    listed = alternatives(evidence.result)
+    if not listed:
+        return None
+    joints = evidence.joints
+    rows = []
+    for each in listed:
+        moves: Mapping[str, float] = getattr(each, "moves", {})
+        rows.append(
+            [
+                text(getattr(each, "name", each)),
+                *(
+                    Cell("–", True)
+                    if joint not in moves
+                    else Cell(f"{escape(plain(moves[joint], 2))} %", True, moves[joint])
+                    for joint in joints
+                ),
+                text(getattr(each, "why", "")),
+            ]
+        )
+    columns = [Column("alternative"), *(Column(joint_label(joint), True) for joint in joints), Column("remark")]
+    words = "Each alternative explains the same data; the table shows by how much it moves each drive gain."
+    return Section("alternatives", "Alternatives", paragraph(words) + table(columns, rows))
+
+
+def notes_section(notes: Sequence[str], title: str = "Repairs and notes") -> Section:
+    """Everything that was repaired, left out or noticed."""
+    shown = bullets(notes) or paragraph("Nothing was repaired or left out.")
+    return Section("notes", title, shown)
