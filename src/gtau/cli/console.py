@@ -33,6 +33,7 @@ ExperimentFile = Annotated[Path, typer.Argument(metavar="EXPERIMENT.yaml", help=
 ModelFile = Annotated[
     Path, typer.Argument(metavar="MODEL.json", help="What 'gtau identify' wrote.", show_default=False)
 ]
+ReportFolder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")]
 
 Dask = Annotated[

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 import typer
@@ -21,7 +22,7 @@ def excite(
         Path, typer.Argument(metavar="DESIGN.yaml", help="Robot, runs, limits, prior knowledge.", show_default=False)
     ],
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for the trajectory, its figure and design.json.")
+        Path, typer.Option("--out", metavar="DIR", help="Folder for report.html, the trajectory and design.json.")
     ],
     criterion: Annotated[
         str,
@@ -47,11 +48,13 @@ def excite(
     with refusals(json_):
         masses = _masses(payload_mass or [], context.args)
         refuse_as_folder(out)
+        start = perf_counter()
         with progress_bar() as progress:
             from gtau.excitation.design import Design, Stopped
             from gtau.excitation.design import design as run
             from gtau.excitation.design_file import read_design
             from gtau.report.excite_page import describe_design, design_page, write_design, write_trajectories
+            from gtau.report.write_reports import write_design_report
 
             task, assumed = read_design(design)
 
@@ -65,7 +68,8 @@ def excite(
                 raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
             progress("predicting standard deviations", 0, 1)
             document = describe_design(found, assumed, masses)
-            written = write_design(found, document, folder_of(out))
+            report = write_design_report(found, document, design, folder_of(out), perf_counter() - start)
+            written = (report, *write_design(found, document, out))
         if json_:
             print_json(document)
         else:

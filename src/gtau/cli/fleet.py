@@ -6,6 +6,7 @@ import os
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 import typer
@@ -25,7 +26,9 @@ def fleet(
             show_default=False,
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for models, table and figure.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for report.html, models, table and figure.")
+    ],
     method: Annotated[Method, typer.Option(help="Estimator; one that finds drive gains.")] = Method.ml,
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Processes on this machine; default: one for each core.")
@@ -39,11 +42,13 @@ def fleet(
     """
     with refusals(json_):
         refuse_as_folder(out)
+        start = perf_counter()
         from gtau.fleet.fleet import identify_fleet, read_fleet
         from gtau.fleet.gains import fleet_table
         from gtau.parallel.dask_executor import connected, dask_map
         from gtau.parallel.process_executor import process_map
         from gtau.report.fleet_page import fleet_document, fleet_page, write_fleet
+        from gtau.report.write_reports import write_fleet_report
 
         if method in (Method.wls, Method.ols):
             raise GtauError(f"--method {method} takes the drive gains as given; choose one that finds them.")
@@ -63,7 +68,8 @@ def fleet(
                 f"finished robots stay in {folder / 'models'}, and the same command continues with the others"
             ) from None
         table = fleet_table(reports)
-        written = write_fleet(table, folder)
+        files = [member.experiment for member in members]
+        written = [write_fleet_report(table, files, folder, perf_counter() - start), *write_fleet(table, folder)]
         if json_:
             print_json(fleet_document(table))
         else:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, print_json, progress_bar, refusals
+from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, ReportFolder, print_json, progress_bar, refusals
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 
@@ -39,7 +40,7 @@ def identify(
     experiment: ExperimentFile,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder for model.json, summary.txt and singularities."),
+        typer.Option("--out", metavar="DIR", help="Folder for report.html, model.json, summary.txt and singularities."),
     ] = None,
     method: Annotated[
         Method | None,
@@ -78,6 +79,7 @@ def identify(
     """
     with refusals(json_):
         refuse_as_folder(out)
+        start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.identify import identify as run
             from gtau.estimation.results.model_file import to_document
@@ -98,11 +100,15 @@ def identify(
         written = []
         if out is not None:
             from gtau.estimation.results.singularity_distances import write_distances
+            from gtau.report.write_reports import write_identification
 
             written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
             result.save(written[0])
             write_atomically(written[1], result.summary() + "\n")
             write_distances(result.distances, written[2])
+            with progress_bar() as progress:
+                report = write_identification(result, experiment, out, perf_counter() - start, progress)
+            written.insert(0, report)
         if json_:
             print_json(to_document(result))
         else:
@@ -112,29 +118,39 @@ def identify(
             raise typer.Exit(3)  # so that a script does not go on with such a model
 
 
-def compare(experiment: ExperimentFile, json_: Json = False) -> None:
+def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = False) -> None:
     """Identify with every estimator; compare gains, standard deviations, residuals and verdicts."""
     with refusals(json_):
+        refuse_as_folder(out)
+        start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.compare import compare as run
             from gtau.estimation.compare import table, to_document
 
             found = run(experiment, progress)
+        written = []
+        if out is not None:
+            from gtau.report.write_reports import write_comparison
+
+            written.append(write_comparison(found, experiment, folder_of(out), perf_counter() - start))
         if json_:
             print_json(to_document(found))
         else:
-            typer.echo(table(found))
+            typer.echo("\n".join([table(found), *(f"written: {path}" for path in written)]))
 
 
 def validate(
     model: ModelFile,
     experiment: ExperimentFile,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for a figure of each run.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html and a figure of each run.")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Compare measured torques with those of a model on the validation runs; with DIR also as figures."""
     with refusals(json_):
         refuse_as_folder(out)
+        start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.experiment_runs import experiment_of, read_runs
             from gtau.estimation.results.result import Result
@@ -149,32 +165,53 @@ def validate(
             for k, run in enumerate(runs):
                 progress("predicting torques", k, len(runs))
                 validations.append(validate_run(result, run))
-        written = [] if out is None else write_torques(validations, folder_of(out))
+        written: list[Path] = []
+        notes: list[str] = []
+        if out is not None:
+            from gtau.report.style import skipped_figures
+            from gtau.report.write_reports import write_validation
+
+            seconds = perf_counter() - start
+            written.append(write_validation(result, validations, model, experiment, folder_of(out), seconds))
+            written += write_torques(validations, out)
+            notes = skipped_figures()
         document = describe_validations(validations)
         if json_:
             print_json(document)
         else:
-            typer.echo("\n".join([validation_page(document), *(f"written: {path}" for path in written)]))
+            typer.echo("\n".join([validation_page(document), *(f"written: {path}" for path in written), *notes]))
 
 
 def payload(
     model: ModelFile,
     experiment: ExperimentFile,
     gains: Annotated[Gains, typer.Option(help="The model's gains, or the file's prior_gains.")] = Gains.identified,
+    out: ReportFolder = None,
     json_: Json = False,
 ) -> None:
     """Weigh unknown payloads from loaded runs and a run without payload."""
     with refusals(json_):
+        refuse_as_folder(out)
+        start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.results.model_file import payload_documents
             from gtau.estimation.results.result import Result
             from gtau.estimation.results.summary import payload_lines
             from gtau.estimation.weigh import weigh
 
-            found = weigh(Result.load(model), experiment, gains.value, progress)
+            result = Result.load(model)
+            found = weigh(result, experiment, gains.value, progress)
+        written = []
+        if out is not None:
+            from gtau.report.write_reports import write_weighing
+
+            seconds = perf_counter() - start
+            written.append(write_weighing(result, found, gains.value, model, experiment, folder_of(out), seconds))
         if json_:
             print_json({"payloads": payload_documents(found), "gains": gains.value})
             return
         for each in found:
             typer.echo("\n".join(payload_lines(each)))
-        typer.echo(f"weighed with the {gains.value} drive gains")
+        typer.echo(
+            "\n".join([f"weighed with the {gains.value} drive gains", *(f"written: {path}" for path in written)])
+        )

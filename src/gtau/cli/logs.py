@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 import typer
@@ -15,19 +16,25 @@ def check(
     experiment: ExperimentFile,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder for a figure of each log and singularities.parquet."),
+        typer.Option("--out", metavar="DIR", help="Folder for report.html, figures of the logs and singularities."),
     ] = None,
     json_: Json = False,
 ) -> None:
     """Check the logs before identifying: repairs, sampling rate, motion, usable rows, distance to singularities."""
     with refusals(json_):
         refuse_as_folder(out)
+        start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
             from gtau.report.log_page import describe_logs, log_page, write_check
 
             checked = check_logs(experiment, progress)
-        written = [] if out is None else write_check(checked, folder_of(out))
+        written = []
+        if out is not None:
+            from gtau.report.write_reports import write_check_report
+
+            written.append(write_check_report(checked, experiment, folder_of(out), perf_counter() - start))
+            written += write_check(checked, out)
         document = describe_logs(checked)
         if json_:
             print_json(document)

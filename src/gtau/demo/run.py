@@ -115,7 +115,7 @@ def write_figures(out: Path, outcome: DemoOutcome, exciting: Reference, progress
         "gains": gains_figure(outcome.result.drive_gains, DRIVE_GAINS, PRIOR_GAINS),
         "payload": payload_figure(outcome.weighings["prior"], outcome.weighings["identified"], SECOND_PAYLOAD_MASS),
         "torques": torques_figure(outcome.prediction, units, 0.0, min(6.0, exciting.time[-1]), VALIDATION),
-        "trajectory": trajectory_figure(exciting.time[shown], motion, outcome.prediction.joints, "m"),
+        "trajectory": trajectory_figure(exciting.time[shown], motion, outcome.prediction.joints, "m", LOGS[0][0]),
         "test_trajectories": references_figure(compared.references, compared.joints, compared.units),
         **{f"tracking_{name}": tracking_figure(compared, name) for name in compared.references},
         "robot": robot_figure(outcome.result.robot),

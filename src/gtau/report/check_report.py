@@ -55,11 +55,7 @@ def _joints(log: LogCheck, robot: Robot) -> str:
         rows.append(
             [
                 text(joint_label(each.joint), "unit"),
-                Cell(
-                    f"{each.position[0]:.3g} to {each.position[1]:.3g} {unit}",
-                    True,
-                    each.position[1] - each.position[0],
-                ),
+                Cell(f"{low:.3g} to {high:.3g} {unit}".replace("-", "\N{MINUS SIGN}"), True, high - low),
                 number(each.speed_rms, 3),
                 number(each.speed_max, 3),
                 text(f"{unit}/s", "unit"),

@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.regression.dataset import read_runs
-from gtau.estimation.results import summary
-from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError, torque_unit
+from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
 from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import Experiment, read_experiment
+from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
 
 LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning
@@ -122,17 +119,18 @@ def gather(
     return Evidence(result, tuple(found), dict(prior_gains or {}))
 
 
-def gather_from(result: Result, path: str | Path, progress: Progress = silent) -> Evidence:
-    """Gather the evidence of an experiment file: its runs are read again, and predicted."""
-    experiment = read_experiment(path)
-    runs = read_runs(experiment, experiment.runs, progress)
-    validation = read_runs(experiment, experiment.validation, progress)
-    return gather(result, runs, validation, experiment.prior_gains, progress)
-
-
-def logs_of(experiment: Experiment) -> list[Path]:
-    """Every log that an experiment names, in its order."""
-    return [path for run in (*experiment.runs, *experiment.validation) for path in run.log]
+def settings_of(result: Result) -> dict[str, str]:
+    """Settings of an identification by name."""
+    preparation = result.preparation
+    cutoff = preparation.cutoff
+    return {
+        "estimator": result.method,
+        "bandwidth of the motion": f"{preparation.bandwidth:.4g} Hz",
+        "position filter": "none" if cutoff is None else f"{cutoff:.4g} Hz",
+        "decimation": f"{preparation.decimator.factor} ({preparation.decimator.kind})",
+        "rows masked below": f"{100 * preparation.speed_fraction:g} % of the rms speed",
+        **{name.replace("_", " "): f"{value:.4g}" for name, value in result.statistics.items()},
+    }
 
 
 def _predicted(result: Result, run: Run, used: bool) -> RunEvidence:
@@ -194,8 +192,3 @@ def body_path(result: Result, run: Run) -> tuple[np.ndarray, np.ndarray]:
     symbol = ca.SX.sym("c", model.layout.n_c)
     place = ca.Function("p", [symbol], [frames(model.layout, symbol)[result.robot.tool].p_0])
     return np.asarray(run.time[::step] - run.time[0]), np.asarray(place(c)).T
-
-
-def remarks(result: Result) -> list[str]:
-    """What is not good about a result, and what to do about it, one sentence each."""
-    return summary._beliefs(result)

@@ -46,8 +46,8 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
     return paths
 
 
-def trajectory_figure(task: DesignProblem, time: np.ndarray, joints: np.ndarray) -> Figure:
-    """Positions, velocities and accelerations (4, n, N) of a run at ``time`` (N,)."""
+def trajectory_figure(task: DesignProblem, motion: int, time: np.ndarray, joints: np.ndarray) -> Figure:
+    """Positions, velocities and accelerations (4, n, N) at ``time`` (N,) of a motion, titled with its runs."""
     units = {"rad" if task.model.robot.joint(joint).kind == "revolute" else "m" for joint in task.model.actuated}
     unit = " or ".join(sorted(units))
     with styled():
@@ -59,7 +59,11 @@ def trajectory_figure(task: DesignProblem, time: np.ndarray, joints: np.ndarray)
             axes.set_ylabel(f"{what}, {unit}" + ("", "/s", "/s²")[order])
             axes.set_xlim(time[0], time[-1])
             light_grid(axes)
-        rows[-1].set_xlabel("time, s")
+        loads = [task.payloads[run] for run in task.motions[motion]]
+        named = ["no payload" if load is None else f"payload '{load.name}'" for load in loads]
+        runs = [f"run {run + 1} ({load})" for run, load in zip(task.motions[motion], named, strict=True)]
+        rows[0].set_title(f"{task.model.robot.name}: {', '.join(runs)}")
+        rows[-1].set_xlabel("time from the start of the run, s")
         figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
@@ -244,7 +248,7 @@ def write_design(design: Design, document: dict[str, Any], folder: Path) -> tupl
     write_atomically(written[-1], json.dumps(document, indent=1, allow_nan=False) + "\n")
     motions = sampled_motions(design.task, design.x)
     try:
-        figures = [trajectory_figure(design.task, time, joints) for time, joints in motions]
+        figures = [trajectory_figure(design.task, k, *motion) for k, motion in enumerate(motions)]
     except ImportError:
         return tuple(written)
     for stem, figure in zip(file_stems(design.task), figures, strict=True):

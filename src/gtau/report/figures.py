@@ -46,42 +46,53 @@ def gains_figure(gains: Mapping[str, Estimate], truth: Mapping[str, float], prio
         figure = new_figure(7.2, 1.2 + 0.62 * len(joints))
         wide, close = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1))
         for axes in (wide, close):
-            axes.axvline(0.0, color=BLACK, linewidth=0.9)
-            axes.errorbar(error, rows, xerr=bar, linestyle="none", **IDENTIFIED)
+            axes.axvline(0.0, color=BLACK, linewidth=0.9, label="true")
+            axes.errorbar(error, rows, xerr=bar, linestyle="none", label="identified, 95 % interval", **IDENTIFIED)
             light_grid(axes, "x")
             axes.spines["left"].set_visible(False)
-        wide.plot(off, rows, linestyle="none", **PRIOR)
-        for row, joint in enumerate(joints):
+        wide.plot(off, rows, linestyle="none", label="manufacturer's", **PRIOR)
+        for row in range(len(joints)):
             value_label(wide, f"{given[row]:.5g}", off[row], row, PRIOR["color"])
             value_label(close, with_interval(found[row], half[row]), error[row], row, IDENTIFIED["color"])
-            wide.annotate(f"{true[row]:.5g} {gains[joint].unit}", (0, row), xytext=(0, 9), textcoords="offset points",
+            wide.annotate(f"{true[row]:.5g}", (0, row), xytext=(0, 9), textcoords="offset points",
                           ha="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0})  # fmt: skip
         span = 1.3 * np.max(np.abs(error) + bar)
         close.set_xlim(-span, span)
         wide.set_xlim(min(1.25 * off.min(), -1.0), max(1.25 * off.max(), 1.3))
-        wide.set_yticks(rows, [joint_label(joint) for joint in joints])
+        wide.set_yticks(rows, [f"{joint_label(joint)}\n{gains[joint].unit}" for joint in joints])
         wide.set_ylim(len(joints) - 0.6, -0.75)
-        wide.set_title("Manufacturer's gains (diamonds)")
-        close.set_title("Identified gains, 95 % intervals")
+        wide.set_title("All gains")
+        close.set_title("Identified gains, closer")
+        figure.legend(*wide.get_legend_handles_labels(), loc="outside upper center", ncols=3)
         figure.supxlabel("error of the drive gain, % of the true one", fontsize=9)
     return figure
 
 
 def torques_figure(
-    prediction: Prediction, units: Sequence[str], start: float, stop: float, title: str, kind: str = "current"
+    prediction: Prediction,
+    units: Sequence[str],
+    start: float,
+    stop: float,
+    title: str,
+    kind: str = "current",
+    origin: float = 0.0,
 ) -> Figure:
-    """Measured and predicted torques of each joint between two instants, s, and what they differ by.
+    """Measured and predicted torques of each joint between two instants, and the residuals.
 
-    Where ``kind`` is current, what is measured is ``v g_tau``. Where the model's friction does not hold, near
-    reversals, the difference is left out.
+    ``start`` and ``stop`` are in s from the start of the run, which the prediction's clock calls ``origin``; a stretch
+    that is not the whole run stands in the title. Where ``kind`` is current, what is measured is ``v g_tau``. Where
+    the model's friction does not hold, near reversals, the residual is left out.
     """
-    window = (prediction.time >= start) & (prediction.time <= stop)
-    time = prediction.time[window]
+    since_start = prediction.time - origin
+    window = (since_start >= start) & (since_start <= stop)
+    if not window.all():
+        title = f"{title}, {start:.4g} to {stop:.4g} s of {since_start[-1]:.4g} s"
+    time = since_start[window]
     measured, predicted, keep = (each[window] for each in (prediction.measured, prediction.predicted, prediction.keep))
     difference = np.where(keep, measured - predicted, np.nan)
     largest = 1.15 * np.where(keep, np.abs(measured - predicted), 0.0).max(axis=0, initial=0.0)
     n = len(prediction.joints)
-    label = "measured (current reference × gain)" if kind == "current" else "measured"
+    label = "measured (current × gain)" if kind == "current" else "measured"
     with styled():
         figure = new_figure(7.2, 0.5 + 2.2 * n)
         grid = figure.add_gridspec(3 * n - 1, 1, height_ratios=([2.4, 1, 0.12] * n)[:-1])  # third rows: space
@@ -92,7 +103,7 @@ def torques_figure(
             above.set_ylabel(units[j])
             above.set_title(f"{title}: {joint_label(joint)}" if j == 0 else joint_label(joint))
             below.axhline(0.0, color=GREY, linewidth=0.8)
-            below.plot(time, difference[:, j], color=VERMILION, linewidth=1.0, label="difference (reversals left out)")
+            below.plot(time, difference[:, j], color=VERMILION, linewidth=1.0, label="residual (reversals left out)")
             limit = largest[j] or 1.0
             below.set_ylim(-limit, limit)
             below.set_ylabel(units[j])
@@ -101,7 +112,7 @@ def torques_figure(
                 axes.set_xlim(start, stop)
                 axes.tick_params(labelbottom=j == n - 1 and axes is below)
                 axes.spines["bottom"].set_visible(j == n - 1 and axes is below)
-        below.set_xlabel("time, s")
+        below.set_xlabel("time from the start of the run, s")
         figure.align_ylabels()
         handles = above.get_legend_handles_labels()[0] + below.get_legend_handles_labels()[0]
         figure.legend(handles=handles, loc="outside upper center", ncols=3)
@@ -113,11 +124,13 @@ def trajectory_figure(
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
     joints: Sequence[str],
     unit: str,
+    run: str,
     detail: float = 5.0,
 ) -> Figure:
     """Positions of the actuated joints over a whole run; velocities and accelerations during its first seconds.
 
-    ``time`` (N,) in s, ``motion`` positions, velocities and accelerations, each (N, n), in ``unit`` and s.
+    ``run`` is the name of the run, ``time`` (N,) in s, ``motion`` positions, velocities and accelerations, each (N, n),
+    in ``unit`` and s.
     """
     early = time <= time[0] + detail
     with styled():
@@ -127,10 +140,10 @@ def trajectory_figure(
         _joint_lines(speed, time[early], motion[1][early], joints, f"velocity, {unit}/s")
         _joint_lines(push, time[early], motion[2][early], joints, f"acceleration, {unit}/s²")
         whole.axvspan(time[0], time[0] + detail, color="#EFEFEF", zorder=0)
-        whole.set_title("The whole run")
-        speed.set_title(f"Its first {detail:g} s, grey above")
+        whole.set_title(f"Run {run}")
+        speed.set_title(f"The first {detail:g} s of it, grey above")
         speed.tick_params(labelbottom=False)
-        push.set_xlabel("time, s")
+        push.set_xlabel("time from the start of the run, s")
         figure.align_ylabels()
         figure.legend(handles=whole.get_lines(), loc="outside upper center", ncols=len(joints))
     return figure

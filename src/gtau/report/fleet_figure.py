@@ -27,7 +27,7 @@ def fleet_figure(table: FleetTable, model: str) -> Figure:
             gains = [g for g in table.gains if (g.model, g.joint, g.unit) == (model, joint.joint, joint.unit)]
             gains = [g for g in gains if g.difference_percent is not None]
             percent = 100 / abs(joint.median)
-            axes.axhspan(-percent * joint.spread, percent * joint.spread, color="#EEEEEE")
+            axes.axhspan(-percent * joint.spread, percent * joint.spread, color="#EEEEEE", label="spread of the fleet")
             axes.axhline(0.0, color=GREY, linewidth=0.8)
             for outlier, color, marker in ((False, BLUE, "o"), (True, VERMILION, "D")):
                 shown = [g for g in gains if g.outlier == outlier]
@@ -36,7 +36,7 @@ def fleet_figure(table: FleetTable, model: str) -> Figure:
                     [g.difference_percent or 0.0 for g in shown],
                     [INTERVAL * percent * (g.std or 0.0) for g in shown],
                     color=color, marker=marker, linestyle="", markersize=3 if len(robots) > NAMED else 5, capsize=0,
-                    markerfacecolor="white" if outlier else color,
+                    markerfacecolor="white" if outlier else color, label="outlier" if outlier else "robot",
                 )  # fmt: skip
                 for g in shown if outlier else ():
                     place = (robots.index(g.robot), g.difference_percent or 0.0)
@@ -46,9 +46,8 @@ def fleet_figure(table: FleetTable, model: str) -> Figure:
             )
             axes.set_ylabel("from median, %")
             light_grid(axes, "y")
-        panels[-1].set_xlabel(
-            f"{model}: robots; bars are 95 % intervals, the band is the spread, diamonds are outliers"
-        )
+        panels[-1].set_xlabel(f"{model}: robots; bars are 95 % intervals")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
         if len(robots) <= NAMED:
             panels[-1].set_xticks(range(len(robots)), robots, rotation=90)
     return figure

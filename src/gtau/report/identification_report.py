@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-
-from gtau.documents.files import write_atomically
-from gtau.estimation.results.summary import METHODS
+from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.report import provenance
 from gtau.report.evidence import Evidence
 from gtau.report.html.document import Page, Section, render
@@ -23,8 +19,6 @@ from gtau.report.result_sections import (
     verdict_section,
 )
 from gtau.report.run_sections import logs_section, motion_section, residuals_section, torques_section
-
-REPORT = "report.html"
 
 
 def identification_report(evidence: Evidence, of: Provenance) -> str:
@@ -48,34 +42,13 @@ def identification_report(evidence: Evidence, of: Provenance) -> str:
     )
     return page(
         f"Identification of {result.robot.name}",
-        [f"Estimator: {METHODS.get(result.method, result.method)}. Runs: {', '.join(result.runs)}."],
+        [f"Estimator: {ESTIMATORS[result.method].description}. Runs: {', '.join(result.runs)}."],
         sections,
         arrays,
     )
-
-
-def settings_of(evidence: Evidence) -> Mapping[str, str]:
-    """Settings of an identification by name."""
-    preparation = evidence.result.preparation
-    cutoff = preparation.cutoff
-    return {
-        "estimator": evidence.result.method,
-        "bandwidth of the motion": f"{preparation.bandwidth:.4g} Hz",
-        "position filter": "none" if cutoff is None else f"{cutoff:.4g} Hz",
-        "decimation": f"{preparation.decimator.factor} ({preparation.decimator.kind})",
-        "rows masked below": f"{100 * preparation.speed_fraction:g} % of the rms speed",
-        **{name.replace("_", " "): f"{value:.4g}" for name, value in evidence.result.statistics.items()},
-    }
 
 
 def page(title: str, lead: list[str], sections: tuple[Section | None, ...], arrays: Arrays) -> str:
     """Render the sections that are there, below a title."""
     footer = "Written by gtau. One file without links to the network: it can be sent, archived and printed as it is."
     return render(Page(title, lead, [each for each in sections if each is not None], arrays, footer))
-
-
-def write_report(text: str, folder: Path) -> Path:
-    """Write a report to ``report.html`` in a folder, atomically."""
-    path = folder / REPORT
-    write_atomically(path, text)
-    return path

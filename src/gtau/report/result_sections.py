@@ -12,13 +12,13 @@ import numpy as np
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate
 from gtau.estimation.results.result import Result
+from gtau.estimation.results.summary import remarks
 from gtau.report.evidence import (
     GOOD_OUTCOMES,
     Evidence,
     alternatives,
     error_over_all,
     interval_parts,
-    remarks,
     singular_values,
 )
 from gtau.report.html.document import Section
@@ -106,7 +106,7 @@ def gains_section(evidence: Evidence) -> Section:
         given = prior.get(joint)
         rows.append(
             [
-                Cell(f'<span class="name">{escape(joint)}</span>'),
+                Cell(f'<span class="name">{escape(joint_label(joint))}</span>'),
                 number(gain.value),
                 interval_cell(whole),
                 *([interval_cell(inner)] if split else []),

@@ -38,7 +38,7 @@ RING: dict[str, Any] = {
     "markeredgewidth": 2.4,
     "zorder": 4,
 }
-CLOSING: dict[str, Any] = {"color": ORANGE, "markeredgecolor": BLACK, "markersize": 5.5, "zorder": 7}
+CLOSING: dict[str, Any] = {"color": ORANGE, "markeredgecolor": BLACK, "markersize": 6.5, "zorder": 7}
 
 
 def robot_figure(robot: Robot) -> Figure:
@@ -76,7 +76,7 @@ def robot_figure(robot: Robot) -> Figure:
         if robot.tool not in {body for body, _ in lines} | {platform.name for platform in robot.platforms}:
             axes.plot(*(view @ found[robot.tool][1]), marker="o", **RING)
         tool, ends = view @ found[robot.tool][1], 0.13 * size * view @ found[robot.tool][0]
-        _triad(axes, tool, ends, GREEN, zorder=8)
+        _triad(axes, tool, ends, GREEN, zorder=6.5)
         places = _joints(axes, view, robot, joints, found, size)
         closings = scene.closings
         for place in closings:
@@ -171,7 +171,7 @@ def _within(points: np.ndarray, centre: np.ndarray, half: np.ndarray) -> int:
     return int((np.abs(points - centre) < half).all(axis=1).sum())
 
 
-def _triad(axes: Axes, origin: np.ndarray, ends: np.ndarray, color: str, zorder: int = 1) -> None:
+def _triad(axes: Axes, origin: np.ndarray, ends: np.ndarray, color: str, zorder: float = 1) -> None:
     """Three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
     from matplotlib.patheffects import withStroke
 

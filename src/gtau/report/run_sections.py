@@ -77,7 +77,7 @@ def joint_errors_table(evidence: Evidence) -> str:
             errors = [error for run in runs for error in run.errors if error.joint == joint]
             whole = [value for value in map(error_over_all, errors) if value is not None]
             cells += [_largest([error.relative for error in errors]), _largest(whole)]
-        rows.append([Cell(f'<span class="name">{escape(joint)}</span>'), *cells])
+        rows.append([text(joint_label(joint), "unit"), *cells])
     columns = [Column("largest torque error, %")]
     for words, _ in groups:
         columns += [Column(f"{words}: away from reversals", True), Column(f"{words}: over all samples", True)]
@@ -310,9 +310,9 @@ def _log_spectrum(
         (float(frequency[0]), float(frequency[-1])), (low, high), "frequency, Hz", unit, log_x=True, log_y=True
     )
     panel.line(frequency, np.maximum(amplitude, low))
-    for name, value in edges:
+    for row, (name, value) in enumerate(edges):
         if frequency[0] < value < frequency[-1]:
-            panel.rule(x=value, label=f"{name} {value:.3g} Hz")
+            panel.rule(x=value, label=f"{name} {value:.3g} Hz", row=row)
     return panel_figure(title, panel.svg(title))
 
 

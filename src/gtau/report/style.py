@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gtau.documents.files import write_atomically
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, install_command, missing_extra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,10 +70,22 @@ STYLE: dict[Any, Any] = {
 }
 
 
+def has_matplotlib() -> bool:
+    """Whether matplotlib is installed."""
+    return find_spec("matplotlib") is not None
+
+
 def require_matplotlib() -> None:
     """Refuse to draw where matplotlib is not installed."""
-    if find_spec("matplotlib") is None:
+    if not has_matplotlib():
         raise missing_extra("drawing figures", "matplotlib", "plot")
+
+
+def skipped_figures() -> list[str]:
+    """A note on PNG figures that were not drawn; empty where matplotlib is installed."""
+    if has_matplotlib():
+        return []
+    return [f"no PNG figures, as matplotlib is not installed; install it with: {install_command('plot')}"]
 
 
 @contextmanager

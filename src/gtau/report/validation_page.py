@@ -16,7 +16,8 @@ from gtau.estimation.results.model_file import torque_error
 from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.results.result import Result
 from gtau.report.figures import torques_figure
-from gtau.report.style import save_figure
+from gtau.report.style import has_matplotlib, save_figure
+from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
 
 WIDTH = 80
@@ -32,17 +33,19 @@ SHOWN = 10.0  # s of a run in its figure
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """A run, the torques predicted along it, and how far they are from those measured."""
+    """A run, the torques predicted along it, torque errors of the joints that move, and the unit of every joint."""
 
     run: Run
     prediction: Prediction
     errors: tuple[TorqueError, ...]
+    units: tuple[str, ...]
 
 
 def validate_run(result: Result, run: Run) -> Validation:
     """Predict a run; raises GtauError where it does not suit the robot, or the model refuses a sample."""
     prediction = result.predict(run)
-    return Validation(run, prediction, torque_errors(result, prediction))
+    units = tuple(torque_unit(result.robot, joint) for joint in prediction.joints)
+    return Validation(run, prediction, torque_errors(result, prediction), units)
 
 
 def describe_validations(validations: Sequence[Validation]) -> dict[str, Any]:
@@ -77,21 +80,25 @@ def _row(each: dict[str, Any]) -> str:
 
 
 def write_torques(validations: Sequence[Validation], folder: Path) -> list[Path]:
-    """Write a figure of measured and predicted torques for each run, where they differ most.
+    """Write a figure of measured and predicted torques for each run, around the largest residual.
+
+    Without matplotlib nothing is written; see :func:`gtau.report.style.skipped_figures`.
 
     Raises
     ------
     GtauError
-        Where a file cannot be written, or matplotlib is not installed.
+        Where a file cannot be written.
     """
+    if not has_matplotlib():
+        return []
     written, used = [], Counter[str]()
     for each in validations:
         used[each.run.name] += 1
         number = "" if used[each.run.name] == 1 else f"-{used[each.run.name]}"
         written.append(folder / f"torques_{each.run.name}{number}.png")
-        start, stop = worst_stretch(each.prediction, SHOWN)
-        units = [error.unit for error in each.errors]
-        figure = torques_figure(each.prediction, units, start, stop, each.run.name, each.run.kind)
+        origin = float(each.run.time[0])
+        start, stop = (instant - origin for instant in worst_stretch(each.prediction, SHOWN))
+        figure = torques_figure(each.prediction, each.units, start, stop, each.run.name, each.run.kind, origin)
         save_figure(figure, written[-1])
     return written
 

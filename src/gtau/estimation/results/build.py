@@ -15,11 +15,13 @@ from gtau.estimation.diagnostics.verdict import (
 )
 from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
+from gtau.estimation.estimators.homogeneous import total_rows_of
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import UNITS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System, known_values
+from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
@@ -134,7 +136,17 @@ def build_result(
         consistency=consistency,
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
+        data=dataset.runs,
+        singular_values=() if not gain_std.any() else _singular_values(problem, solution.sigma),
     )
+
+
+def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
+    """Singular values of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,), columns scaled to unit length."""
+    weights = 1 / np.maximum(sigma, problem.smallest_sigma)
+    W_tot = triangle(*(total_rows_of(problem, R, j, weights[j]) for j, R in enumerate(problem.triangles)))
+    length = np.linalg.norm(W_tot, axis=0)
+    return tuple(np.linalg.svd(W_tot[:, length > 0] / length[length > 0], compute_uv=False).tolist())
 
 
 def payload_estimates(

@@ -15,6 +15,7 @@ from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
 from gtau.signals.preparation import Preparation
+from gtau.signals.run import Run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,6 +55,11 @@ class IdentifiedModel:
         Where each run comes nearest to singularities of either type.
     distances : tuple of Distances
         The distances to singularities at each run's decimated samples; ``model.json`` does not hold them.
+    data : tuple of Run
+        The runs themselves, for predictions and figures; ``model.json`` does not hold them.
+    singular_values : tuple of float
+        Of ``W_tot`` (eq. 33) in falling order, rows weighted by the residuals and columns of unit length; empty where
+        the gains were given, and not held by ``model.json``.
     """
 
     robot: Robot
@@ -75,6 +81,8 @@ class IdentifiedModel:
     consistency: Consistency | None = None
     singularities: tuple[NearestPose, ...] = ()
     distances: tuple[Distances, ...] = ()
+    data: tuple[Run, ...] = ()
+    singular_values: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("drive_gains", "delays", "parameters", "essential", "friction"):

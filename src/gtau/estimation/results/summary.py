@@ -77,7 +77,7 @@ def summary(result: IdentifiedModel) -> str:
         lines += ["-" * WIDTH, *_consistency_lines(result.consistency)]
     if "singular_ratio" in result.statistics:
         lines.append(f"  ratio of the two smallest singular values of W_tot: {result.statistics['singular_ratio']:.2f}")
-    lines += ["=" * WIDTH, *_notes([*_beliefs(result), *result.notes])]
+    lines += ["=" * WIDTH, *_notes([*remarks(result), *result.notes])]
     return "\n".join(line.rstrip() for line in lines)
 
 
@@ -136,7 +136,7 @@ def _growth(loss: float) -> str:
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
 
 
-def _beliefs(result: IdentifiedModel) -> list[str]:
+def remarks(result: IdentifiedModel) -> list[str]:
     """What is not good, and what to do about it; one sentence for all joints that share it."""
     shared: dict[str, list[str]] = {}
     for joint, gain in result.drive_gains.items():

@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.report.html.elements import escape, plain
 
-LEFT, RIGHT, TOP, BOTTOM = 44.0, 8.0, 8.0, 32.0  # margins of a panel for its labels
+LEFT, RIGHT, TOP, BOTTOM = 50.0, 8.0, 8.0, 32.0  # margins of a panel for its labels
 
 
 def ticks(low: float, high: float, most: int = 5) -> list[float]:
@@ -87,17 +87,17 @@ class Panel:
                 f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2.6" style="fill:var(--{colour})">{title}</circle>'
             )
 
-    def rule(self, x: float | None = None, y: float | None = None, label: str = "", css: str = "rule") -> None:
-        """A straight line across the panel at one x or one y, with a label."""
+    def rule(self, x: float | None = None, y: float | None = None, label: str = "", row: int = 0) -> None:
+        """A straight line across the panel at one x or one y, with a label, those of one x in their own rows."""
         width, height = self.size
         if x is not None:
             (a,) = self.place(np.array([x]), self.y[0])[0]
-            self.marks.append(f'<line class="{css}" x1="{a:.1f}" x2="{a:.1f}" y1="{TOP}" y2="{height - BOTTOM}"/>')
+            self.marks.append(f'<line class="rule" x1="{a:.1f}" x2="{a:.1f}" y1="{TOP}" y2="{height - BOTTOM}"/>')
             right = a > 0.6 * width
-            self._label(a - 3 if right else a + 3, TOP + 9, label, "end" if right else "start")
+            self._label(a - 3 if right else a + 3, TOP + 9 + 12 * row, label, "end" if right else "start")
         if y is not None:
             (b,) = self.place(self.x[0], np.array([y]))[1]
-            self.marks.append(f'<line class="{css}" x1="{LEFT}" x2="{width - RIGHT}" y1="{b:.1f}" y2="{b:.1f}"/>')
+            self.marks.append(f'<line class="rule" x1="{LEFT}" x2="{width - RIGHT}" y1="{b:.1f}" y2="{b:.1f}"/>')
             self._label(width - RIGHT, b - 3, label, "end")
 
     def band(self, low: float, high: float) -> None:
@@ -120,12 +120,12 @@ class Panel:
             (a,) = self.place(np.array([value]), self.y[0])[0]
             grid.append(f'<line class="grid" x1="{a:.1f}" x2="{a:.1f}" y1="{TOP}" y2="{height - BOTTOM}"/>')
             grid.append(
-                f'<text x="{a:.1f}" y="{height - BOTTOM + 12}" text-anchor="middle">{escape(plain(value, 4))}</text>'
+                f'<text x="{a:.1f}" y="{height - BOTTOM + 12}" text-anchor="middle">{_tick(value, self.log_x)}</text>'
             )
         for value in _axis(self.y, self.log_y, 4):
             (b,) = self.place(self.x[0], np.array([value]))[1]
             grid.append(f'<line class="grid" x1="{LEFT}" x2="{width - RIGHT}" y1="{b:.1f}" y2="{b:.1f}"/>')
-            grid.append(f'<text x="{LEFT - 4}" y="{b + 3.5:.1f}" text-anchor="end">{escape(plain(value, 4))}</text>')
+            grid.append(f'<text x="{LEFT - 4}" y="{b + 3.5:.1f}" text-anchor="end">{_tick(value, self.log_y)}</text>')
         middle = (TOP + height - BOTTOM) / 2
         names = (
             f'<text x="{(LEFT + width - RIGHT) / 2:.1f}" y="{height - 4}" text-anchor="middle">{escape(self.xlabel)}'
@@ -137,6 +137,14 @@ class Panel:
             f"{''.join(grid)}{''.join(self.marks)}"
             f'<path class="axis" d="M{LEFT} {TOP}V{height - BOTTOM}H{width - RIGHT}"/>{names}</svg>'
         )
+
+
+def _tick(value: float, logarithmic: bool) -> str:
+    """What an axis writes at a value; powers of ten as such where they are many."""
+    exponent = round(log10(value)) if logarithmic and value > 0 else 0
+    if abs(exponent) >= 3 and abs(value / 10.0**exponent - 1) < 1e-9:
+        return f"1e{exponent}".replace("-", "\N{MINUS SIGN}")
+    return escape(plain(value, 4))
 
 
 def _axis(span: tuple[float, float], logarithmic: bool, most: int) -> list[float]:
