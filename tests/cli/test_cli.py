@@ -75,6 +75,7 @@ def test_identify_writes_and_prints(here: Path) -> None:
     assert result.stderr == ""
     assert {file.name for file in (here / "deep" / "out").iterdir()} == {
         "model.json",
+        "report.html",
         "summary.txt",
         "singularities.parquet",
     }
@@ -342,7 +343,7 @@ def test_figures_of_validation(here: Path) -> None:
     (here / "again" / "check.csv").symlink_to(here / "free.csv")
     (here / "two.yaml").write_text(EXPERIMENT + "  - {log: again/check.csv}\n")
     stdout = run("validate", "model.json", "two.yaml", "--out", "figures").stdout
-    names = ["torques_check-2.png", "torques_check.png"]
+    names = ["report.html", "torques_check-2.png", "torques_check.png"]
     assert sorted(path.name for path in (here / "figures").iterdir()) == names
     assert all(f"written: figures/{name}" in stdout for name in names)
 
