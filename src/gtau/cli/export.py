@@ -9,7 +9,7 @@ import typer
 
 from gtau.cli.console import Json, ModelFile, print_json, progress_bar, refusals
 
-KINDS = "c, mjcf, urdf"  # spelled out, so that --help needs no imports; a test compares it with the registry
+KINDS = "c, mjcf, urdf, yaml, csv, latex, orders, matlab"  # those of the registry, which --help need not import
 
 
 def export(

@@ -14,6 +14,11 @@ KINDS = {
     "c": "C99 source of torques, currents, gravity, friction, inertia and regressor, with a controller",
     "mjcf": "MuJoCo model whose ctrl is the motors' current",
     "urdf": "URDF with inertias and friction, loops and drives in YAML files beside it",
+    "yaml": "gains, friction and base parameters with intervals and regroupings, for a controller",
+    "csv": "the same as one table",
+    "latex": "tables of geometry, gains and essential parameters for a paper",
+    "orders": "parameters of each body in the orders of Pinocchio, MuJoCo, Drake, MATLAB and SYMORO",
+    "matlab": "function files for MATLAB and GNU Octave",
 }
 
 INTO = ("urdf", "mjcf")

@@ -1,0 +1,155 @@
+"""Function files for MATLAB and GNU Octave, from the same expressions as the C code."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from gtau.estimation.results.result import Result
+from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS
+from gtau.export.exported import Exported, written
+from gtau.export.functions import OUTPUTS, Functions, functions
+from gtau.export.identified import Identified, identified, not_known
+from gtau.model.loops import CONDITION, CONTRACTION
+
+ARGUMENTS = {"gravity": "c, p", "inertia": "c, p"}  # of the others: c, qd, qdd, p
+MOVE = """\
+function [c, status] = {name}_move(c, q)
+% {NAME}_MOVE  Bring the configuration c from the last pose to the actuated positions q.
+%   status 0: done; 1: the loops did not close from the last pose; 2: too close to a type 2 singularity. After a status
+%   other than 0, c is the last good configuration. Begin with {name}_start.
+  actuated = [{actuated}];
+  moved = c(:);
+  moved(actuated) = q(:);
+  first = 0;
+  status = 1;
+  if ~all(isfinite(q(:))), return; end
+  for step = 1:{steps}
+    if step < {steps}
+      [moved, size_] = newton(moved);
+    else
+      [moved, size_, condition] = last_newton(moved);
+    end
+    if step == 1, first = size_; end
+    if step == 2 && ~(size_ <= {contraction} * first || size_ <= {closed}), return; end
+  end
+  if ~(size_ <= {closed}), return; end
+  status = 2;
+  if ~(condition < {condition}), return; end
+  status = 0;
+  c = moved;
+end
+"""
+START = """\
+function [c, status] = {name}_start(q)
+% {NAME}_START  Bring the configuration from home to the actuated positions q in small steps.
+  home = [{home}].';
+  actuated = [{actuated}];
+  c = home;
+  for step = 1:{steps}
+    [c, status] = {name}_move(c, home(actuated) + (q(:) - home(actuated)) * step / {steps});
+    if status ~= 0, return; end
+  end
+end
+"""
+SERIAL_MOVE = """\
+function [c, status] = {name}_move(c, q) %#ok<INUSL>
+% {NAME}_MOVE  Configuration of the actuated positions q: they themselves, as the robot has no loops; status is 0.
+  c = q(:);
+  status = 0;
+end
+"""
+SERIAL_START = """\
+function [c, status] = {name}_start(q)
+% {NAME}_START  Configuration of the actuated positions q: they themselves, as the robot has no loops; status is 0.
+  c = q(:);
+  status = 0;
+end
+"""
+
+
+def export(result: Result, out: Path) -> Exported:
+    """Write a function file for each function, and ``NAME_parameters.m``, into ``out``."""
+    model = identified(result)
+    return Exported(written(out, matlab_files(model)), notes=not_known(model))
+
+
+def matlab_files(model: Identified) -> dict[str, str]:
+    """Texts of the function files, by file name."""
+    made, name = functions(model), model.name
+    files = {f"{name}_{kind}.m": _function_file(model, kind, made.outputs[kind]) for kind in OUTPUTS}
+    files[f"{name}_currents.m"] = (
+        f"function current = {name}_currents(c, qd, qdd, p)\n"
+        f"% {name.upper()}_CURRENTS  Motor currents (A): torques of the actuated joints over the drive gains.\n"
+        f"  current = {name}_torques(c, qd, qdd, p) ./ [{_list(model.gains)}].';\nend\n"
+    )
+    fields = {"name": name, "NAME": name.upper(), "actuated": " ".join(str(k + 1) for k in made.actuated)}
+    numbers = {"closed": repr(CLOSED), "contraction": repr(CONTRACTION), "condition": repr(CONDITION)}
+    if made.step is None or made.last_step is None:
+        files[f"{name}_move.m"], files[f"{name}_start.m"] = (
+            text.format(**fields) for text in (SERIAL_MOVE, SERIAL_START)
+        )
+    else:
+        kernels = _kernel(made.step, "newton") + _kernel(made.last_step, "last_newton")
+        files[f"{name}_move.m"] = MOVE.format(**fields, **numbers, steps=NEWTON_STEPS) + "\n" + kernels
+        files[f"{name}_start.m"] = START.format(**fields, steps=STARTING_STEPS, home=_list(made.home))
+    files[f"{name}_parameters.m"] = _parameters(model, made)
+    return files
+
+
+def _function_file(model: Identified, kind: str, function: ca.Function) -> str:
+    name, arguments = f"{model.name}_{kind}", ARGUMENTS.get(kind, "c, qd, qdd, p")
+    n = len(model.joints)
+    still = f"  [qd, qdd] = deal(zeros({n}, 1));\n" if kind in ARGUMENTS else ""
+    unit = ", ".join(f"{joint}: {unit}" for joint, unit in zip(model.joints, model.units, strict=True))
+    return (
+        f"function out = {name}({arguments})\n"
+        f"% {name.upper()}  {OUTPUTS[kind][0].upper()}{OUTPUTS[kind][1:]}.\n"
+        f"%   c: configuration from {model.name}_start and {model.name}_move.\n"
+        "%   qd, qdd: velocities and accelerations of the actuated joints, SI units.\n"
+        f"%   p: parameters; {model.name}_parameters has those that were identified.\n"
+        f"%   Torques are in N m or N ({unit}).\n"
+        f"{still}  out = reshape(kernel(c, qd, qdd, p), [], {n}).';\nend\n\n" + _kernel(function, "kernel")
+    )
+
+
+def _kernel(function: ca.Function, name: str) -> str:
+    """CasADi's MATLAB code of a function, which takes zeros among its inputs for what they are."""
+    text = function.export_code("matlab").split("function y=nonzeros_gen")[0]
+    text = re.sub(r"nonzeros_gen\((varargin\{\d+\})\)", r"\1(:)", text)
+    text = re.sub(r"\bf(max|min)\(", r"\1(", text)
+    return re.sub(r"= \w+\(varargin\)", f"= {name}(varargin)", text, count=1).rstrip() + "\n"
+
+
+def _parameters(model: Identified, made: Functions) -> str:
+    lines = [
+        f"function model = {model.name}_parameters()",
+        f"% {model.name.upper()}_PARAMETERS  Identified parameters, SI units: p is the vector that the functions take.",
+        f"  model.joints = {_names(model.joints)};",
+        f"  model.drive_gains = [{_list(model.gains)}].'; % torque per current",
+        f"  model.names = {_names(each.name for each in model.parameters)};",
+        f"  model.units = {_names(each.unit for each in model.parameters)};",
+        f"  model.p = [{_list(model.values)}].';",
+        f"  model.std = [{_list(np.nan if each.std is None else each.std for each in model.parameters)}].';",
+        f"  model.home = [{_list(made.home[made.actuated])}].';",
+        "  model.payloads = struct('name', {}, 'p', {}); % parameters with each payload",
+    ]
+    for load, values in model.payloads.items():
+        lines.append(f"  model.payloads(end + 1) = struct('name', {_quoted(load)}, 'p', [{_list(values)}].');")
+    return "\n".join([*lines, "end", ""])
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
+
+def _names(names: Iterable[str]) -> str:
+    return "{" + ", ".join(map(_quoted, names)) + "}"
+
+
+def _list(values: Iterable[float]) -> str:
+    return " ".join("NaN" if np.isnan(value) else repr(float(value)) for value in values)

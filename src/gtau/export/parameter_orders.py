@@ -1,0 +1,140 @@
+"""Parameters of bodies in the orders of other programs, with their names, and back.
+
+All are given in the frame of the link as gtau places it; a program that places the body's frame elsewhere wants them
+moved with :meth:`gtau.export.rigid_body.RigidBody.seen_from`. Products of inertia are entries of the inertia tensor
+(``xy = -int x y dm``) in all five.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.export.rigid_body import RigidBody, inertial_parameters, rigid_body
+from gtau.robots.robot import INERTIAL
+
+_ENTRIES = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
+
+
+@dataclass(frozen=True)
+class Order:
+    """Names of a program's parameters of a body, in its order, and what they are.
+
+    ``inertia`` names the six entries in the program's order, ``about`` says about which point, and ``moments`` whether
+    first moments take the place of the centre of mass; ``per_mass`` is for inertias divided by the mass.
+    """
+
+    names: tuple[str, ...]
+    inertia: tuple[str, ...]
+    about: str
+    moments: bool = False
+    per_mass: bool = False
+    explained: str = ""
+
+
+ORDERS = {
+    "pinocchio": Order(
+        ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"),
+        ("xx", "xy", "yy", "xz", "yz", "zz"), "origin", moments=True,
+        explained="Inertia.toDynamicParameters: first moments, inertia about the joint frame's origin",
+    ),
+    "mujoco": Order(
+        ("mass", "ipos_x", "ipos_y", "ipos_z", "fullinertia_xx", "fullinertia_yy", "fullinertia_zz",
+         "fullinertia_xy", "fullinertia_xz", "fullinertia_yz"),
+        ("xx", "yy", "zz", "xy", "xz", "yz"), "center",
+        explained="<inertial mass pos fullinertia>: inertia about the centre of mass, in axes of the body",
+    ),
+    "drake": Order(
+        ("mass", "p_PScm_x", "p_PScm_y", "p_PScm_z", "Gxx", "Gyy", "Gzz", "Gxy", "Gxz", "Gyz"),
+        ("xx", "yy", "zz", "xy", "xz", "yz"), "origin", per_mass=True,
+        explained="SpatialInertia(mass, p_PScm_E, UnitInertia G_SP_E): inertia about the origin over mass, m2",
+    ),
+    "matlab": Order(
+        ("Mass", "CenterOfMass_x", "CenterOfMass_y", "CenterOfMass_z", "Ixx", "Iyy", "Izz", "Iyz", "Ixz", "Ixy"),
+        ("xx", "yy", "zz", "yz", "xz", "xy"), "origin",
+        explained="rigidBody Mass, CenterOfMass and Inertia of rigidBodyTree: inertia about the body frame's origin",
+    ),
+    "symoro": Order(
+        ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M"),
+        ("xx", "xy", "xz", "yy", "yz", "zz"), "origin", moments=True,
+        explained="standard parameters of Khalil and Kleinfinger, at the frame's origin; IA, FV and FS follow",
+    ),
+}  # fmt: skip
+
+
+def to_order(chi: Mapping[str, float], body: str, program: str) -> dict[str, float]:
+    """Parameters of a body by the names and in the order of ``program``.
+
+    Parameters
+    ----------
+    chi : mapping
+        Standard parameters by gtau's names (``xx_3`` .. ``m_3``), SI units; those missing are zero.
+    body : str
+        Joint or platform whose link it is.
+    program : str
+        One of ``ORDERS``.
+
+    Raises
+    ------
+    GtauError
+        Where the body has no mass and the program gives a centre of mass, or there is no such program.
+    """
+    order = _order(program)
+    kinds = {kind: chi.get(f"{kind}_{body}", 0.0) for kind in INERTIAL}
+    if order.moments:
+        values = [kinds[kind] for kind in ("m", "mx", "my", "mz", *order.inertia)]
+        return _named(order, values)
+    if not kinds["m"]:
+        if any(kinds.values()):
+            raise GtauError(
+                f"body '{body}' has inertia but no mass, which {program} cannot hold; identify with --consistent."
+            )
+        return dict.fromkeys(order.names, 0.0)
+    rigid = rigid_body(chi, body)
+    tensor = rigid.inertia if order.about == "center" else _about_origin(rigid)
+    scale = rigid.mass if order.per_mass else 1.0
+    return _named(order, [rigid.mass, *rigid.center, *(tensor[_ENTRIES[kind]] / scale for kind in order.inertia)])
+
+
+def from_order(values: Mapping[str, float] | Sequence[float], body: str, program: str) -> dict[str, float]:
+    """Standard parameters of gtau by name from those of ``program``: the inverse of :func:`to_order`."""
+    order = _order(program)
+    named = dict(values) if isinstance(values, Mapping) else dict(zip(order.names, values, strict=True))
+    listed = _listed(order, named)
+    m, first, entries = listed[0], np.array(listed[1:4]), dict(zip(order.inertia, listed[4:], strict=True))
+    if order.moments:
+        found = {"m": m, **dict(zip(("mx", "my", "mz"), map(float, first), strict=True)), **entries}
+    else:
+        tensor = np.zeros((3, 3))
+        for kind, (row, column) in _ENTRIES.items():
+            tensor[row, column] = tensor[column, row] = entries[kind] * (m if order.per_mass else 1.0)
+        if order.about == "origin":
+            tensor -= m * (first @ first * np.eye(3) - np.outer(first, first))
+        found = inertial_parameters(RigidBody(m, first, tensor))
+    return {f"{kind}_{body}": float(found[kind]) for kind in INERTIAL}
+
+
+def _order(program: str) -> Order:
+    if program not in ORDERS:
+        raise GtauError(f"there is no parameter order of '{program}'; choose from {', '.join(ORDERS)}.")
+    return ORDERS[program]
+
+
+def _about_origin(body: RigidBody) -> np.ndarray:
+    c = body.center
+    return np.asarray(body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c)))
+
+
+def _named(order: Order, values: Sequence[float]) -> dict[str, float]:
+    """Values given as mass, first three, inertia in the program's order, under its names in its order."""
+    if order.names[0] == "XX":  # SYMORO begins with the inertia and ends with the mass
+        values = [*values[4:], *values[1:4], values[0]]
+    return dict(zip(order.names, map(float, values), strict=True))
+
+
+def _listed(order: Order, named: Mapping[str, float]) -> list[float]:
+    values = [named[name] for name in order.names]
+    return [values[9], *values[6:9], *values[:6]] if order.names[0] == "XX" else values

@@ -1,0 +1,44 @@
+"""A YAML file of gains, friction and base parameters with regroupings and intervals, for a controller or a person."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.result import Result
+from gtau.export.exported import Exported, written
+from gtau.export.identified import identifier
+from gtau.export.tables import rows
+
+HEAD = """\
+# Identified model of '{robot}', written by 'gtau export'. SI units; std: standard deviation; interval: 95 %.
+# Torque of a joint = drive gain x current. Base parameters ending in R stand for the sum under 'regrouping'.
+"""
+
+
+def export(result: Result, out: Path) -> Exported:
+    """Write ``NAME.yaml`` into ``out``."""
+    groups: dict[str, dict[str, object]] = {}
+    for row in rows(result):
+        groups.setdefault(_key(row.group), {})[row.estimate.name] = _entry(row.estimate)
+    document = {"robot": result.robot.name, "method": result.method, "runs": list(result.runs), **groups}
+    text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    head = HEAD.format(robot=" ".join(result.robot.name.split()))
+    return Exported(written(out, {f"{identifier(result.robot.name)}.yaml": head + text}))
+
+
+def _key(group: str) -> str:
+    return group if group in ("friction",) or group.startswith("payload") else f"{group.replace(' ', '_')}s"
+
+
+def _entry(each: Estimate) -> dict[str, object]:
+    entry: dict[str, object] = {"value": each.value, "std": each.std, "unit": each.unit}
+    if (interval := each.interval()) is not None:
+        entry["interval"] = list(interval)
+    if each.verdict.outcome.value not in ("good", "given"):
+        entry["verdict"] = each.verdict.outcome.value
+    if each.regrouping not in ("", each.name):
+        entry["regrouping"] = each.regrouping
+    return entry

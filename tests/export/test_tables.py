@@ -1,0 +1,141 @@
+"""Tables for controllers, spreadsheets and papers, and parameters in the orders of other programs."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import polars as pl
+import pytest
+import yaml
+from engines import random_parameters
+from hypothesis import given
+from hypothesis import strategies as st
+from models_to_export import model_of
+from robots_for_tests import tree
+
+import gtau
+from gtau.estimation.results.result import Result
+from gtau.export.latex import symbol
+from gtau.export.parameter_orders import ORDERS, from_order, to_order
+from gtau.model.home import load_robot
+from gtau.robots.robot import Robot
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return model_of(load_robot("five-bar"))
+
+
+def test_yaml_holds_every_number_with_its_unit_and_interval(result: Result, tmp_path: Path) -> None:
+    (path,) = gtau.export_model(result, "yaml", tmp_path).files
+    document = yaml.safe_load(path.read_text())
+    gain = result.drive_gains["left"]
+    assert document["drive_gains"]["left"]["value"] == gain.value
+    assert document["drive_gains"]["left"]["unit"] == "N m/A"
+    np.testing.assert_allclose(document["drive_gains"]["left"]["interval"], gain.interval())
+    every = document["base_parameters"] | document["friction"]
+    assert set(every) == set(result.parameters) | set(result.friction)
+    regrouped = next(name for name in result.parameters if name.endswith("R"))
+    assert every[regrouped]["regrouping"] == result.parameters[regrouped].regrouping
+    assert document["payload tool 2 (loaded)"]["m"]["value"] == 1.5
+
+
+def test_csv_has_a_row_an_estimate(result: Result, tmp_path: Path) -> None:
+    (path,) = gtau.export_model(result, "csv", tmp_path).files
+    table = pl.read_csv(path)
+    assert table.columns[:8] == ["group", "name", "value", "std", "rel_std", "low", "high", "unit"]
+    (gain,) = table.filter((pl.col("group") == "drive gain") & (pl.col("name") == "right")).to_dicts()
+    assert gain["value"] == result.drive_gains["right"].value
+    count = len(result.drive_gains) + len(result.delays) + len(result.parameters) + len(result.friction) + 7
+    assert table.height == count
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("m_11R", r"{m}_{\mathrm{11}\,R}"),
+        ("off_21R", r"\tau_{\mathrm{off}_{\mathrm{21}\,R}}"),
+        ("fv_left_forearm", r"{fv}_{\mathrm{left\_forearm}}"),
+    ],
+)
+def test_symbols_are_the_field_s(name: str, expected: str) -> None:
+    assert symbol(name) == expected
+
+
+@pytest.mark.parametrize("robot", [load_robot("ur10e"), tree()], ids=lambda robot: robot.name)
+def test_latex_tables_are_complete(robot: Robot, tmp_path: Path) -> None:
+    result = model_of(robot)
+    exported = gtau.export_model(result, "latex", tmp_path)
+    text = exported.files[0].read_text()
+    assert text.count("{") == text.count("}")
+    assert text.count("$") % 2 == 0
+    for each in result.essential:
+        assert symbol(each) in text
+    assert ("Denavit--Hartenberg" in text) == (robot.name == "ur10e")
+    if latex := shutil.which("pdflatex"):
+        page = r"\documentclass{article}\usepackage{booktabs,amsmath}\begin{document}\input{%s}\end{document}"
+        (tmp_path / "page.tex").write_text(page % exported.files[0].name)
+        subprocess.run([latex, "-halt-on-error", "page.tex"], cwd=tmp_path, check=True, capture_output=True)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(ORDERS)))
+def test_orders_are_undone(seed: int, program: str) -> None:
+    chi = random_parameters(load_robot("five-bar"), np.random.default_rng(seed))
+    body = "left_forearm"
+    there = to_order(chi, body, program)
+    for values in (there, list(there.values())):
+        back = from_order(values, body, program)
+        assert list(back) == [f"{kind}_{body}" for kind in ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")]
+        for name, value in back.items():
+            assert value == pytest.approx(chi[name], rel=1e-9, abs=1e-12)
+
+
+def test_orders_are_those_of_the_programs(rng: np.random.Generator) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    chi = random_parameters(load_robot("five-bar"), rng)
+    body = "left"
+    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[f"{kind}_{body}"] for kind in
+                                             ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m"))  # fmt: skip
+    inertia = pin.Inertia.FromDynamicParameters(np.array(list(to_order(chi, body, "pinocchio").values())))
+    np.testing.assert_allclose(inertia.mass * inertia.lever, [mx, my, mz])
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    np.testing.assert_allclose(inertia.matrix()[3:, 3:], about_origin)
+
+    values = list(to_order(chi, body, "mujoco").values())
+    numbers = [" ".join(map(repr, part)) for part in (values[1:4], values[4:])]
+    xml = (
+        f"<mujoco><worldbody><body><freejoint/><inertial mass='{values[0]!r}' pos='{numbers[0]}' "
+        f"fullinertia='{numbers[1]}'/></body></worldbody></mujoco>"
+    )
+    model = mujoco.MjModel.from_xml_string(xml)
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, model.body_iquat[1])
+    R = R.reshape(3, 3)
+    c = model.body_ipos[1]
+    moved = R @ np.diag(model.body_inertia[1]) @ R.T + m * (c @ c * np.eye(3) - np.outer(c, c))
+    np.testing.assert_allclose(moved, about_origin, rtol=1e-8, atol=1e-10)
+
+    drake = to_order(chi, body, "drake")
+    assert list(drake) == ["mass", "p_PScm_x", "p_PScm_y", "p_PScm_z", "Gxx", "Gyy", "Gzz", "Gxy", "Gxz", "Gyz"]
+    assert drake["Gxz"] * m == pytest.approx(xz)
+    matlab = to_order(chi, body, "matlab")
+    assert list(matlab.values())[4:] == pytest.approx([xx, yy, zz, yz, xz, xy])
+    assert to_order(chi, body, "symoro") == pytest.approx(
+        dict(zip(("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M"),
+                 (xx, xy, xz, yy, yz, zz, mx, my, mz, m), strict=True))
+    )  # fmt: skip
+
+
+def test_the_files_of_orders_name_bodies_and_parameters(result: Result, tmp_path: Path) -> None:
+    exported = gtau.export_model(result, "orders", tmp_path)
+    table = pl.read_csv(tmp_path / "five_bar_symoro.csv")
+    assert table.columns == ["body", "XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M", "IA", "FV", "FS"]
+    assert table["body"].to_list() == list(result.robot.bodies)
+    assert table["IA"][0] == result.consistency.standard[f"ia_{result.robot.bodies[0]}"]
+    assert len(exported.files) == len(ORDERS)
+    with pytest.raises(gtau.GtauError, match="choose from pinocchio"):
+        to_order({}, "left", "adams")
