@@ -107,11 +107,11 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
 
     monkeypatch.setattr("gtau.estimation.identify.identify", broken)
     (report,) = identify_fleet(some(cells, 3), tmp_path, serial_map)
-    assert "this should not have happened (ZeroDivisionError: oops); please report it" in report.sentence
+    assert "internal error (ZeroDivisionError: oops); report it with the output of" in report.sentence
     assert fleet_table([report]).refused[0][0] == report.member.name
 
 
-def test_lost_robots_are_told(cells: Path, tmp_path: Path) -> None:
+def test_lost_robots_are_reported(cells: Path, tmp_path: Path) -> None:
     def losing(function, items):
         yield 1, GtauError("its worker died.")
         yield 0, function(items[0])
@@ -167,7 +167,7 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
 # Which robots
 
 
-def test_names_are_what_tells_paths_apart(tmp_path: Path) -> None:
+def test_names_are_the_parts_in_which_paths_differ(tmp_path: Path) -> None:
     def names(*paths: str) -> list[str]:
         for path in paths:
             (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)

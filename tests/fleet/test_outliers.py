@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gtau.fleet.outliers import LEAST, apart
+from gtau.fleet.outliers import LEAST, distances
 
 JOINTS = 3
 
 
 def found(values: np.ndarray, std: np.ndarray, tests: int = 0):
-    return apart(values, std, np.full(len(values), 39.0), tests or len(values))
+    return distances(values, std, np.full(len(values), 39.0), tests or len(values))
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.5, 5.0])
@@ -35,14 +35,14 @@ def test_spread_and_median_are_recovered_with_a_third_wrong(rng: np.random.Gener
     assert result.outlier[:1000].all()
 
 
-def test_the_median_s_deviation_is_its_scatter(rng: np.random.Generator) -> None:
+def test_the_standard_deviation_of_the_median_is_its_scatter(rng: np.random.Generator) -> None:
     sigma = rng.uniform(0.5, 2.0, 40)
     results = [found(np.hypot(sigma, 1.0) * rng.standard_normal(40), sigma) for _ in range(300)]
     scatter = np.std([each.median for each in results])
     assert scatter == pytest.approx(np.mean([each.median_std for each in results]), rel=0.15)
 
 
-def test_a_value_is_allowed_its_own_deviation() -> None:
+def test_a_value_of_large_standard_deviation_is_no_outlier() -> None:
     values, std = np.zeros(20) + 0.01 * np.arange(20), np.full(20, 0.05)
     values[7] = 1.0
     assert np.flatnonzero(found(values, std).outlier).tolist() == [7]
@@ -56,14 +56,14 @@ def test_units_do_not_matter(rng: np.random.Generator) -> None:
     assert found(-values, std).z == pytest.approx(-found(values, std).z)
 
 
-def test_few_values_tell_no_outliers() -> None:
+def test_few_values_have_no_outliers() -> None:
     for n in (1, 2, LEAST - 1, LEAST):
         values = np.zeros(n)
         values[-1] = 1e3
         assert found(values, np.ones(n)).outlier.any() == (n == LEAST)
 
 
-def test_equal_values_without_deviation() -> None:
+def test_equal_values_known_exactly() -> None:
     result = found(np.full(10, 2.0), np.zeros(10))
     assert (result.median, result.spread) == (2.0, 0.0)
     assert not result.outlier.any()

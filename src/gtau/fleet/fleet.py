@@ -1,4 +1,4 @@
-"""A fleet: each of many robots identified from its own experiment, whatever becomes of the others."""
+"""Identify every robot of a fleet from its own experiment, whatever happens to the others."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gtau.signals.experiment import Experiment, read_experiment
 
 @dataclass(frozen=True)
 class Member:
-    """A robot of a fleet: its name, its experiment file, and the folder of its logs where that is another one."""
+    """A robot of a fleet: its name, its experiment file, and the folder of its logs if that is another one."""
 
     name: str
     experiment: Path
@@ -33,21 +33,21 @@ class Member:
 
     @property
     def anywhere(self) -> Member:
-        """The same for a process that stands in another folder."""
+        """The same member with absolute paths, for processes that run in another folder."""
         return replace(
             self, experiment=self.experiment.absolute(), logs=None if self.logs is None else self.logs.absolute()
         )
 
     def read(self) -> Experiment:
-        """Its experiment; raises GtauError."""
+        """Read its experiment; raises GtauError."""
         return read_experiment(self.experiment, self.logs)
 
 
 @dataclass(frozen=True)
 class Identified:
-    """What became of a member: the text of its model.json with the key of its inputs, or a sentence why not.
+    """The result of a member: the text of its model.json with the key of its inputs, or a sentence why there is none.
 
-    ``model`` is None where the model with the key that was known before still holds.
+    ``model`` is None where the model that was written before is still valid.
     """
 
     key: str = ""
@@ -58,7 +58,7 @@ class Identified:
 
 @dataclass(frozen=True)
 class Report:
-    """A member with the document of its model, or with the sentence why there is none."""
+    """A member with the document of its model, or with a sentence why there is none."""
 
     member: Member
     model: dict[str, Any] | None
@@ -96,7 +96,7 @@ class FleetFile(BaseModel):
 
 
 def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
-    """The robots of a fleet file, or of experiment files.
+    """List the robots of a fleet file, or of experiment files.
 
     Parameters
     ----------
@@ -106,12 +106,12 @@ def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
     Returns
     -------
     tuple of Member
-        Named after what tells their paths apart. Nothing but a fleet file has been read.
+        Named after the parts in which their paths differ. Only a fleet file has been read.
 
     Raises
     ------
     GtauError
-        Where nothing matches, or a fleet file is wrong.
+        Where no file matches, or a fleet file is wrong.
     """
     found = [each for path in paths for each in _matches(Path(path))]
     if len(found) == 1:
@@ -135,7 +135,7 @@ def _matches(pattern: Path) -> list[Path]:
 
 
 def _named(paths: list[Path]) -> list[tuple[str, Path]]:
-    """Paths, each once, with what is left of them without what is common at the beginning and at the end."""
+    """Name paths, each once, by what remains without their common beginning and end."""
     paths = in_order(dict.fromkeys(paths))
     parts = [(path if path.is_dir() else path.with_suffix("")).absolute().parts for path in paths]
     if len(set(parts)) < len(parts):  # a.yaml and a.yml
@@ -152,10 +152,11 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
 def identify_fleet(
     members: Sequence[Member], out: Path, shard_map: ShardMap, method: str = "ml", progress: Progress = silent
 ) -> tuple[Report, ...]:
-    """Identify every robot of a fleet; what is finished stays and is not computed again.
+    """Identify every robot of a fleet; finished models are kept and not computed again.
 
-    A model lies in ``out/models/NAME.json`` and the key of its inputs beside it in ``NAME.key``: where program, robot,
-    experiment and logs are the same the next time, the model is taken as it is.
+    A model is written to ``out/models/NAME.json``, and the key of its inputs beside it to ``NAME.key``. Where program,
+    robot, experiment and logs are unchanged the next time, the model is taken as it is. Any edit of the program counts
+    as a change: a model depends on all of it.
 
     Parameters
     ----------
@@ -174,7 +175,7 @@ def identify_fleet(
     Raises
     ------
     GtauError
-        Where the folder cannot be written. What is wrong with a robot stands in its report.
+        Where the folder is not writable. What is wrong with a robot is in its report.
     """
     known = [_read_text(_key_file(out, member)) if _model_file(out, member).is_file() else "" for member in members]
     reports: dict[int, Report] = {}
@@ -188,7 +189,7 @@ def identify_fleet(
 
 
 def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
-    """Identify a member, unless the key of its inputs is the one known."""
+    """Identify a member, unless the key of its inputs is the known one."""
     from gtau.estimation.identify import identify
 
     (member, known), begun = item, time.perf_counter()
@@ -196,7 +197,7 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
         experiment = member.read()
         if experiment.signals.kind == "torque":
             raise GtauError(
-                f"{member.experiment}: the logs hold torques, so there are no drive gains to compare in a fleet; use "
+                f"{member.experiment}: the logs hold torques, so there are no drive gains to compare; use "
                 "'gtau identify'."
             )
         inputs = experiment.model_copy(update={"validation": ()})
@@ -207,19 +208,19 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
         return Identified(key, model_text(identify(experiment, method=method)), "", time.perf_counter() - begun)
     except GtauError as error:
         return Identified(sentence=str(error), seconds=time.perf_counter() - begun)
-    except Exception as error:  # the other robots are to be identified all the same
+    except Exception as error:  # the other robots are identified all the same
         sentence = (
-            f"this should not have happened ({type(error).__name__}: {error}); please report it with what "
-            f"GTAU_DEBUG=1 gtau identify {member.experiment} shows."
+            f"internal error ({type(error).__name__}: {error}); report it with the output of "
+            f"'GTAU_DEBUG=1 gtau identify {member.experiment}'."
         )
         return Identified(sentence=sentence, seconds=time.perf_counter() - begun)
 
 
 def _keep(out: Path, member: Member, made: Identified) -> Report:
-    """Write a new model, or remove an old one that holds no longer."""
+    """Write a new model, or remove an old one that is no longer valid."""
     model, key = _model_file(out, member), _key_file(out, member)
     if made.sentence or made.model is not None:
-        key.unlink(missing_ok=True)  # until the model that it is for is there
+        key.unlink(missing_ok=True)  # until its model is written
     if made.sentence:
         model.unlink(missing_ok=True)
         return Report(member, None, made.sentence, made.seconds)

@@ -1,4 +1,4 @@
-"""The drive gains of a fleet in one table, with those that stand apart."""
+"""The drive gains of a fleet in one table, outliers marked."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from gtau.fleet.fleet import Report
-from gtau.fleet.outliers import Apart, apart
+from gtau.fleet.outliers import Distances, distances
 
 
 @dataclass(frozen=True)
 class FleetGain:
     """A drive gain of one robot beside those of the others.
 
-    ``gain`` and ``std`` in ``unit``, None where the data cannot tell; ``difference_percent`` from the fleet's
-    median; ``z`` the same in standard deviations, and ``limit`` where an outlier begins, both None where it cannot be
-    compared. ``outcome`` and ``why`` are the verdict of its own identification.
+    ``gain`` and ``std`` in ``unit``, None where the gain is not identifiable; ``difference_percent`` from the median
+    of the fleet; ``z`` the same in standard deviations, and ``limit`` where an outlier begins, both None where there
+    is nothing to compare with. ``outcome`` and ``why`` are the verdict of its own identification.
     """
 
     robot: str
@@ -37,7 +37,7 @@ class FleetGain:
 
 @dataclass(frozen=True)
 class JointOfFleet:
-    """A joint over all robots of one model: ``median`` with its deviation and ``spread`` in ``unit``."""
+    """A joint over all robots of one model: ``median``, its standard deviation and ``spread`` in ``unit``."""
 
     model: str
     joint: str
@@ -51,7 +51,7 @@ class JointOfFleet:
 
 @dataclass(frozen=True)
 class FleetTable:
-    """Every gain of every robot, the joints over the fleet, and the robots that were refused, with the sentence."""
+    """Every gain of every robot, the joints over the fleet, and the refused robots with the reason."""
 
     gains: tuple[FleetGain, ...]
     joints: tuple[JointOfFleet, ...]
@@ -59,17 +59,17 @@ class FleetTable:
 
     @property
     def robots(self) -> tuple[str, ...]:
-        """Names of the identified robots."""
+        """List the names of the identified robots."""
         return tuple(dict.fromkeys(gain.robot for gain in self.gains))
 
     @property
     def outliers(self) -> tuple[FleetGain, ...]:
-        """The gains that stand apart, the farthest first."""
+        """List the outliers, the farthest first."""
         return tuple(sorted((g for g in self.gains if g.outlier), key=lambda g: -abs(g.z or 0.0) / (g.limit or 1.0)))
 
 
 def fleet_table(reports: Sequence[Report]) -> FleetTable:
-    """Compare the gains of each joint over the robots of the same model; see :func:`gtau.fleet.outliers.apart`."""
+    """Compare the gains of each joint over the robots of the same model; see :func:`gtau.fleet.outliers.distances`."""
     models = [(report.member.name, report.model) for report in reports if report.model is not None]
     gains = [
         FleetGain(name, model["robot"], g["joint"], g["value"], g["std"], g["unit"], g["outcome"], g["why"])
@@ -84,7 +84,7 @@ def fleet_table(reports: Sequence[Report]) -> FleetTable:
     joints = []
     for group, index in groups.items():
         values, std = (np.array([getattr(gains[k], what) for k in index], dtype=float) for what in ("gain", "std"))
-        found = apart(values, std, np.array([freedom[k] for k in index], dtype=float), len(known))
+        found = distances(values, std, np.array([freedom[k] for k in index], dtype=float), len(known))
         comparable = bool(np.isfinite(found.limit).all())
         joints.append(JointOfFleet(*group, len(index), found.median, found.median_std, found.spread, comparable))
         for place, k in enumerate(index):
@@ -93,7 +93,7 @@ def fleet_table(reports: Sequence[Report]) -> FleetTable:
     return FleetTable(tuple(gains), tuple(joints), refused)
 
 
-def _compared(gain: FleetGain, found: Apart, place: int) -> FleetGain:
+def _compared(gain: FleetGain, found: Distances, place: int) -> FleetGain:
     difference = 100 * ((gain.gain or 0.0) / found.median - 1) if found.median else None
     if not np.isfinite(found.limit[place]):
         return replace(gain, difference_percent=difference)
@@ -107,7 +107,7 @@ def _compared(gain: FleetGain, found: Apart, place: int) -> FleetGain:
 
 
 def table_rows(table: FleetTable) -> list[dict[str, Any]]:
-    """Rows of the table, one a gain, and one for each robot that was refused."""
+    """Return the rows of the table: one for each gain, and one for each refused robot."""
     names = [field.name for field in fields(FleetGain)]
     refused = [{"robot": name, "outcome": "refused", "why": why, "outlier": False} for name, why in table.refused]
     return [asdict(gain) for gain in table.gains] + [dict.fromkeys(names) | row for row in refused]
