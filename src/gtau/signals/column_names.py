@@ -1,0 +1,88 @@
+"""What a column of a log holds, by its name: a kind of signal, and the joint that it belongs to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+WORDS: dict[str, frozenset[str]] = {
+    kind: frozenset(words.split())
+    for kind, words in {
+        "time": "t time timestamp stamp sec secs second seconds nanosec nsec nsecs nanosecond nanoseconds",
+        "position": "q pos position positions angle angles theta qpos posn",
+        "velocity": "dq qd vel velocity velocities velo speed omega qdot",
+        "acceleration": "ddq qdd acc accel acceleration",
+        "current": "current currents cur curr amp amps ampere iq i",
+        "torque": "tau torque torques effort moment trq tq force",
+        "motor": "motor",
+        "other": "ext external mocap grav gravity temp temperature err error latency voltage rate success filtered age",
+    }.items()
+}
+PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "motor", "position", "time")
+REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d"])
+COMMAND = frozenset(["v", "u", "control", "action", "command"])  # currents or torques, unless they are velocities
+UNITS = {
+    "deg": "deg",
+    "°": "deg",
+    "rad": "rad",
+    "mm": "mm",
+    "m": "m",
+    "ma": "mA",
+    "a": "A",
+    "ms": "ms",
+    "s": "s",
+    "%": "%",
+}
+UNITS |= {"us": "us", "ns": "ns", "nm": "N m", "n m": "N m", "n": "N"}
+
+
+@dataclass(frozen=True)
+class ColumnName:
+    """A column's ``name`` taken apart: what is left without its joint, the joint's label, the kind and the unit.
+
+    ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), or None; ``reference`` where
+    it is what was asked for and not what was measured.
+    """
+
+    name: str
+    stem: str
+    label: str
+    kind: str | None
+    reference: bool
+    unit: str | None
+
+
+def taken_apart(name: str, joints: Sequence[str] = ()) -> ColumnName:
+    """Take a column's name apart; the names of ``joints`` are recognised in it."""
+    unit = re.search(r"[\[(]\s*([^\[\]()\d]+?)\s*[\])]\s*$", name)
+    bare = name[: unit.start()] if unit else name
+    label, stem = "", bare
+    for joint in sorted(joints, key=len, reverse=True):
+        found = re.search(rf"(?<![A-Za-z0-9]){re.escape(joint)}(?![A-Za-z0-9])", bare, re.IGNORECASE)
+        found = found or re.search(rf"(?<!\d){re.escape(joint)}(?!\d)", bare) if joint.isdigit() else found
+        if found:
+            label, stem = joint, bare[: found.start()] + "#" + bare[found.end() :]
+            break
+    if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
+        words = ["timestamp"]  # of a topic of a bag
+    elif not label and bare.startswith("/") and bare.count("/") > 2:  # /joint_states/elbow/position
+        *topic, label, field = bare.split("/")
+        stem = "/".join([*topic, "#", field])
+        words = _words(field)
+    elif not label and (found := re.search(r"^(.*?)(\d+)(\D*)$", bare)):
+        label, stem = found[2], f"{found[1]}#{found[3]}"
+        words = _words(stem)
+    else:
+        words = _words(stem)
+    kinds = [kind for word in words for kind, known in WORDS.items() if word in known]
+    kind = next((each for each in PRECEDENCE if each in kinds), None)
+    if kind is None and any(word in COMMAND for word in words):
+        kind = "command"
+    return ColumnName(
+        name, stem, label, kind, any(word in REFERENCE for word in words), UNITS.get(unit[1].lower()) if unit else None
+    )
+
+
+def _words(text: str) -> list[str]:
+    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", text)]

@@ -1,0 +1,397 @@
+"""What logs hold, found from names, ranges and derivatives of their columns: a draft of the experiment file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.robots.robot import Robot
+from gtau.signals.checks import LARGEST_RATE, LEAST_RATE
+from gtau.signals.column_names import ColumnName, taken_apart
+from gtau.signals.formats.table import Table
+from gtau.signals.log_file import find_columns, read_log
+
+ROWS = 200_000  # of a log that are looked at
+DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+LARGEST_CURRENT = 100.0  # A; commands of no known kind that reach further are taken for torques, to be checked
+TURNS = 20.0  # rad or m; joints that are said to move further are logged in deg or mm
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns of one kind of signal, one for each joint, by the joint's label in their names."""
+
+    kind: str | None
+    stem: str
+    columns: Mapping[str, str]
+    reference: bool = False
+    unit: str | None = None
+
+    @property
+    def listed(self) -> str:
+        """The columns in a few words: the first and the last of them."""
+        names = list(self.columns.values())
+        return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+
+
+@dataclass(frozen=True)
+class Draft:
+    """An experiment file to be: what was found (``reasons`` say how, by key) and what could not be (``open``).
+
+    ``time`` are time columns, one or two, or the ``rate`` (Hz) instead; ``command_time`` those of commands with stamps
+    of their own. ``position`` and ``command`` are columns by joint, ``kind`` what the latter hold. ``masses`` (kg) of
+    payloads by log come from the names of the files. ``others`` are columns that might be meant instead.
+    """
+
+    logs: tuple[tuple[Path, ...], ...]
+    robot: str | None
+    time: tuple[str, ...]
+    rate: float | None
+    position: Mapping[str, str]
+    command: Mapping[str, str]
+    kind: str
+    units: Mapping[str, str]
+    command_time: tuple[str, ...] = ()
+    masses: Mapping[Path, float] = field(default_factory=dict)
+    others: tuple[str, ...] = ()
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    open: tuple[str, ...] = ()
+
+
+def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None) -> Draft:
+    """Find out what logs hold that were recorded alike.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The logs, one for each run; or all logs of positions and then as many of commands, run by run.
+    robot : Robot, optional
+        Its actuated joints are looked for in the names, and its kinds and numbers of joints help to tell units.
+    source : str, optional
+        What the experiment file is to name as the robot.
+
+    Raises
+    ------
+    GtauError
+        A log cannot be read, or no positions or no commands are found in it.
+    """
+    runs: list[tuple[Path, ...]] = [(path,) for path in paths]
+    first = _Log.read(paths[0], robot)
+    if first.group("position") and first.command_group():
+        position_log = command_log = first
+    else:
+        half = len(paths) // 2
+        position_log, command_log = first, _Log.read(paths[half], robot) if half else first
+        if not position_log.group("position") and command_log.group("position"):
+            position_log, command_log = command_log, position_log
+            paths = [*paths[half:], *paths[:half]]
+        if half and not len(paths) % 2:
+            runs = list(zip(paths[:half], paths[half:], strict=True))
+    positions, commands = position_log.group("position"), command_log.command_group()
+    for group, what in ((positions, "positions"), (commands, "currents or torques")):
+        if group is None:
+            listed = ", ".join(first.table.columns[:20]) + (", ..." if len(first.table.columns) > 20 else "")
+            raise GtauError(
+                f"{paths[0]}: no columns of {what} are recognised among {listed}; write the experiment file by hand "
+                "(docs/experiment-file.md), or rename the columns, such as q1 and current1."
+            )
+    assert positions is not None and commands is not None  # noqa: PT018 (refused above)
+    reasons, unsure, units = dict(position_log.reasons), [], {}
+    joints, reasons["position"], by_order = _joints(positions, commands, robot)
+    if by_order:
+        unsure.append("joints")
+    time, rate = position_log.time, None
+    if time:
+        units["time"], reasons["time"] = position_log.time_unit()
+    else:
+        rate, reasons["time"] = position_log.rate_from_velocities(positions)
+        if rate is None:
+            unsure.append("rate")
+    columns = {joint: pair[0] for joint, pair in joints.items()}
+    if unit := _position_unit(position_log, positions, columns, robot, reasons):
+        units["position"] = unit
+        unsure += ["unit"] if positions.unit is None else []
+    kind = "current" if commands.kind == "current" else "torque"
+    if commands.kind == "command":
+        reach = max(float(np.nanmax(np.abs(command_log.values[pair[1]]))) for pair in joints.values())
+        kind = "torque" if reach > LARGEST_CURRENT else "current"
+        unsure.append("kind")
+    if commands.unit in ("A", "mA", "N m", "N"):
+        units[kind] = commands.unit
+    command_time: tuple[str, ...] = ()
+    if command_log is not position_log and command_log.time and command_log.rows != position_log.rows:
+        command_time = command_log.time
+    alike = {group.listed for group in (*position_log.groups, *command_log.groups) if group.kind != "other"}
+    used = {positions.listed, commands.listed}
+    draft = Draft(
+        logs=tuple(runs),
+        robot=source,
+        time=time,
+        rate=rate,
+        position=columns,
+        command={joint: pair[1] for joint, pair in joints.items()},
+        kind=kind,
+        units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
+        command_time=command_time,
+        masses={run[0]: mass for run in runs if (mass := _mass_in_name(run[0])) is not None},
+        others=tuple(sorted(alike - used)),
+        reasons=reasons,
+        open=tuple(unsure if source is not None else ["robot", *unsure]),
+    )
+    return replace(draft, open=(*draft.open, "reference")) if commands.reference else draft
+
+
+@dataclass(frozen=True)
+class _Log:
+    """A log with its columns by kind, and the numbers of the first rows (N,) by column."""
+
+    path: Path
+    table: Table
+    values: Mapping[str, np.ndarray]
+    time: tuple[str, ...]
+    groups: tuple[Group, ...]
+    reasons: Mapping[str, str]
+
+    @classmethod
+    def read(cls, path: Path, robot: Robot | None) -> _Log:
+        table = find_columns(path)
+        joints = robot.actuated if robot else ()
+        names = [taken_apart(name, joints) for name in table.columns if name and table.columns.count(name) == 1]
+        if table.numbered:
+            return _numbered(path, table, len(joints))
+        groups = _grouped(names)
+        topics = {_topic(each.name) for each in names}
+        wanted = [each for each in names if each.kind not in (None, "other")] or names
+        if len(topics) > 1:  # of a bag: the one with positions
+            main = next((_topic(next(iter(each.columns.values()))) for each in groups if each.kind == "position"), None)
+            wanted = [each for each in wanted if _topic(each.name) == main] or wanted[:1]
+            groups = [each for each in groups if _topic(next(iter(each.columns.values()))) == main]
+        values = _values(path, [each.name for each in wanted])
+        time = _time_columns(wanted, values)
+        return cls(path, table, values, time, tuple(_told_apart(groups, values, path)), {})
+
+    @property
+    def rows(self) -> int:
+        return max((len(each) for each in self.values.values()), default=0)
+
+    def group(self, kind: str) -> Group | None:
+        """The columns of a kind, measured ones before references, of most joints first."""
+        found = [each for each in self.groups if each.kind == kind and set(each.columns.values()) <= set(self.values)]
+        return min(found, key=lambda each: (each.reference, -len(each.columns)), default=None)
+
+    def command_group(self) -> Group | None:
+        """Currents before torques, and torques of joints before those of motors."""
+        position = self.group("position")
+        found = [self.group(kind) for kind in ("current", "torque", "command", "motor")]
+        groups = [each for each in found if each is not None]
+        alike = [each for each in groups if position is None or len(each.columns) >= len(position.columns)]
+        return next(iter(alike or groups), None)
+
+    def seconds(self) -> np.ndarray:
+        """Time in its own unit."""
+        time = self.values[self.time[0]]
+        return time if len(self.time) == 1 else time + 1e-9 * self.values[self.time[1]]
+
+    def time_unit(self) -> tuple[str, str]:
+        """Unit of the time column, the first in which the rate is one at which drives are logged, and why."""
+        step = float(np.median(np.diff(self.seconds())))
+        written = taken_apart(self.time[0]).unit
+        for unit, factor in TIME_UNITS.items():
+            if step > 0 and LEAST_RATE <= 1 / (step * factor) <= LARGEST_RATE and written in (None, unit):
+                return unit, f"steps of {step:.4g} {unit}: {1 / (step * factor):.4g} Hz"
+        return "s", f"steps of {step:.4g}, which is no rate of a drive in s, ms, us or ns; correct the column"
+
+    def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
+        """Sampling rate that makes the logged velocities the positions' derivatives, Hz, and why."""
+        velocities = self.group("velocity")
+        if velocities is None:
+            return None, "not in the log"
+        up = down = 0.0
+        for label, column in positions.columns.items():
+            if label in velocities.columns:
+                q, qd = self.values[column], self.values[velocities.columns[label]]
+                step = (q[2:] - q[:-2]) / 2
+                up, down = up + float(np.nansum(step * qd[1:-1])), down + float(np.nansum(step * step))
+        rate = up / down if down else 0.0
+        if not LEAST_RATE <= rate <= LARGEST_RATE:
+            return None, "not in the log"
+        nearest = min(
+            (50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000), key=lambda x: abs(x - rate)
+        )
+        rounded = float(nearest) if abs(nearest - rate) < 0.03 * nearest else float(f"{rate:.4g}")
+        return rounded, f"no time column; {velocities.listed} are the derivatives of the positions at {rate:.4g} Hz"
+
+
+def _topic(name: str) -> str:
+    return name.split("/")[1] if name.startswith("/") else ""
+
+
+def _values(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    log = read_log(path, names)
+    parts, count = [], 0
+    for values, _ in log.blocks(range(ROWS)):
+        parts.append(values)
+        count += len(values)
+    table = np.vstack(parts) if parts else np.empty((0, len(log.names)))
+    return {name: table[:, k] for k, name in enumerate(log.names)}
+
+
+def _grouped(names: Sequence[ColumnName]) -> list[Group]:
+    groups: dict[str, list[ColumnName]] = {}
+    for each in names:
+        if each.kind != "time":
+            groups.setdefault(each.stem, []).append(each)
+    return [
+        Group(of[0].kind, stem, {each.label: each.name for each in of}, of[0].reference, of[0].unit)
+        for stem, of in groups.items()
+    ]
+
+
+def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """The column that grows, of those named so; or the seconds and the nanoseconds."""
+    times = [each.name for each in names if each.kind == "time" and not each.label]
+    parts = [name for name in times if re.search(r"nano|nsec", name, re.IGNORECASE)]
+    if parts and len(times) > len(parts):
+        return next(name for name in times if name not in parts), parts[0]
+    growing = [name for name in times if _grows(values[name])]
+    stamped = [name for name in growing if "stamp" in name.lower()]
+    return tuple((stamped or growing)[:1])
+
+
+def _grows(column: np.ndarray) -> bool:
+    step = np.diff(column[np.isfinite(column)])
+    return len(step) > 0 and bool((step >= 0).all()) and float((step > 0).mean()) > 0.5
+
+
+def _told_apart(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
+    """Commands named alike that are the positions' derivatives are velocities; a file's name names its columns."""
+    positions = next((each for each in groups if each.kind == "position" and not each.reference), None)
+    of_file = taken_apart(path.stem).kind
+    found = []
+    for each in groups:
+        if each.kind is None and of_file in ("position", "current", "torque") and len(groups) == 1:
+            each = replace(each, kind=of_file)
+        if each.kind == "command" and positions is not None and _derivative(positions, each, values) > DERIVATIVE:
+            each = replace(each, kind="velocity")
+        found.append(each)
+    return found
+
+
+def _derivative(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
+    """Usual correlation of others with the positions' numerical derivatives."""
+    pairs = [
+        (values[column], values[others.columns[label]])
+        for label, column in positions.columns.items()
+        if label in others.columns and column in values and others.columns[label] in values
+    ]
+    return float(np.median([correlation(q, other) for q, other in pairs])) if pairs else 0.0
+
+
+def correlation(position: np.ndarray, other: np.ndarray) -> float:
+    """Correlation of a column (N,) with the numerical derivative of another, 0 where one of them never changes."""
+    slope, value = (position[2:] - position[:-2]), other[1:-1]
+    whole = np.isfinite(slope) & np.isfinite(value)
+    if whole.sum() < 10 or not np.ptp(slope[whole]) or not np.ptp(value[whole]):
+        return 0.0
+    return float(np.corrcoef(slope[whole], value[whole])[0, 1])
+
+
+def _numbered(path: Path, table: Table, joints: int) -> _Log:
+    """A log without header: time grows, velocities are derivatives of columns as many to the left as joints."""
+    values = _values(path, table.columns)
+    names = list(table.columns)
+    time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()
+    rest = names[len(time) :]
+    best, width = 0.0, 0
+    for n in [joints] if joints else range(1, min(len(rest) // 2, 12) + 1):
+        if 2 * n <= len(rest):
+            scores = [correlation(values[rest[k]], values[rest[n + k]]) for k in range(n)]
+            if (score := float(np.median(scores))) > max(best, DERIVATIVE):
+                best, width = score, n
+    if not width:
+        raise GtauError(
+            f"{path} has no header, and among its {len(names)} columns no positions are recognised by their "
+            "velocities; write a first line with names (t,q1,q2,current1,current2), or give the robot (--robot)."
+        )
+    kinds = ["position", "velocity"]
+    blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]
+    for block in blocks[2:]:
+        still = any(not np.ptp(values[name]) for name in block)
+        slopes = [correlation(values[qd], values[other]) for qd, other in zip(blocks[1], block, strict=True)]
+        kinds.append("other" if still else "acceleration" if np.median(slopes) > DERIVATIVE else "command")
+    groups = [
+        Group(kind, f"block {k + 1}", {str(i + 1): name for i, name in enumerate(block)})
+        for k, (kind, block) in enumerate(zip(kinds, blocks, strict=True))
+    ]
+    reasons = {"velocity": f"columns {groups[1].listed} are their derivatives (correlation {best:.3f})"}
+    return _Log(path, table, values, time, tuple(groups), reasons)
+
+
+def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
+    """Columns of positions and commands by joint, how they were matched, and whether by no more than their order."""
+    common = [label for label in positions.columns if label in commands.columns]
+    pairs = {label: (positions.columns[label], commands.columns[label]) for label in common}
+    by_order = False
+    if not common and len(positions.columns) == len(commands.columns):
+        columns = zip(_ordered(positions.columns), _ordered(commands.columns), strict=True)
+        pairs = {q: (positions.columns[q], commands.columns[v]) for q, v in columns}
+        by_order = True
+    if robot is None:
+        named = {label if not label.isdigit() else f"j{label}": pair for label, pair in pairs.items()}
+        return named, "joints as the log names them", by_order
+    joints = robot.actuated
+    if set(joints) <= set(pairs):
+        how = "positions by the joints' names, commands by their order" if by_order else "by the joints' names"
+        return {joint: pairs[joint] for joint in joints}, how, by_order
+    if len(pairs) < len(joints):
+        raise GtauError(
+            f"the log has positions and commands of {len(pairs)} joints ({', '.join(pairs)}), but robot "
+            f"'{robot.name}' has {len(joints)} actuated ones; give the logs, or the robot, of the other."
+        )
+    if len({_number(joint) for joint in joints}) == len(joints):  # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
+        joints = tuple(sorted(joints, key=_number))
+    taken = zip(joints, _ordered(pairs), strict=False)
+    return {joint: pairs[label] for joint, label in taken}, "by their order", True
+
+
+def _number(joint: str) -> int:
+    found = re.findall(r"\d+", joint)
+    return int(found[-1]) if found else -1
+
+
+def _ordered(labels: Iterable[str]) -> list[str]:
+    """Labels by their number, those without in their order."""
+    labels = list(labels)
+    return sorted(labels, key=int) if all(label.isdigit() for label in labels) else labels
+
+
+def _position_unit(
+    log: _Log, positions: Group, columns: Mapping[str, str], robot: Robot | None, reasons: dict[str, str]
+) -> str | None:
+    """Unit of the positions, as written or by how far they would move; None for rad and m."""
+    if positions.unit in ("deg", "rad", "mm", "m"):
+        reasons["unit"] = "by the columns' names"
+        return positions.unit
+    reach = {joint: float(np.nanmax(np.abs(log.values[column]))) for joint, column in columns.items()}
+    largest = max(reach, key=reach.__getitem__)
+    kinds = {robot.joint(joint).kind for joint in columns} if robot else {"revolute"}
+    if reach[largest] > TURNS and len(kinds) == 1:
+        unit = "deg" if kinds == {"revolute"} else "mm"
+        reasons["unit"] = f"joint '{largest}' reaches {reach[largest]:.4g}, which would be far in SI units"
+        return unit
+    reasons["unit"] = f"positions reach {reach[largest]:.4g}"
+    return None
+
+
+def _mass_in_name(path: Path) -> float | None:
+    """A mass in kg written in a file's name, as in ``loaded_1983g.csv``."""
+    found = re.search(r"(?<![\d.])(\d+(?:[.]\d+)?)[_ ]?(kg|g|grams?)(?![a-z])", path.stem, re.IGNORECASE)
+    if not found:
+        return None
+    return round(float(found[1]) * (1.0 if found[2].lower() == "kg" else 1e-3), 6)

@@ -1,0 +1,116 @@
+"""A draft of an experiment file as commented text."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gtau.documents.yaml_text import yaml_text
+from gtau.signals.discovery import Draft
+
+CHECK = "CHECK: "
+WIDTH = 90  # characters of columns on one line
+UNSURE = {
+    "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
+    "joints": "see whether the columns are in the order of the joints",
+    "unit": "see whether the positions are in that unit (units: {position: ...})",
+    "rate": "give the sampling rate (time: {rate: HZ}), which is not in the log",
+    "kind": "say whether the commands are currents or torques (current: or torque:)",
+    "reference": "see whether the commands are the references of the drives, and no feed-forward of a model",
+}
+"""What a person has to settle, by what was open in the draft."""
+
+
+def draft_text(draft: Draft, folder: Path) -> str:
+    """The experiment file of a draft that stands in ``folder``, each finding with its reason.
+
+    What is only guessed is marked with ``CHECK``.
+    """
+    why = draft.reasons
+    lines = [
+        f"# Drafted by 'gtau init' from {_count(len(draft.logs))}. Settle the lines marked CHECK, then: gtau check.",
+        "",
+        _line(f"robot: {yaml_text(_robot(draft, folder), flow=True).splitlines()[0]}", _of(draft, "robot", "")),
+        "",
+        "signals:",
+    ]
+    if draft.time:
+        time: Any = draft.time[0] if len(draft.time) == 1 else list(draft.time)
+        if draft.command_time:
+            other = draft.command_time[0] if len(draft.command_time) == 1 else list(draft.command_time)
+            time = {"position": time, "command": other}
+        lines.append(_line(f"  time: {_flow(time)}", why.get("time", "")))
+    else:
+        rate = 1000.0 if draft.rate is None else draft.rate
+        lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", why.get("time", "")) + " (Hz)"))
+    matched = why.get("position", "")
+    lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
+    found = why.get("velocity", "")
+    doubt = _of(draft, "kind", "") or _of(draft, "reference", "")
+    lines += _by_joint(draft.kind, draft.command, doubt)
+    if draft.others:
+        lines.append(f"  # Also in the log: {'; '.join(draft.others)}.")
+    if found:
+        lines.append(f"  # {found[0].upper()}{found[1:]}.")
+    lines += ["", *_units(draft), "runs:"]
+    for run in draft.logs:
+        paths = [_relative(path, folder) for path in run]
+        lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
+        if (mass := draft.masses.get(run[0])) is not None:
+            payload = {"name": f"load_{mass:g}kg".replace(".", "_"), "mass": mass}
+            lines.append(_line(f"    payload: {_flow(payload)}", f"{CHECK}kg, by the name of the file"))
+    if draft.kind == "current" and not draft.masses:
+        lines += [
+            "# Drive gains need a run with a payload of known mass (kg), and one with another load or none:",
+            "#   payload: {name: steel, mass: 1.2, mass_std: 0.001}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _robot(draft: Draft, folder: Path) -> str:
+    if draft.robot is None:
+        return "NAME-OR-FILE"
+    path = Path(draft.robot)
+    return _relative(path, folder) if path.exists() else draft.robot
+
+
+def _units(draft: Draft) -> list[str]:
+    if not draft.units:
+        reason = draft.reasons.get("unit", "")
+        return [f"# units: SI, as {reason}; otherwise, for example, units: {{position: deg, current: mA}}", ""]
+    lines = ["units:"]
+    for key, unit in draft.units.items():
+        comment = draft.reasons.get("unit", "") if key == "position" else ""
+        lines.append(_line(f"  {key}: {unit}", CHECK * (key == "position" and "unit" in draft.open) + comment))
+    return [*lines, ""]
+
+
+def _of(draft: Draft, key: str, otherwise: str) -> str:
+    return CHECK + UNSURE[key] if key in draft.open else otherwise
+
+
+def _line(text: str, comment: str) -> str:
+    return f"{text}  # {comment}" if comment else text
+
+
+def _by_joint(key: str, columns: Mapping[str, str], comment: str) -> list[str]:
+    """Columns in braces, or on lines of their own where that would be too long."""
+    flow = _flow(columns)
+    if len(flow) < WIDTH:
+        return [_line(f"  {key}: {flow}", comment)]
+    return [_line(f"  {key}:", comment), *(f"    {_flow({joint: name})[1:-1]}" for joint, name in columns.items())]
+
+
+def _flow(value: Any) -> str:
+    plain = dict(value) if isinstance(value, Mapping) else value
+    return yaml_text(plain, flow=True, width=float("inf")).removesuffix("...\n").strip()
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def _count(logs: int) -> str:
+    return f"{logs} log{'s' * (logs != 1)}"

@@ -1,0 +1,214 @@
+"""``gtau init``: what columns hold, found from their names, ranges and derivatives, and a file that runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import GAINS, STEEL, Plant, write_log
+from typer.testing import CliRunner
+
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.model.home import load_robot
+from gtau.signals.column_names import taken_apart
+from gtau.signals.discovery import discover
+from gtau.signals.draft_text import draft_text
+from gtau.signals.experiment import read_experiment
+from gtau.signals.run import read_run
+
+TIME = np.arange(3000) / 250
+Q = np.column_stack([np.sin(2 * TIME), 0.4 * np.cos(3 * TIME)])
+QD = np.column_stack([2 * np.cos(2 * TIME), -1.2 * np.sin(3 * TIME)])
+V = np.column_stack([np.sign(QD[:, 0]) + Q[:, 0], np.sign(QD[:, 1]) + Q[:, 1]])
+
+
+def save(path: Path, header: str, *columns: np.ndarray) -> Path:
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "label", "unit"),
+    [
+        ("q1", "position", "1", None),
+        ("q_ref3", "position", "3", None),
+        ("actual_q_0", "position", "0", None),
+        ("state.tau_J[6]", "torque", "6", None),
+        ("/joint_states/panda_joint1/position", "position", "panda_joint1", None),
+        ("/joint_states/header/stamp", "time", "", None),
+        ("Axis1.ActPos [deg]", "position", "1", "deg"),
+        ("joint_velocity_2", "velocity", "2", None),
+        ("dq4", "velocity", "4", None),
+        ("tau_ext_3", "other", "3", None),
+        ("actual_current_5", "current", "5", None),
+        ("motor2 (mA)", "motor", "2", "mA"),
+        ("v7", "command", "7", None),
+        ("timestamp", "time", "", None),
+        ("time_nanosec", "time", "", None),
+        ("comment", None, "", None),
+    ],
+)
+def test_kinds_by_name(name: str, kind: str | None, label: str, unit: str | None) -> None:
+    found = taken_apart(name)
+    assert (found.kind, found.label, found.unit) == (kind, label, unit)
+    assert found.reference == (name == "q_ref3")
+
+
+def test_joints_by_name() -> None:
+    found = taken_apart("elbow_joint.effort", ["joint", "elbow_joint"])
+    assert (found.label, found.kind) == ("elbow_joint", "torque")
+    assert taken_apart("q11", ["11", "12"]).label == "11"
+    assert taken_apart("q111", ["11", "12"]).label == "111"
+
+
+def test_an_ambiguous_name_is_settled_by_the_derivative(tmp_path: Path) -> None:
+    """``v`` is a velocity where it is the derivative of the position, and otherwise the command."""
+    fast = discover([save(tmp_path / "a.csv", "t,q1,q2,v1,v2,u1,u2", TIME, Q, QD, V)])
+    assert fast.command == {"j1": "u1", "j2": "u2"}
+    assert fast.others == ("v1 ... v2",)
+    slow = discover([save(tmp_path / "b.csv", "t,q1,q2,v1,v2", TIME, Q, V)])
+    assert slow.command == {"j1": "v1", "j2": "v2"}
+    assert set(slow.open) == {"robot", "kind"}
+
+
+def test_a_log_without_header(tmp_path: Path) -> None:
+    (draft,) = [discover([_bare(tmp_path / "a.csv", TIME, Q, QD, V)])]
+    assert draft.time == ("1",)
+    assert draft.position == {"j1": "2", "j2": "3"}
+    assert draft.command == {"j1": "6", "j2": "7"}
+    with pytest.raises(GtauError, match="has no header, and among its 3 columns no positions are recognised"):
+        discover([_bare(tmp_path / "b.csv", TIME, V)])
+
+
+def _bare(path: Path, *columns: np.ndarray) -> Path:
+    np.savetxt(path, np.column_stack(columns), delimiter=",")
+    return path
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1, None), (1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_unit_of_time(tmp_path: Path, scale: float, unit: str | None) -> None:
+    draft = discover([save(tmp_path / "a.csv", "time,q1,q2,tau1,tau2", scale * TIME, Q, V)])
+    assert draft.units.get("time") == unit
+    assert "250 Hz" in draft.reasons["time"]
+    assert draft.kind == "torque"
+
+
+def test_the_rate_of_a_log_without_time_is_that_of_its_velocities(tmp_path: Path) -> None:
+    with_velocity = discover([save(tmp_path / "a.csv", "q1,q2,dq1,dq2,tau1,tau2", Q, QD, V)])
+    assert (with_velocity.time, with_velocity.rate) == ((), 250.0)
+    assert "rate" not in with_velocity.open
+    without = discover([save(tmp_path / "b.csv", "q1,q2,tau1,tau2", Q, V)])
+    assert without.rate is None
+    assert "rate" in without.open
+
+
+def test_degrees_by_reach(tmp_path: Path) -> None:
+    draft = discover([save(tmp_path / "a.csv", "t,q1,q2,current1,current2", TIME, np.rad2deg(Q), V)])
+    assert draft.units == {"position": "deg"}
+    assert "unit" in draft.open
+    named = discover([save(tmp_path / "b.csv", "t,q1 [deg],q2 [deg],current1 [mA],current2 [mA]", TIME, Q, V)])
+    assert named.units == {"position": "deg", "current": "mA"}
+    assert "unit" not in named.open
+
+
+def test_positions_and_commands_in_two_files_by_the_files_names(tmp_path: Path) -> None:
+    logs = [
+        save(tmp_path / "motor_current_1.csv", "Joint_1,Joint_2", V),
+        save(tmp_path / "position_1.csv", "Joint_1,Joint_2", Q),
+    ]
+    draft = discover(logs)
+    assert draft.logs == ((logs[1], logs[0]),)
+    assert draft.kind == "current"
+
+
+def test_joints_of_the_robot(tmp_path: Path) -> None:
+    robot = load_robot("five-bar")
+    by_name = discover([save(tmp_path / "a.csv", "t,q_right,q_left,i_right,i_left", TIME, Q, V)], robot, "five-bar")
+    assert by_name.position == {"left": "q_left", "right": "q_right"}
+    assert by_name.open == ()
+    by_order = discover([save(tmp_path / "b.csv", "t,q1,q2,i1,i2", TIME, Q, V)], robot, "five-bar")
+    assert by_order.position == {"left": "q1", "right": "q2"}
+    assert by_order.open == ("joints",)
+    with pytest.raises(GtauError, match=r"has positions and commands of 2 joints \(1, 2\), but robot 'ur10e' has 6"):
+        discover([tmp_path / "b.csv"], load_robot("ur10e"), "ur10e")
+
+
+def test_what_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match="no columns of currents or torques are recognised among t, q1, dq1"):
+        discover([save(tmp_path / "a.csv", "t,q1,dq1", TIME, Q[:, 0], QD[:, 0])])
+
+
+def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drafted without a question, with masses from the names of the files: the gains come out."""
+    monkeypatch.chdir(tmp_path)
+    write_log(tmp_path / "free.csv", Plant(noise=0.003).run("free"))
+    write_log(tmp_path / "loaded_1200g.csv", Plant(noise=0.003).run("loaded", payload=STEEL))
+    command = ["init", "free.csv", "loaded_1200g.csv", "--robot", "five-bar", "--out", "e.yaml", "--yes"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    assert "next: gtau check e.yaml" in done.output
+    assert "CHECK: kg, by the name of the file" in (tmp_path / "e.yaml").read_text()
+    result = CliRunner().invoke(app, ["identify", "e.yaml", "--json"])
+    assert result.exit_code == 0, result.output
+    gains = {each["joint"]: each["value"] for each in json.loads(result.output)["drive_gains"]}
+    assert gains == pytest.approx(dict(zip(("left", "right"), GAINS, strict=True)), rel=0.01)
+    again = CliRunner().invoke(app, command)
+    assert again.exit_code == 2
+
+
+def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Robot, rate, kind and payload, in that order; what was answered is not marked."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("gtau.cli.init._on_terminal", lambda: True)
+    save(tmp_path / "a.csv", "q_left,q_right,v_left,v_right", Q, V)
+    done = CliRunner().invoke(app, ["init", "a.csv"], input="five-bar\n250\ntorque\n")
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "experiment.yaml").read_text()
+    assert "CHECK:" not in text
+    experiment = read_experiment(tmp_path / "experiment.yaml")
+    assert experiment.robot == "five-bar"
+    assert experiment.signals.torque == {"left": "v_left", "right": "v_right"}
+    save(tmp_path / "b.csv", "t,q_left,q_right,i_left,i_right", TIME, Q, V)
+    command = ["init", "b.csv", "--robot", "five-bar", "--out", "b.yaml"]
+    assert CliRunner().invoke(app, command, input="1.5\n").exit_code == 0
+    (run,) = read_experiment(tmp_path / "b.yaml").runs
+    assert run.payload is not None
+    assert run.payload.mass == 1.5
+
+
+def test_columns_that_yaml_would_take_for_something_else(tmp_path: Path) -> None:
+    log = save(tmp_path / "a.csv", "t,state.q[0],state.q[1],state.tau_J[0],state.tau_J[1]", TIME, Q, V)
+    robot = load_robot("five-bar")
+    (tmp_path / "e.yaml").write_text(draft_text(discover([log], robot, "five-bar"), tmp_path))
+    experiment = read_experiment(tmp_path / "e.yaml")
+    run = read_run(experiment.runs[0].log[0], experiment.signals)
+    np.testing.assert_allclose(run.position, Q, atol=1e-9)
+
+
+SHARED = {
+    "orthoglide_sim/exciting_3_loaded_1983g.csv": ("t", ["q11", "q12", "q13"], "current", ["v1", "v2", "v3"]),
+    "rokae_xmate3pro/excit.csv": ("t", ["q1", "q2"], "torque", ["torque1", "torque2"]),
+    "ur10e/ur-20_02_19_14harm50sec.csv": ("1", ["2", "3"], "current", ["14", "15"]),
+    "panda_rosbag2/panda_exciting_trajectory.db3": (
+        "/joint_states/header/stamp",
+        ["/joint_states/fer_joint1/position", "/joint_states/fer_joint2/position"],
+        "torque",
+        ["/joint_states/fer_joint1/effort", "/joint_states/fer_joint2/effort"],
+    ),
+    "aliengo/aliengo.csv": ("t", ["q0", "q1"], "torque", ["tau_pd0", "tau_pd1"]),
+    "xmate7p/xMate7p_traj1_results.csv": (50.0, ["1", "2"], "torque", ["22", "23"]),
+    "dvrk_psm/two_results.csv": (200.0, ["q1", "q2"], "torque", ["tau1", "tau2"]),
+    "upv_parallel/4dof_N_a.csv": ("t", ["q0", "q1"], "torque", ["u0", "u1"]),
+}
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_logs_of_several_makers(shared: Path, name: str) -> None:
+    time, positions, kind, commands = SHARED[name]
+    draft = discover([shared / name])
+    assert (draft.time[0] if draft.time else draft.rate) == time
+    assert list(draft.position.values())[: len(positions)] == positions
+    assert (draft.kind, list(draft.command.values())[: len(commands)]) == (kind, commands)
