@@ -1,4 +1,4 @@
-"""The inverse dynamic identification model of a robot, evaluated for many samples (eqs. 15, 16)."""
+"""The inverse dynamic identification model of a robot, evaluated for many samples (eqs. 15 and 16)."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from gtau.model.interpreter.threads import share
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
 from gtau.robots.robot import Robot
 
-PATH = 65536  # samples whose loops are closed together: parallel, at the cost of finding the way to each part
-BLOCK = 2048  # samples whose motion is made together: enough to amortise Python, and few enough for the cache
+PATH = 65536  # samples whose loops are closed together, in parallel segments
+BLOCK = 2048  # samples whose motion is computed together: enough to amortise Python, few enough for the cache
 
 
 @dataclass(frozen=True, eq=False)
 class Regressor:
-    """Chosen columns of ``IDM_st``: the entries that can be other than zero.
+    """Chosen columns of ``IDM_st``: their structurally non-zero entries.
 
     ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J. Entry k stands in
     row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``).
@@ -38,21 +38,21 @@ class Regressor:
 
     @cached_property
     def program(self) -> Program:
-        """From the inputs of a sample to its entries."""
+        """Program from the inputs of a sample to its entries."""
         return compile_program(self.inputs, [self.matrix.nz[:]])
 
     @cached_property
     def summed(self) -> Program:
-        """From the inputs to torques: every entry is made, and used at once."""
+        """Program from the inputs to torques; every entry is used as soon as it is computed."""
         chi = ca.SX.sym("chi", len(self.names))
         return compile_program(self.inputs, [self.matrix @ chi], [chi])
 
     def __call__(self, layout: Coordinates, motion: Motion) -> np.ndarray:
-        """Entries (entries, N) for the samples of ``motion``."""
+        """Compute the entries (entries, N) for the samples of ``motion``."""
         return self.program(*self._sources(layout, motion))
 
     def torques(self, entries: np.ndarray, chi: np.ndarray, n: int) -> np.ndarray:
-        """Torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
+        """Compute torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
         tau = np.zeros((n, entries.shape[1]))
         for entry, row, column in zip(entries, self.rows, self.columns, strict=True):
             if chi[column]:
@@ -60,7 +60,7 @@ class Regressor:
         return tau
 
     def torques_along(self, layout: Coordinates, motion: Motion, chi: np.ndarray) -> np.ndarray:
-        """The same without the entries ever in memory, (n, N)."""
+        """Compute torques (n, N) along ``motion`` without storing the entries."""
         return self.summed(*self._sources(layout, motion), parameters=np.asarray(chi, dtype=float))
 
     def fill(self, layout: Coordinates, motion: Motion, W: np.ndarray) -> None:
@@ -69,7 +69,7 @@ class Regressor:
 
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        """The entries in the order of a sample's numbers in memory, and their places there."""
+        """Order of the entries in the memory of a sample, and their places there."""
         places = self.rows * len(self.names) + self.columns
         order = np.argsort(places)
         return order, places[order]
@@ -133,7 +133,7 @@ class InverseDynamics:
         labels: Labels | None = None,
         start: np.ndarray | None = None,
     ) -> Motion:
-        """State of the whole virtual tree along a path of actuated samples (n, N).
+        """Compute the state of the whole virtual tree along a path of actuated samples (n, N).
 
         ``labels[k]`` is what messages call sample k; the path begins from the closed configuration
         ``start`` (n_c,), home if left out.
@@ -141,11 +141,11 @@ class InverseDynamics:
         return self.rates(self.path(q, labels, start), qd, qdd, labels)
 
     def path(self, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
-        """Configurations (n_c, N) of :meth:`motion`."""
+        """Compute the configurations (n_c, N) of :meth:`motion`."""
         return q if self.loops is None else follow(self.loops, q, labels, start)
 
     def rates(self, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, labels: Labels | None = None) -> Motion:
-        """State of the whole virtual tree at configurations ``c`` (n_c, N) from :meth:`path`."""
+        """Compute the state of the whole virtual tree at configurations ``c`` (n_c, N) from :meth:`path`."""
         if self.loops is None:
             n, samples = qd.shape
             J = np.broadcast_to(np.eye(n)[:, :, None], (n, n, samples))
@@ -153,7 +153,7 @@ class InverseDynamics:
         return differentiate(self.loops, c, qd, qdd, labels)
 
     def columns(self, names: Sequence[str]) -> Regressor:
-        """The regressor pruned to the standard parameters ``names``."""
+        """Return the regressor of the standard parameters ``names``."""
         names = tuple(names)
         if names not in self._regressors:
             inputs, whole = self._symbolic
@@ -182,7 +182,7 @@ class InverseDynamics:
         return self.columns(self.parameter_names)
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """The regressor ``IDM_st`` of eq. (15), (N, n, n_st).
+        """Compute the regressor ``IDM_st`` of eq. (15), (N, n, n_st).
 
         Parameters
         ----------
@@ -207,9 +207,9 @@ class InverseDynamics:
         qdd: np.ndarray,
         chi: Mapping[str, float] | np.ndarray,
     ) -> np.ndarray:
-        """Torques of the actuated joints, (N, n) in N m or N, for standard parameters ``chi``.
+        """Compute the torques of the actuated joints, tau_idm of eq. (16), (N, n) in N m or N.
 
-        ``chi`` is a vector (n_st,) or a mapping by name, in which what is missing is zero.
+        ``chi``, the standard parameters, is a vector (n_st,) or a mapping by name; missing ones are zero.
         """
         vector, tau, full = self._vector(chi), np.zeros((len(q), len(self.actuated))), self.full
         _ = full.summed
@@ -223,7 +223,7 @@ class InverseDynamics:
     def _for_blocks(
         self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, work: Callable[[slice, Motion], None]
     ) -> None:
-        """Do some work, in threads, with the blocks of a path and their motion, which stays in the cache."""
+        """Work on the blocks of a path and their motion in threads; a block stays in the processor's cache."""
         q, qd, qdd = self.samples(q, qd, qdd)
         c: np.ndarray | None = None
         for start in range(0, q.shape[1], PATH):
@@ -268,6 +268,6 @@ class InverseDynamics:
         unknown = [name for name in chi if name not in self.parameter_names]
         if unknown:
             close = get_close_matches(unknown[0], self.parameter_names, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists those it has."
+            hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists them."
             raise GtauError(f"the model of '{self.robot.name}' has no standard parameter '{unknown[0]}'; {hint}")
         return np.array([chi.get(name, 0.0) for name in self.parameter_names], dtype=float)

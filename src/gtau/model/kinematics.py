@@ -1,4 +1,4 @@
-"""Positions, twists and accelerations of all bodies, as symbolic expressions.
+"""Express positions, twists and accelerations of all bodies symbolically.
 
 Twists and accelerations are those of a body's frame origin in the body's own axes, the form in which
 its inertial parameters are constant.
@@ -36,12 +36,12 @@ class Twist:
 
 
 def constant(matrix: np.ndarray) -> ca.SX:
-    """A constant matrix in which what is zero up to rounding becomes a structural zero."""
+    """Return a constant matrix whose entries that are zero up to rounding are structural zeros."""
     return ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
 
 
 def _turn(axis: np.ndarray, angle: ca.SX) -> ca.SX:
-    """Rotation by ``angle`` about the unit vector ``axis`` (Rodrigues)."""
+    """Express the rotation by ``angle`` about the unit vector ``axis`` (Rodrigues)."""
     outer = constant(np.outer(axis, axis))
     return outer + ca.cos(angle) * (constant(np.eye(3)) - outer) + ca.sin(angle) * ca.skew(constant(axis))
 
@@ -64,7 +64,7 @@ def _placed(joint: Joint, q: ca.SX) -> tuple[ca.SX, Vector]:
 
 
 def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
-    """Pose of every body at configuration ``c`` (n_c,)."""
+    """Express the pose of every body at configuration ``c`` (n_c,)."""
     origin, axes = constant(np.zeros(3)), constant(np.eye(3))
     found = {GROUND: Frame(axes, origin, axes, origin)}
     for k, joint in enumerate(layout.robot.joints):
@@ -85,7 +85,7 @@ def poses(layout: Coordinates, c: np.ndarray) -> dict[str, tuple[np.ndarray, np.
 
 
 def configuration_rates(layout: Coordinates, c: ca.SX, yd: ca.SX) -> ca.SX:
-    """Time derivative of the configuration c (n_c,) for velocities ``yd`` (n_y,), eq. 9."""
+    """Express the time derivative of the configuration c (n_c,) for velocities ``yd`` (n_y,), T of eq. (9)."""
     n_t = len(layout.robot.joints)
     rates = [yd[:n_t]]
     for slots in layout.platforms:
@@ -99,7 +99,7 @@ def configuration_rates(layout: Coordinates, c: ca.SX, yd: ca.SX) -> ca.SX:
 
 
 def platform_twist(layout: Coordinates, rates: ca.SX, frame: dict[str, Frame]) -> dict[str, Twist]:
-    """Twists ``t = D v`` of the platforms (eq. 10), turned into their own axes."""
+    """Express the twists ``t = D v`` of the platforms, eq. (10), in their own axes."""
     twists = {}
     for slots in layout.platforms:
         v = dict(zip(slots.platform.dof, ca.vertsplit(rates[slots.rates]), strict=True))
@@ -111,7 +111,7 @@ def platform_twist(layout: Coordinates, rates: ca.SX, frame: dict[str, Frame]) -
 
 
 def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[str, Twist]:
-    """Twist of every body for the velocities ``rates`` (n_y,).
+    """Express the twist of every body for the velocities ``rates`` (n_y,).
 
     With a column of ``J`` for ``rates`` these are the partial twists of Jourdain's principle.
     """
@@ -137,7 +137,7 @@ def accelerations(
     ydd: ca.SX,
     gravity: np.ndarray,
 ) -> dict[str, Twist]:
-    """Acceleration of every body less gravity, which acts as an acceleration of the base."""
+    """Express the acceleration of every body less gravity, which acts as an acceleration of the base."""
     lift = constant(-np.asarray(gravity, dtype=float))
     found = {GROUND: Twist(ca.SX(3, 1), lift)}
     for k, joint in enumerate(layout.robot.joints):

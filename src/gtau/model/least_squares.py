@@ -1,4 +1,4 @@
-"""Small least-squares problems, solved symbolically: every sample then runs the same few instructions."""
+"""Solve small least-squares problems symbolically: every sample then runs the same few instructions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
     """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations.
 
     Rows and columns are eliminated in an order that keeps zeros, so robots with many legs cost no more than
-    each leg and the platform. With ``refine`` one step of iterative refinement gives back the digits that
+    each leg and the platform. With ``refine`` one step of iterative refinement restores the digits that the
     normal equations lose.
 
     Parameters
@@ -40,7 +40,7 @@ def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
 
 
 def _inverse(upper: ca.SX) -> ca.SX:
-    """Inverse of a unit upper triangle given without its diagonal, by back substitution on what is not zero."""
+    """Invert a unit upper triangle, given without its diagonal, by sparse back substitution."""
     n = upper.shape[0]
     found = ca.SX(n, n)
     for column in range(n):

@@ -1,4 +1,4 @@
-"""How far a pose is from singularities of both types (Gosselin and Angeles, 1990).
+"""Measure how far a pose is from singularities of both types (Gosselin and Angeles, 1990).
 
 At a singularity of **type 2** (parallel) the passive joints can move although the actuated ones stand still: the
 passive columns G_p of the closures lose rank, and nothing can be identified there. At one of **type 1** (serial) the
@@ -48,13 +48,13 @@ class Singularities:
     largest: float
 
     def jacobian(self, motion: Motion) -> np.ndarray:
-        """The tool's scaled Jacobian J_t (N, rows, n) along ``motion``."""
+        """Compute the tool's scaled Jacobian J_t (N, rows, n) along ``motion``."""
         n, samples = len(self.layout.actuated), motion.c.shape[1]
         passive = motion.J[self.layout.passive].reshape(-1, samples)
         return self.J_t(motion.c, passive).reshape(-1, n, samples).transpose(2, 0, 1)
 
     def distances(self, motion: Motion) -> np.ndarray:
-        """Distances (2, N) to singularities of type 1 and 2 along ``motion``; NaN for type 2 without closures."""
+        """Compute the distances (2, N) to singularities of type 1 and 2; NaN for type 2 without closures."""
         s = np.linalg.svd(self.jacobian(motion), compute_uv=False)[:, : self.rank]
         if self.rank == 1:  # nothing to compare with in the pose itself
             type_1 = np.minimum(s[:, 0] / self.largest, 1.0)
@@ -70,7 +70,7 @@ class Singularities:
 
 @lru_cache(maxsize=8)
 def singularities(idm: InverseDynamics) -> Singularities:
-    """The singularities of a robot, ready to be evaluated along motions; made once a model.
+    """Prepare the singularities of a robot for evaluation along motions, once for each model.
 
     The tool is the body that carries payloads, or where a loop is closed by a ``connect`` at that link, as in a
     five-bar, the point where it is closed.
@@ -89,7 +89,7 @@ def singularities(idm: InverseDynamics) -> Singularities:
 
 
 def _tool_jacobian(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
-    """C and the passive rows of J, and the tool's scaled Jacobian, row by row."""
+    """Express the tool's scaled Jacobian, row by row; inputs are c and the passive rows of J."""
     robot, n, length = layout.robot, len(layout.actuated), characteristic_length(layout.robot)
     c, passive = ca.SX.sym("c", layout.n_c), ca.SX.sym("J", len(layout.passive), n)
     J = ca.SX(layout.n_y, n)

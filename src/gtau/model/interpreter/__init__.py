@@ -1,1 +1,1 @@
-"""The batched interpreter of CasADi functions."""
+"""A batched interpreter of CasADi functions."""

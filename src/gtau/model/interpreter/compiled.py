@@ -1,4 +1,4 @@
-"""Numba's decorators as all compiled functions here use them."""
+"""Numba decorators of the compiled functions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,17 +9,17 @@ from gtau.model.interpreter.edition import EDITION
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a function, and keep the result on disk for all robots."""
+    """Compile a function and cache it on disk, once for all robots."""
     return njit(cache=True, nogil=True, error_model="numpy")(_of_this_edition(function))
 
 
 def compiled_once(signature: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function of this signature that others call by its address, so that they need no copy of it."""
+    """Compile a function of this signature that others call by address instead of inlining it."""
     return lambda function: cfunc(signature, cache=True)(_of_this_edition(function))
 
 
 def _of_this_edition(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, its name on disk telling the sources.
+    """Name the function after the edition, and so its file on disk.
 
     Numba looks for changes in the function's own file alone, though it compiles in what is called of others.
     """

@@ -1,4 +1,4 @@
-"""The compiled loop behind :mod:`gtau.model.loops`: Newton's method along paths, a path in each lane."""
+"""Compiled continuation of :mod:`gtau.model.loops`: Newton's method along paths, one path in each lane."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ TILE = 8  # samples of a path that are put into the results together: a cache li
 class Follower(NamedTuple):
     """Programs that read ``trial`` (n_c, LANES) and write ``made``: n_c rows, then size, condition and gap.
 
-    ``memory`` is what the programs' rows point to. ``actuated`` (n,) are rows of the configuration, and ``scale``
+    The programs' rows point into ``memory``. ``actuated`` (n,) are rows of the configuration, and ``scale``
     (n_c,) is what its entries are multiplied by to become rad or lengths over the characteristic length, zero for the
     actuated. The rest are the parameters of the continuation.
     """
@@ -42,9 +42,9 @@ class Follower(NamedTuple):
 
 @compiled
 def _newton(f, now, going):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Close the loops from the first guess ``f.trial`` in the lanes ``going``; returns where that succeeded.
+    """Close the loops from the initial guess ``f.trial`` in the lanes ``going``; return where that succeeded.
 
-    ``now`` is the closed configuration before. Returned too is the share of the way to a singular pose.
+    ``now`` is the previous closed configuration. Also return the share of the way to a singular pose.
     """
     n_c = f.trial.shape[0]
     size, condition, gap = f.made[n_c], f.made[n_c + 1], f.made[n_c + 2]
@@ -86,7 +86,7 @@ def _newton(f, now, going):  # type: ignore[no-untyped-def]  # pragma: no cover 
 
 @compiled
 def _go(f, now, guess, guessed, target, going):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Move ``now`` (n_c, LANES) straight to ``target`` (n, LANES) in the lanes ``going``; returns which arrived.
+    """Move ``now`` (n_c, LANES) straight to ``target`` (n, LANES) in the lanes ``going``; return which arrived.
 
     In the lanes ``guessed`` the configuration there is tried to be ``guess``; where that was in one step,
     ``guessed`` is True afterwards.
@@ -134,7 +134,7 @@ def _go(f, now, guess, guessed, target, going):  # type: ignore[no-untyped-def] 
 def advance_to(f, c, q, begin, end, reached):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Move the columns ``begin`` to ``end`` of ``c`` (n_c, N) towards those of ``q`` (n, N), in place.
 
-    ``reached`` (N,) tells which arrive.
+    ``reached`` (N,) becomes True for those that arrive.
     """
     now, target = np.zeros((c.shape[0], LANES)), np.zeros((q.shape[0], LANES))
     going, guessed = np.empty(LANES, np.bool_), np.empty(LANES, np.bool_)
@@ -158,7 +158,7 @@ def advance_to(f, c, q, begin, end, reached):  # type: ignore[no-untyped-def]  #
 def follow_path(f, c, q, starts, length, filled):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Fill ``c`` (n_c, N) along ``q`` (n, N) from each of ``starts``: ``length`` samples, or as many as can be reached.
 
-    The first guess is the parabola through the last three samples.
+    The initial guess extrapolates the parabola through the last three samples.
     """
     n_c, samples = c.shape
     now, guess, target = np.zeros((n_c, LANES)), np.zeros((n_c, LANES)), np.zeros((q.shape[0], LANES))

@@ -1,4 +1,4 @@
-"""The edition of the compiled functions, by which Numba's cache tells them from those of other sources."""
+"""The edition of the compiled functions: part of their names in the cache of Numba, new with every change of source."""
 
 import os
 from hashlib import sha256

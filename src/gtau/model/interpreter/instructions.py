@@ -1,4 +1,4 @@
-"""From a CasADi function to instructions of the interpreter: fused, and few registers."""
+"""Translate CasADi functions to instructions of the interpreter: fused, and with few registers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ for _name in ("MULTIPLY_ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT"):
 
 
 class Instruction:
-    """An operation on values, which are numbered: the inputs, then what the instructions give."""
+    """An operation on values, which are numbered: the inputs, then the results of the instructions."""
 
     __slots__ = ("operands", "operation", "results")
 
@@ -35,7 +35,7 @@ class Instruction:
 def instructions(
     function: ca.Function, parameters: int
 ) -> tuple[np.ndarray, np.ndarray, int, tuple[np.ndarray, np.ndarray]]:
-    """``code``, ``constants``, ``registers`` and ``fixed`` of :class:`gtau.model.interpreter.program.Program`.
+    """Return ``code``, ``constants``, ``registers`` and ``fixed`` of :class:`gtau.model.interpreter.program.Program`.
 
     The last ``parameters`` entries of the function's input are the same for all samples.
     """
@@ -72,12 +72,12 @@ def instructions(
 
 
 def _copy(output: int) -> int:
-    """Number of the value that is a copy for an output."""
+    """Return the number of the value that is the copy for an output."""
     return -1 - output
 
 
 def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], list[int]]:
-    """Instructions in single assignment, constants by value, and the values that are outputs."""
+    """Read a function: instructions in single-assignment form, constants, and the values that are outputs."""
     listing: list[Instruction] = []
     constants: dict[int, float] = {}
     number: dict[float, int] = {}
@@ -119,7 +119,7 @@ def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], l
                 operation = _SAME[identity]
             else:
                 raise ValueError(
-                    f"an expression has CasADi's operation {identity}, which the interpreter does not know"
+                    f"an expression has CasADi's operation {identity}, which the interpreter does not support"
                 )
             held[results[0]] = next(fresh)
             listing.append(Instruction(operation, [held[results[0]]], operands))
@@ -127,7 +127,7 @@ def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], l
 
 
 def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list[Instruction]:
-    """Division by constants, and by values that divide more than once, as products with reciprocals: far cheaper."""
+    """Replace division by constants, and by values that divide more than once, by far cheaper multiplication."""
     divides: dict[int, int] = {}
     for each in listing:
         if each.operation == "DIV":
@@ -156,7 +156,7 @@ def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list
 
 
 def _fused(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
-    """Products, and changes of sign, that are used once in a sum made together with it."""
+    """Fuse products and changes of sign that are used once, in a sum, with that sum."""
     uses: dict[int, int] = {}
     for value in outputs + [operand for each in listing for operand in each.operands]:
         uses[value] = uses.get(value, 0) + 1
@@ -188,7 +188,7 @@ def _fused(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
 
 
 def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
-    """Let instructions take the result before from the processor's registers; returns what then needs no row.
+    """Let instructions take the previous result from the processor's registers; return what then needs no row.
 
     The values ``kept`` need one in any case.
     """
@@ -209,7 +209,7 @@ def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
 
 
 def _allocated(listing: list[Instruction], values: set[int]) -> tuple[int, dict[int, int]]:
-    """Number of registers, and the register of each of ``values``: the one that became free last."""
+    """Allocate registers: their number, and the register of each of ``values``, the one that became free last."""
     last: dict[int, int] = {}
     for k, each in enumerate(listing):
         last.update(dict.fromkeys(each.operands + each.results, k))

@@ -1,4 +1,4 @@
-"""The compiled loop behind :mod:`gtau.model.interpreter.program`."""
+"""Compiled loop of :mod:`gtau.model.interpreter.program`."""
 
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]
@@ -13,7 +13,7 @@ OPERATIONS = (
     *("SUBTRACT_PRODUCT last", "MULTIPLY_ADD by last", "MULTIPLY_SUBTRACT by last", "SUBTRACT_PRODUCT by last"),
     *("NEG", "DIV", "SQRT", "ASSIGN", "SIGN", "FABS", "FMAX", "SINE_COSINE"),
 )
-"""What the interpreter can do; the place in this tuple is the code of the operation."""
+"""Operations of the interpreter; the index in this tuple is the operation code."""
 
 NOWHERE = 2**32 - 1
 """Row of a result that only the next instruction needs."""
@@ -23,7 +23,7 @@ NOWHERE = 2**32 - 1
 def run_machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Run ``count`` instructions, at the address ``code``, on one lane of the rows whose addresses are at ``rows``.
 
-    The result before stays in the processor's registers as the ``last``.
+    The previous result stays in the processor's registers as ``last``.
     """
     words, row = carray(lanes.to_words(code), (count, 5)), carray(lanes.to_addresses(rows), (2**31,))
     last = lanes.undefined()
@@ -114,7 +114,7 @@ def interpret(machine, code, rows, own, long, start, stop):  # type: ignore[no-u
 
 @compiled
 def scatter(machine, code, rows, own, long, start, stop, made, order, places, table):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """As :func:`interpret`, the outputs ``made`` (outputs, LANES) put at ``places`` of the rows of ``table``.
+    """Run as :func:`interpret`, and put the outputs ``made`` (outputs, LANES) at ``places`` of the rows of ``table``.
 
     ``table`` is (N, columns); ``places`` (outputs,) rise, and are those of the outputs in the ``order`` (outputs,).
     """

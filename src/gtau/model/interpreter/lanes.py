@@ -1,4 +1,4 @@
-"""Arithmetic on lanes of LANES doubles, each a few vector registers of the processor.
+"""Compute with lanes of LANES doubles, each a few vector registers of the processor.
 
 Lanes are loaded from addresses, so an operand may stand anywhere, in a row of the interpreter as in the
 caller's arrays, and nothing is copied; whole-lane vectors need no checks for overlap.
@@ -25,7 +25,7 @@ _intrinsic: Any = intrinsic
 
 
 class _LaneType(types.Type):
-    """What Numba calls a lane's numbers while they are in the processor's registers."""
+    """Numba type of a lane while it is in the processor's registers."""
 
     def __init__(self) -> None:
         super().__init__(name=f"Lane{LANES}")
@@ -41,7 +41,7 @@ class _LaneModel(models.PrimitiveModel):
 
 
 def _operation(operands: int, compute: Callable[..., Any]) -> Any:
-    """A function of so many lanes that gives a lane."""
+    """Make a function of so many lanes that returns a lane."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return compute(builder, *arguments)
@@ -55,7 +55,7 @@ def _operation(operands: int, compute: Callable[..., Any]) -> Any:
 
 
 def _call(name: str, operands: int) -> Callable[..., Any]:
-    """A call of LLVM's vector function."""
+    """Make a call of LLVM's vector function."""
 
     def compute(builder: Any, *values: Any) -> Any:
         kind = ir.FunctionType(_LANE, [_LANE] * operands)
@@ -87,13 +87,13 @@ subtract_product = _operation(3, lambda builder, a, b, c: _call("fma", 3)(builde
 
 @_intrinsic
 def undefined(typing):  # type: ignore[no-untyped-def]
-    """A lane of any numbers."""
+    """Return a lane of undefined numbers."""
     return _lane(), lambda context, builder, signature, arguments: ir.Constant(_LANE, ir.Undefined)
 
 
 @_intrinsic
 def load(typing, address):  # type: ignore[no-untyped-def]
-    """The lane at an address."""
+    """Load the lane at an address."""
 
     def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return builder.load(builder.inttoptr(arguments[0], _LANE.as_pointer()), align=8)
@@ -103,7 +103,7 @@ def load(typing, address):  # type: ignore[no-untyped-def]
 
 @_intrinsic
 def store(typing, address, value):  # type: ignore[no-untyped-def]
-    """Put a lane at an address."""
+    """Store a lane at an address."""
 
     def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         builder.store(arguments[1], builder.inttoptr(arguments[0], _LANE.as_pointer()), align=8)
@@ -113,7 +113,7 @@ def store(typing, address, value):  # type: ignore[no-untyped-def]
 
 
 def _pointer(kind: Any, stored: ir.Type) -> Any:
-    """A function that makes an address a pointer to numbers of a kind."""
+    """Make a function that turns an address into a pointer to numbers of a kind."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.inttoptr(arguments[0], stored.as_pointer())
@@ -184,7 +184,7 @@ def _bits(typing, x):  # type: ignore[no-untyped-def]
 
 @compiled
 def lane(address):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """The lane at an address as an array (LANES,)."""
+    """View the lane at an address as an array (LANES,)."""
     return numba.carray(to_doubles(address), (LANES,))  # type: ignore[attr-defined]
 
 
@@ -201,7 +201,7 @@ _FAR = 1e9  # rad: beyond, the quadrant needs more digits than this reduction ke
 
 @compiled
 def sine_cosine(sines, cosines, angles):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Sine and cosine (LANES,) of angles, to about a unit in the last place."""
+    """Compute sine and cosine (LANES,) of angles, to about a unit in the last place."""
     far = False
     for n in range(LANES):
         x = angles[n]

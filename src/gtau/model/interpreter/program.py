@@ -1,4 +1,4 @@
-"""CasADi functions evaluated for many samples: a small batched interpreter.
+"""Evaluate CasADi functions for many samples: a small batched interpreter.
 
 A symbolic function is turned into a list of instructions on rows; each instruction is carried out for a
 whole lane of samples before the next, so the interpreter's own cost is shared by the lane and the
@@ -86,7 +86,7 @@ class Program:
             table[:, places] = whole[:samples, places]
 
     def _sources(self, inputs: tuple[np.ndarray, ...]) -> tuple[list[np.ndarray], int]:
-        """The inputs, at least a lane of them, and the number of samples."""
+        """Return the inputs, padded to a lane, and the number of samples."""
         shapes = [np.shape(each) for each in inputs]
         samples = shapes[0][-1] if shapes[0] else 0
         if any(len(shape) != 2 or shape[1] != samples for shape in shapes) or sum(s[0] for s in shapes) != self.inputs:
@@ -118,14 +118,14 @@ class Bound:
 
 
 def aligned(rows: int) -> np.ndarray:
-    """Rows (rows, LANES) that begin where a cache line does."""
+    """Allocate rows (rows, LANES) aligned to cache lines."""
     memory = np.empty(rows * (LANES + PAD) + PAD)
     first = -memory.ctypes.data % 64 // 8
     return memory[first : first + rows * (LANES + PAD)].reshape(rows, LANES + PAD)[:, :LANES]
 
 
 def addresses(array: np.ndarray) -> np.ndarray:
-    """Addresses (rows,) of the rows of an array."""
+    """Return the addresses (rows,) of the rows of an array."""
     return array.ctypes.data + array.strides[0] * np.arange(len(array))
 
 
@@ -134,13 +134,13 @@ def _rows(arrays: list[np.ndarray]) -> np.ndarray:
 
 
 def _contiguous(array: np.ndarray) -> np.ndarray:
-    """The array, or if need be a copy, its numbers one after the other along the last axis."""
+    """Return the array, or a copy if need be, contiguous along the last axis."""
     array = np.asarray(array, dtype=float)
     return array if array.strides[-1] == array.itemsize else np.ascontiguousarray(array)
 
 
 def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Sequence[ca.SX] = ()) -> Program:
-    """Instructions that compute the stacked dense ``outputs`` from the stacked ``inputs``.
+    """Compile instructions that compute the stacked dense ``outputs`` from the stacked ``inputs``.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     Raises
     ------
     ValueError
-        Where an expression has an operation that the interpreter does not know.
+        Where an expression has an operation that the interpreter does not support.
     """
     x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
     function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])

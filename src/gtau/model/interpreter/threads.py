@@ -1,4 +1,4 @@
-"""Sharing samples among threads; the compiled loops let go of Python's lock."""
+"""Share samples among threads; the compiled loops release Python's lock."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHARE = 16 * LANES  # samples that are worth a thread
 
 
 def threads() -> int:
-    """Threads to use: what the environment variable GTAU_THREADS says, or one for each core."""
+    """Return the number of threads: ``GTAU_THREADS``, or one for each core."""
     try:
         return max(int(os.environ["GTAU_THREADS"]), 1)
     except (KeyError, ValueError):
@@ -25,7 +25,7 @@ def threads() -> int:
 def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:
     """Call ``work(start, stop)`` for stretches of whole lanes that together are ``samples``.
 
-    In threads, where each gets at least ``worth`` samples; what is computed does not depend on their number. Work that
+    In threads, where each gets at least ``worth`` samples; the results do not depend on their number. Work that
     is itself done by one of them is not shared again.
     """
     parts = 1 if hasattr(_inside, "pool") else min(threads(), samples // worth)
@@ -39,5 +39,5 @@ def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) ->
 
 @cache
 def _pool(process: int, workers: int) -> ThreadPoolExecutor:
-    """Threads, kept; a forked process needs its own."""
+    """Return the threads, made once in a process; a forked process needs its own."""
     return ThreadPoolExecutor(workers, "gtau", lambda: setattr(_inside, "pool", True))
