@@ -9,7 +9,7 @@ from gtau.report import provenance
 from gtau.report.evidence import payload_words
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Cell, Column, bullets, folded, number, paragraph, table, text, verdict
-from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, zoom_tools
+from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, key, zoom_tools
 from gtau.report.identification_report import page
 from gtau.report.provenance import Provenance
 from gtau.report.robot_drawing import robot_drawing
@@ -89,7 +89,8 @@ def _motion(checked: ExperimentCheck, arrays: Arrays) -> str:
     parts = []
     for k, log in enumerate(checked.logs):
         time, thin = envelope(log.distances.time - float(log.run.time[0]), log.position, buckets)
-        drawn = [zoom_tools(f"motion-{k}")]
+        colours = [(joint_label(each.joint), f"c{j % COLOURS}") for j, each in enumerate(log.joints)]
+        drawn = [zoom_tools(f"motion-{k}"), key(colours)]
         for unit in ("rad", "m"):
             lines = [
                 Line(joint_label(each.joint), thin[:, j], f"c{j % COLOURS}", 1.3)

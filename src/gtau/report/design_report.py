@@ -11,7 +11,7 @@ from gtau.excitation.forecast import sampled_motions
 from gtau.report import provenance
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Cell, Column, bullets, escape, facts, number, paragraph, table, text, verdict
-from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, zoom_tools
+from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, key, zoom_tools
 from gtau.report.identification_report import page
 from gtau.report.provenance import Provenance
 from gtau.report.robot_drawing import robot_drawing
@@ -52,7 +52,7 @@ def _verdict(document: dict[str, Any]) -> Section:
     weak: dict[str, list[str]] = {}
     for each in document["weak"]:
         weak.setdefault(each["advice"], []).append(f"{each['name']} ({each['rel_std']:.3g} %)")
-    sentences = [f"not identified, {', '.join(names)}: {advice}" for advice, names in weak.items()]
+    sentences = [f"poorly determined (30 % or more), {', '.join(names)}: {advice}" for advice, names in weak.items()]
     if document["without_effect"]:
         sentences.append(f"without effect on any motor, whatever the motion: {', '.join(document['without_effect'])}")
     sentences.append("these are the standard deviations of white noise; errors of the model come on top")
@@ -68,6 +68,7 @@ def _verdict(document: dict[str, Any]) -> Section:
 
 
 def _expected(entries: list[dict[str, Any]], sortable: str = "") -> str:
+    some = any(each["assumed"] for each in entries)
     rows = [
         [
             text(each["name"], "mono"),
@@ -75,7 +76,7 @@ def _expected(entries: list[dict[str, Any]], sortable: str = "") -> str:
             number(each["std"], 2),
             number(each["rel_std"], 3),
             text(each["unit"], "unit"),
-            text("assumed" if each["assumed"] else ""),
+            *([text("assumed" if each["assumed"] else "given")] if some else []),
         ]
         for each in entries
     ]
@@ -85,7 +86,7 @@ def _expected(entries: list[dict[str, Any]], sortable: str = "") -> str:
         Column("std to expect", True),
         Column("std, %", True),
         Column("unit"),
-        Column("value"),
+        *([Column("prior value is")] if some else []),
     ]
     return table(columns, rows, sortable=sortable)
 
@@ -98,7 +99,8 @@ def _motion(design: Design, arrays: Arrays) -> str:
     for k, (time, joints) in enumerate(motions):
         followed = ", ".join(f"run {run + 1}" for run in design.task.motions[k])
         parts.append(f"<h3>Motion {k + 1}, of {escape(followed)}</h3>" if len(motions) > 1 else "")
-        parts.append(zoom_tools(f"motion-{k}"))
+        colours = [(joint_label(joint), f"c{j % COLOURS}") for j, joint in enumerate(model.actuated)]
+        parts += [zoom_tools(f"motion-{k}"), key(colours)]
         for order, (what, per) in enumerate(ORDERS):
             thinned, thin = envelope(time, np.ascontiguousarray(joints[order].T), buckets)
             for unit in ("rad", "m"):

@@ -40,8 +40,10 @@ def _verdict(found: FleetTable) -> Section:
     elif outliers:
         words = f"{len(outliers)} drive gain{'' if len(outliers) == 1 else 's'} of {len(robots)} robot"
         words, grade = f"{words}{'' if len(robots) == 1 else 's'} stand apart from the fleet.", "weak"
-    else:
+    elif any(joint.comparable for joint in found.joints):
         words, grade = "No drive gain stands apart from the fleet.", "good"
+    else:
+        words, grade = "The robots are identified, but too few to detect outliers among them.", "plain"
     sentences = [
         f"robot '{gain.robot}', {joint_label(gain.joint)}: {gain.difference_percent or 0.0:+.3g} % from the median, "
         f"{abs(gain.z or 0.0):.3g} standard deviations"

@@ -14,7 +14,7 @@ from gtau.robots.geometry import attached
 from gtau.robots.robot import GROUND, Robot
 
 WIDTH, LEAST, MOST = 420.0, 150.0, 380.0  # pixels of the page: its width, and the range of its height
-MARGIN = 34.0
+MARGIN, STRIP = 34.0, 48.0  # around the robot, and below it for the scale and the axes of the base
 SHIFTS = ((12, -8, "start"), (-12, -8, "end"), (12, 16, "start"), (-12, 16, "end"))  # of a name from its joint
 
 
@@ -29,8 +29,8 @@ def robot_drawing(robot: Robot) -> str:
     scene = scene_of(robot)
     robot = scene.robot
     span = scene.high - scene.low
-    scale = min((WIDTH - 2 * MARGIN) / max(span[0], 1e-9), (MOST - 2 * MARGIN - 20) / max(span[1], 1e-9))
-    height = max(scale * span[1] + 2 * MARGIN + 20, LEAST)
+    scale = min((WIDTH - 2 * MARGIN) / max(span[0], 1e-9), (MOST - 2 * MARGIN - STRIP) / max(span[1], 1e-9))
+    height = max(scale * span[1] + 2 * MARGIN + STRIP, LEAST)
     page = _Page(scene, scale, height)
     for foot in scene.feet:
         page.line(scene.found[GROUND][1], foot, "line", 3)
@@ -79,7 +79,7 @@ class _Page:
     def on_page(self, place: np.ndarray) -> tuple[float, float]:
         """Place of a projected point (2,)."""
         x, y = self.scale * (place - self.middle)
-        return WIDTH / 2 + float(x), (self.height - 20) / 2 - float(y)
+        return WIDTH / 2 + float(x), (self.height - STRIP) / 2 - float(y)
 
     def line(self, start: np.ndarray, end: np.ndarray, colour: str, width: float, opacity: float = 1.0) -> None:
         (a, b), (c, d) = self.at(start), self.at(end)

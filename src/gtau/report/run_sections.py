@@ -28,6 +28,7 @@ from gtau.signals.run import Run
 
 OPEN_RUNS = 1  # of the runs used, and of the others: shown unfolded
 SPECTRAL_POINTS = 220
+KINDS = ("type 1 (serial)", "type 2 (parallel)")  # of singularities
 COLOURS = 8  # of lines in the style sheet
 GROUPS = (("runs used", True), ("validation", False))
 SERIES_A_JOINT = 3  # measured, predicted, residual
@@ -322,12 +323,15 @@ def motion_section(evidence: Evidence, arrays: Arrays) -> Section:
 
     result = evidence.result
     parts = [f'<figure class="panel robot">{robot_drawing(result.robot)}</figure>']
-    paths = [(run.run.name, body_path(result, run.run)[1]) for run in evidence.runs if run.used][:COLOURS]
+    used = any(run.used for run in evidence.runs)
+    shown = [run for run in evidence.runs if run.used == used][:COLOURS]
+    paths = [(run.run.name, body_path(result, run.run)[1]) for run in shown]
     if paths:
         parts.append(f"<h3>Path of ‘{escape(result.robot.tool)}’, the body that carries the payload</h3>")
         parts.append(path_panels(paths))
     starts = {run.run.name: float(run.run.time[0]) for run in evidence.runs}
-    parts.append(distances_part(result.singularities, result.distances, starts, arrays))
+    if used:
+        parts.append(distances_part(result.singularities, result.distances, starts, arrays))
     return Section("robot", "Robot and motion", "\n".join(part for part in parts if part))
 
 
@@ -360,7 +364,7 @@ def distances_part(
     rows = [
         [
             text(each.run),
-            text("type 1 (serial)" if each.type == 1 else "type 2 (parallel)"),
+            text(KINDS[each.type - 1]),
             number(each.distance, 3),
             number(each.time, 4),
             text(", ".join(f"{joint} {value:.3g}" for joint, value in each.pose.items())),
@@ -380,13 +384,10 @@ def distances_part(
         table(columns, rows),
     ]
     buckets = buckets_for(2 * max(len(distances), 1) * 4)
+    parts.append(key([(name, f"c{t}") for t, name in enumerate(KINDS) if any(each.type == t + 1 for each in nearest)]))
     for k, each in enumerate(distances):
         time, thin = envelope(each.time - starts.get(each.run, 0.0), each.values, buckets)
-        lines = [
-            Line(name, thin[:, t], colour, 1.4)
-            for t, (name, colour) in enumerate((("type 1 (serial)", "c0"), ("type 2 (parallel)", "c1")))
-            if np.isfinite(thin[:, t]).any()
-        ]
+        lines = [Line(name, thin[:, t], f"c{t}", 1.4) for t, name in enumerate(KINDS) if np.isfinite(thin[:, t]).any()]
         if lines:
             drawn = chart(arrays, time, lines, "distance", f"distance-{k}", height=130, from_zero=True)
             parts.append(folded(each.run, drawn, shown=k == 0))

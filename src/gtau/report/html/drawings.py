@@ -17,11 +17,12 @@ def ticks(low: float, high: float, most: int = 5) -> list[float]:
     """Round numbers between two others, at most ``most`` of them."""
     if not high > low:
         return [low]
-    raw = (high - low) / max(most - 1, 1)
-    decade = 10.0 ** floor(log10(raw))
-    step = next(each * decade for each in (1, 2, 5, 10) if each * decade >= raw * (1 - 1e-9))
-    first = ceil(low / step - 1e-9)
-    return [k * step for k in range(first, floor(high / step + 1e-9) + 1)]
+    decade = 10.0 ** (floor(log10(high - low)) - 1)
+    for step in (each * decade for each in (1, 2, 5, 10, 20, 50, 100)):
+        first, last = ceil(low / step - 1e-9), floor(high / step + 1e-9)
+        if last - first < most:
+            break
+    return [k * step for k in range(first, last + 1)]
 
 
 @dataclass

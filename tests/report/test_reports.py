@@ -1,0 +1,228 @@
+"""The report of every command: what stands in it, and how it behaves in a browser."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
+from typer.testing import CliRunner
+
+from gtau.cli.commands import app
+from gtau.report import style
+from gtau.report.html.elements import plain
+
+LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
+DESIGN = """
+robot: five-bar
+rate: 500
+period: 4
+harmonics: 3
+runs: [{payload: none}, {payload: {name: disc, mass: 1.2}}]
+prior: {gains: {left: 2.5, right: 4.0}}
+"""
+COMMANDS = {
+    "identify": "identify experiment.yaml --out identify",
+    "validate": "validate identify/model.json experiment.yaml --out validate",
+    "payload": "payload identify/model.json weighing.yaml --out payload",
+    "compare": "compare experiment.yaml --out compare",
+    "check": "check experiment.yaml --out check",
+    "fleet": "fleet one/experiment.yaml two/experiment.yaml --out fleet --jobs 1",
+    "excite": "excite design.yaml --out excite --starts 1",
+}
+SECTIONS = {
+    "identify": "verdict gains payloads torques residuals parameters correlation singular-values robot logs notes "
+    "provenance",
+    "validate": "verdict torques gains robot logs provenance",
+    "payload": "verdict masses payloads gains robot provenance",
+    "compare": "verdict estimators gains provenance",
+    "check": "verdict joints motion robot logs notes provenance",
+    "fleet": "verdict joints chart gains provenance",
+    "excite": "verdict gains motion limits parameters robot assumed provenance",
+}
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+PROBE = """
+<script>
+const problems = [];
+addEventListener("error", (event) => problems.push(event.message));
+setTimeout(async () => {
+  const wait = () => new Promise((done) => setTimeout(done, 50));
+  const say = { page: "NAME", ready: document.documentElement.dataset.ready, charts: 0, blank: 0, synced: true };
+  document.querySelectorAll("details").forEach((each) => { each.open = true; });
+  for (let k = 0; k < 40; k += 1) await wait();
+  for (const chart of document.querySelectorAll(".chart")) {
+    say.charts += 1;
+    if (!chart.plot || chart.plot.width < 100 || !chart.querySelector("canvas")) say.blank += 1;
+  }
+  for (const button of document.querySelectorAll("button[data-zoom=in]")) {
+    button.click();
+    await wait();
+    const mine = (each) => JSON.parse(each.dataset.chart).group === button.dataset.group;
+    const group = [...document.querySelectorAll(".chart")].filter(mine);
+    const ranges = group.map((each) => [each.plot.scales.x.min, each.plot.scales.x.max].join());
+    const time = group[0].plot.data[0], [low, high] = ranges[0].split(",").map(Number);
+    const half = (high - low) / (time[time.length - 1] - time[0]);
+    say.synced &&= new Set(ranges).size === 1 && Math.abs(half - 0.5) < 0.01;
+  }
+  const table = document.querySelector("#parameter-table");
+  const input = document.querySelector("[data-table=parameter-table]");
+  if (table) {
+    const rows = () => [...table.tBodies[0].rows].filter((row) => !row.hidden);
+    input.value = "fv_ right"; input.dispatchEvent(new Event("input"));
+    say.found = rows().map((row) => row.cells[0].textContent);
+    input.value = ""; input.dispatchEvent(new Event("input"));
+    table.tHead.rows[0].cells[1].click();
+    const values = rows().map((row) => Number(row.cells[1].dataset.value || Infinity));
+    say.sorted = values.length > 3 && values.every((value, k) => k === 0 || values[k - 1] <= value);
+  }
+  const background = () => getComputedStyle(document.body).backgroundColor;
+  say.themes = [background()];
+  document.getElementById("theme").click();
+  say.themes.push(background());
+  say.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+  say.problems = problems;
+  console.log("probe" + JSON.stringify(say));
+}, 300);
+</script>
+"""
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which every command has written its report."""
+    folder = tmp_path_factory.mktemp("reports")
+    plant = Plant(delays=(1e-3, 1e-3), noise=0.01)
+    write_log(folder / "free.csv", plant.run("free", seed=1))
+    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
+    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3, seconds=6.0))
+    write_log(folder / "unknown.csv", plant.run("unknown", payload=LEAD, seed=4))
+    experiment = EXPERIMENT.replace("name: steel", 'name: "<b>steel & co"')
+    (folder / "experiment.yaml").write_text(experiment)
+    loaded = 'loaded.csv, payload: {name: "<b>steel & co", mass: 1.2}'
+    assert loaded in experiment
+    (folder / "weighing.yaml").write_text(experiment.replace(loaded, "unknown.csv, payload: {name: lead}"))
+    (folder / "design.yaml").write_text(DESIGN)
+    for robot in ("one", "two"):
+        (folder / robot).mkdir()
+        for name in ("free.csv", "loaded.csv", "check.csv", "experiment.yaml"):
+            (folder / robot / name).symlink_to(folder / name)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for command in COMMANDS.values():
+            patch.setattr("sys.argv", ["gtau", *command.split()])
+            done = CliRunner().invoke(app, command.split())
+            assert done.exit_code == 0, done.stderr
+            assert f"written: {command.split('--out ')[1].split()[0]}/report.html" in done.stdout
+    return folder
+
+
+class Links(HTMLParser):
+    """What a page would load, and the ids of its sections."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.sections: list[str] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        values = dict(attributes)
+        if tag == "section":
+            self.sections.append(values["id"] or "")
+        self.loaded += [
+            value
+            for name, value in values.items()
+            if name in ("src", "href", "srcset", "data") and value and not value.startswith(("#", "data:"))
+        ]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def text_of(reports: Path, command: str) -> str:
+    return (reports / command / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_report_is_one_file_with_its_sections(reports: Path, command: str) -> None:
+    text = text_of(reports, command)
+    page = Links(text)
+    assert page.loaded == []
+    assert "@import" not in text
+    assert not re.search(r"url\(\s*['\"]?http", text)
+    assert page.sections == SECTIONS[command].split()
+    assert len(text) < 5e6
+    assert COMMANDS[command] in page.text  # the command that reproduces it
+    assert "<b>steel" not in text  # names are text, not markup
+
+
+def test_the_report_shows_the_numbers_of_the_model(reports: Path) -> None:
+    page = Links(text_of(reports, "identify"))
+    model = json.loads((reports / "identify" / "model.json").read_text())
+    for gain in model["drive_gains"]:
+        assert plain(gain["value"]) in page.text
+    for each in model["parameters"]:
+        assert each["name"] in page.text
+    for log in ("experiment.yaml", "free.csv", "loaded.csv", "check.csv"):
+        assert hashlib.sha256((reports / log).read_bytes()).hexdigest() in page.text
+    assert "2 of 2 drive gains" in page.text or "All 2 drive gains are identified" in page.text
+    assert "payload '<b>steel & co' of 1.2 kg" in page.text
+
+
+def test_what_validation_writes_without_matplotlib(reports: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(reports)
+    monkeypatch.setattr(style, "find_spec", lambda name: None)
+    command = ["validate", "identify/model.json", "experiment.yaml", "--out", "bare"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.stderr
+    assert [path.name for path in (reports / "bare").iterdir()] == ["report.html"]
+    assert "no PNG figures, as matplotlib is not installed; install it with: pip install 'gtau[plot]'" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def probed(reports: Path) -> dict[str, dict]:
+    """What every page says of itself in headless Chromium, all in one window and without a network."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed (Debian: apt install chromium)")
+    frames = []
+    for name in COMMANDS:
+        copy = reports / name / "probed.html"
+        copy.write_text(text_of(reports, name).replace("<head>", "<head>" + PROBE.replace("NAME", name), 1))
+        frames.append(f'<iframe src="{name}/probed.html" style="width:375px;height:700px"></iframe>')
+    (reports / "frames.html").write_text("".join(frames))
+    options = "--headless=new --no-sandbox --disable-gpu --enable-logging=stderr --virtual-time-budget=30000"
+    offline = "--host-resolver-rules=MAP * ~NOTFOUND"
+    window = ["--window-size=3000,900", "--dump-dom", (reports / "frames.html").as_uri()]
+    done = subprocess.run([CHROMIUM, *options.split(), offline, *window], capture_output=True, text=True, timeout=120)
+    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    said = [json.loads(found[1]) for found in map(PROBED.search, console) if found]
+    assert [line for line in console if not PROBED.search(line)] == []
+    return {each["page"]: each for each in said}
+
+
+PROBED = re.compile(r'"probe(\{.*\})", source')
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_report_in_a_browser(probed: dict[str, dict], command: str) -> None:
+    said = probed[command]
+    assert said["ready"] == "yes"
+    assert said["problems"] == []
+    assert said["blank"] == 0
+    assert (said["charts"] > 0) == (command in ("identify", "validate", "check", "excite"))
+    assert said["synced"]
+    assert said["themes"][0] != said["themes"][1]
+    assert said["wide"] <= 0  # nothing sticks out at the width of a phone
+
+
+def test_the_table_of_parameters_searches_and_sorts(probed: dict[str, dict]) -> None:
+    said = probed["identify"]
+    assert said["found"] == ["fv_right", "fv_right_forearm"]
+    assert said["sorted"]
