@@ -9,7 +9,7 @@ import typer
 
 from gtau.cli.console import Json, ModelFile, print_json, progress_bar, refusals
 
-KINDS = "c, mjcf, urdf, yaml, csv, latex, orders, matlab"  # those of the registry, which --help need not import
+KINDS = "c, mjcf, urdf, yaml, csv, latex, orders, matlab, fmu"  # those of the registry, which --help need not import
 
 
 def export(

@@ -13,7 +13,7 @@ import casadi as ca
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.export.functions import Functions, functions
-from gtau.export.identified import Identified, identified, identifier, not_known
+from gtau.export.identified import Identified, identified, not_known, suffix
 from gtau.model.loops import CONDITION, CONTRACTION
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -80,7 +80,7 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
         "limits": ", ".join(["1e3"] * n),
         "csv_head": ",".join(["t", *(f"v{_plain(joint)}" for joint in model.joints)]),
         "payload_declarations": "".join(
-            f"extern const double {model.name}_parameters_with_{identifier(load)}[{model.name.upper()}_PARAMETERS];\n"
+            f"extern const double {model.name}_parameters_with_{suffix(load)}[{model.name.upper()}_PARAMETERS];\n"
             for load in model.payloads
         ),
         "parameter_arrays": "\n".join(_parameter_arrays(model)),
@@ -127,7 +127,7 @@ def _parameter_arrays(model: Identified) -> Iterator[str]:
         yield f"    {float(each.value)!r}, /* {comment} */"
     yield "};"
     for load, values in model.payloads.items():
-        yield f"const double {model.name}_parameters_with_{identifier(load)}{size} = {{"
+        yield f"const double {model.name}_parameters_with_{suffix(load)}{size} = {{"
         yield textwrap.fill(_numbers(values), 116, initial_indent="    ", subsequent_indent="    ")
         yield "};"
 

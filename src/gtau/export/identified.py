@@ -94,8 +94,13 @@ def identified(result: Result) -> Identified:
 
 def identifier(name: str) -> str:
     """A name that C, MATLAB and Python accept: ``five-bar`` becomes ``five_bar``."""
-    plain = re.sub(r"\W", "_", name.lower(), flags=re.ASCII)
+    plain = suffix(name.lower())
     return plain if re.match(r"[a-z]", plain) else f"robot_{plain}"
+
+
+def suffix(name: str) -> str:
+    """A name as the end of an identifier: ``1.5 kg`` becomes ``1_5_kg``."""
+    return re.sub(r"\W", "_", name, flags=re.ASCII)
 
 
 def torques(

@@ -19,6 +19,7 @@ KINDS = {
     "latex": "tables of geometry, gains and essential parameters for a paper",
     "orders": "parameters of each body in the orders of Pinocchio, MuJoCo, Drake, MATLAB and SYMORO",
     "matlab": "function files for MATLAB and GNU Octave",
+    "fmu": "co-simulation FMU 3 with torques and currents for positions, velocities and accelerations",
 }
 
 INTO = ("urdf", "mjcf")

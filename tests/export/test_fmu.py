@@ -1,0 +1,53 @@
+"""Exported FMUs, run by FMPy, beside the model in Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from models_to_export import model_of
+from robots_for_tests import tree
+
+from gtau.export.fmu import export
+from gtau.export.identified import identified, suffix, torques
+from gtau.model.home import load_robot
+from gtau.robots.robot import Robot
+
+fmpy = pytest.importorskip("fmpy")
+validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
+pytest.importorskip("pythonfmu3")
+
+
+@pytest.mark.parametrize("robot", [tree(), load_robot("five-bar")], ids=lambda robot: robot.name)
+def test_fmpy_runs_the_model(robot: Robot, tmp_path: Path) -> None:
+    result = model_of(robot)
+    (path,) = export(result, tmp_path).files
+    assert not validate_fmu(str(path))
+    assert fmpy.read_model_description(str(path)).fmiVersion == "3.0"
+    model = identified(result)
+    names = [suffix(joint) for joint in model.joints]
+    home = np.array([joint.home for joint in robot.joints if joint.actuated])
+    time = np.arange(0, 0.1, 1e-3)
+    phase = time[:, None] * 5 + np.arange(len(names)) + 0.3
+    q, qd, qdd = home + 0.05 * np.sin(phase), 0.25 * np.cos(phase), -1.25 * np.sin(phase)
+    columns = [(f"{what}_{name}", float) for what in ("q", "qd", "qdd") for name in names]
+    signals = np.zeros(len(time), dtype=[("time", float), *columns])
+    signals["time"] = time
+    for what, values in (("q", q), ("qd", qd), ("qdd", qdd)):
+        for j, name in enumerate(names):
+            signals[f"{what}_{name}"] = values[:, j]
+    outputs = [f"{what}_{name}" for what in ("torque", "current") for name in names]
+    for payload, values in ((0, model.values), (1, model.payloads["tool 2"])):
+        found = fmpy.simulate_fmu(
+            str(path), stop_time=0.099, step_size=1e-3, output_interval=1e-3, input=signals,
+            start_values={"payload": payload}, output=[*outputs, "status"],
+        )  # fmt: skip
+        assert not found["status"].any()
+        expected = torques(model, q, qd, qdd, values)
+        # an output is that of the inputs at the start of its step
+        for j, name in enumerate(names):
+            tolerance = 1e-9 * np.abs(expected).max()
+            np.testing.assert_allclose(found[f"torque_{name}"][1:100], expected[:99, j], atol=tolerance)
+            currents = expected[:99, j] / model.gains[j]
+            np.testing.assert_allclose(found[f"current_{name}"][1:100], currents, atol=tolerance)
