@@ -8,7 +8,7 @@ import typer
 
 from gtau import __version__
 from gtau.cli.excitation import excite
-from gtau.cli.export import export
+from gtau.cli.export import export, use
 from gtau.cli.fleet import fleet
 from gtau.cli.identification import compare, identify, payload, validate
 from gtau.cli.init import init
@@ -42,7 +42,7 @@ def gtau(
     """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""
 
 
-for command in (init, check, identify, fleet, compare, validate, payload, export, robot, demo, simulate):
+for command in (init, check, identify, fleet, compare, validate, payload, use, export, robot, demo, simulate):
     app.command()(command)
 app.command(name="compare-control")(compare_control)
 app.command(context_settings={"allow_extra_args": True})(excite)  # the masses after --payload-mass

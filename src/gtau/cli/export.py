@@ -38,3 +38,43 @@ def export(
         else:
             lines = [f"written: {path}" for path in exported.files]
             typer.echo("\n".join([*lines, *(f"- {note}" for note in exported.notes)]))
+
+
+def use(
+    model: ModelFile,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a run: CSV, Parquet.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Table to write: .csv or .parquet, a row an instant.")
+    ] = None,
+    experiment: Annotated[
+        Path | None,
+        typer.Option(
+            "--experiment",
+            metavar="EXPERIMENT.yaml",
+            help="Take columns and units from an experiment file; default: t, q and v with the joint's name.",
+        ),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Compute motor, model and external joint torques along a log, to see contacts and collisions.
+
+    External torque is what the environment exerts on a joint: the model's torque minus the motor's.
+    """
+    with refusals(json_):
+        from dataclasses import asdict
+
+        from gtau.estimation.results.result import Result
+        from gtau.export.along_log import read_log, summary_text, torques_along_log, write_table
+
+        result = Result.load(model)
+        with progress_bar() as progress:
+            progress("torques along the log", 0, 1)
+            found = torques_along_log(result, read_log(result, log, experiment))
+            progress("torques along the log", 1, 1)
+        if out is not None:
+            write_table(found, out)
+        if json_:
+            joints = [asdict(each) for each in found.joints]
+            print_json({"log": str(log), "out": None if out is None else str(out), "joints": joints})
+        else:
+            typer.echo("\n".join([summary_text(found), *([] if out is None else [f"written: {out}"])]))
