@@ -308,8 +308,8 @@ def differentiate(
     Raises
     ------
     GtauError
-        At a pose too close to a singularity, where the passive coordinates cannot be told from the
-        actuated ones.
+        At a pose too close to a singularity, where the actuated coordinates do not determine the
+        passive ones.
     """
     layout, samples = loops.layout, c.shape[1]
     found = loops.equations.motion(c, qd, qdd)

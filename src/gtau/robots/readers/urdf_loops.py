@@ -19,7 +19,7 @@ from gtau.robots.readers.urdf import UrdfTree, read_urdf_tree
 from gtau.robots.robot import Attachment, Closure, Robot
 
 KEYS = ("closed_loop", "name_mot")
-"""Keys by which such a file is told from a robot file."""
+"""Keys that distinguish such a file from a robot file."""
 
 
 class _Loops(BaseModel):
