@@ -60,6 +60,10 @@ def test_kinds_by_name(name: str, kind: str | None, label: str, unit: str | None
 def test_joints_by_name() -> None:
     found = taken_apart("elbow_joint.effort", ["joint", "elbow_joint"])
     assert (found.label, found.kind) == ("elbow_joint", "torque")
+    assert taken_apart("qleft", ["left"]).kind == "position"
+    assert taken_apart("vleft", ["left"]).label == "left"
+    assert taken_apart("outleft", ["left"]).label == "left"
+    assert taken_apart("unleftly", ["left"]).label == ""
     assert taken_apart("q11", ["11", "12"]).label == "11"
     assert taken_apart("q111", ["11", "12"]).label == "111"
 

@@ -14,7 +14,7 @@ from gtau.cli.identification import compare, identify, payload, validate
 from gtau.cli.init import init
 from gtau.cli.logs import check
 from gtau.cli.robots import robot
-from gtau.cli.simulations import compare_control, demo, simulate
+from gtau.cli.simulations import compare_control, demo, simulate, tutorial
 
 
 def show_version(wanted: bool) -> None:
@@ -42,7 +42,7 @@ def gtau(
     """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""
 
 
-for command in (init, check, identify, fleet, compare, validate, payload, use, export, robot, demo, simulate):
+for command in (tutorial, init, check, identify, fleet, compare, validate, payload, use, export, robot, demo, simulate):
     app.command()(command)
 app.command(name="compare-control")(compare_control)
 app.command(context_settings={"allow_extra_args": True})(excite)  # the masses after --payload-mass

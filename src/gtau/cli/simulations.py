@@ -28,6 +28,22 @@ def demo(
             typer.echo(text)
 
 
+def tutorial(
+    out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the logs.", show_default=False)],
+    json_: Json = False,
+) -> None:
+    """Copy the logs of the ten-minute tutorial (docs/tutorial.md) to a folder, and say how to go on."""
+    with refusals(json_):
+        from gtau.demo.tutorial import write_tutorial
+
+        written = write_tutorial(out)
+        if json_:
+            print_json({"files": [str(path) for path in written]})
+            return
+        typer.echo("\n".join(f"written: {path}" for path in written))
+        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar")
+
+
 SimulationFile = Annotated[
     Path, typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False)
 ]

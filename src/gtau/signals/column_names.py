@@ -59,10 +59,10 @@ def taken_apart(name: str, joints: Sequence[str] = ()) -> ColumnName:
     bare = name[: unit.start()] if unit else name
     label, stem = "", bare
     for joint in sorted(joints, key=len, reverse=True):
-        found = re.search(rf"(?<![A-Za-z0-9]){re.escape(joint)}(?![A-Za-z0-9])", bare, re.IGNORECASE)
-        found = found or re.search(rf"(?<!\d){re.escape(joint)}(?!\d)", bare) if joint.isdigit() else found
+        before = r"(?<!\d)" if joint.isdigit() else r"(?<![A-Za-z0-9])[A-Za-z]{0,3}?"  # q11; qleft as well as q_left
+        found = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", bare, re.IGNORECASE)
         if found:
-            label, stem = joint, bare[: found.start()] + "#" + bare[found.end() :]
+            label, stem = joint, bare[: found.start(1)] + "#" + bare[found.end(1) :]
             break
     if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
         words = ["timestamp"]  # of a topic of a bag

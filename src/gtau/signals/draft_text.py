@@ -59,7 +59,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
         paths = [_relative(path, folder) for path in run]
         lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
         if (mass := draft.masses.get(run[0])) is not None:
-            payload = {"name": f"load_{mass:g}kg".replace(".", "_"), "mass": mass}
+            payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
             lines.append(_line(f"    payload: {_flow(payload)}", f"{CHECK}kg, by the name of the file"))
     if draft.kind == "current" and not draft.masses:
         lines += [

@@ -1,0 +1,33 @@
+"""The logs of the tutorial, which come with the package."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from gtau.documents.files import folder_of, write_atomically
+
+FOLDER = "tutorial_logs"  # beside this module
+
+
+def write_tutorial(out: Path) -> list[Path]:
+    """Copy the logs of the tutorial to a folder, which is made where there is none.
+
+    Returns
+    -------
+    list of Path
+        The logs.
+
+    Raises
+    ------
+    GtauError
+        Where the folder cannot be made or written to.
+    """
+    folder = folder_of(out)
+    logs = sorted(
+        (each for each in files("gtau.demo").joinpath(FOLDER).iterdir() if each.name.endswith(".csv")),
+        key=lambda each: each.name,
+    )
+    for each in logs:
+        write_atomically(folder / each.name, each.read_bytes())
+    return [folder / each.name for each in logs]

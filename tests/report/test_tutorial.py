@@ -1,0 +1,75 @@
+"""The tutorial: its logs are those of its simulation file, and its commands end in the gains that were put in."""
+
+from __future__ import annotations
+
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gtau.cli.commands import app
+from gtau.signals.log_file import read_log
+from gtau.simulation.simulation_file import read_simulation
+
+SOURCE = Path(str(files("gtau.demo") / "tutorial_logs"))
+PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
+
+
+def gtau(*arguments: str) -> str:
+    done = CliRunner().invoke(app, list(arguments))
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_the_logs_are_small_and_made_by_the_simulator(tmp_path: Path) -> None:
+    """To a quantum of the encoder: other processors round otherwise."""
+    gtau("simulate", str(SOURCE / "simulation.yaml"), "--out", str(tmp_path))
+    logs = sorted(SOURCE.glob("*.csv"))
+    assert sum(each.stat().st_size for each in logs) < 400_000
+    names = ("t", "qleft", "qright", "vleft", "vright")
+    assert [each.name for each in logs] == sorted(each.name for each in tmp_path.glob("*.csv"))
+    for each in logs:
+        ours, made = read_log(each, names).columns, read_log(tmp_path / each.name, names).columns
+        for name, tolerance in zip(names, (0, 3e-5, 3e-5, 2e-3, 2e-3), strict=True):
+            np.testing.assert_allclose(ours[name], made[name], atol=tolerance)
+
+
+@pytest.fixture
+def page() -> str:
+    if not PAGE.is_file():
+        pytest.skip("the documentation is not beside the package")
+    return PAGE.read_text()
+
+
+def test_the_page_followed_literally(tmp_path: Path, page: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every command and every file of the page in its order; gains and mass come out within three deviations."""
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```(\w+)(?: ([\w.]+))?\n(.*?)```", page, re.DOTALL)
+    ran = 0
+    for kind, name, content in blocks:
+        if kind == "yaml" and name:
+            Path(name).write_text(content)
+        if kind != "console":
+            continue
+        for line in re.findall(r"^\$ (.*)$", content, re.MULTILINE):
+            if line.startswith("cd "):
+                monkeypatch.chdir(line.removeprefix("cd "))
+            if line.startswith("gtau "):
+                arguments = [
+                    found
+                    for each in line.split()[1:]
+                    for found in (sorted(path.name for path in Path().glob(each)) if "*" in each else [each])
+                ]
+                gtau(*arguments)
+                ran += 1
+    assert ran >= 6
+    truth = {joint: drive.gain for joint, drive in read_simulation(SOURCE / "simulation.yaml").drives.items()}
+    model = json.loads(Path("result/model.json").read_text())
+    for gain in model["drive_gains"]:
+        assert abs(gain["value"] - truth[gain["joint"]]) < 3 * gain["std"]
+        assert f"{gain['value']:.3g} ± 0.01 N m/A" in page
+    assert Path("result/report.html").stat().st_size > 10_000
