@@ -22,7 +22,9 @@ def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progr
         def advance(done: float) -> None:
             progress("reading logs", round(whole * (k + done)), whole * len(runs))
 
-        return read_run(run.log, experiment.signals, run.payload, experiment.units, advance)
+        return read_run(
+            run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run.part
+        )
 
     return tuple(read(k, run) for k, run in enumerate(runs))
 

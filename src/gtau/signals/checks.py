@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.clipping import clipped
 from gtau.signals.clock import Clock, clock_of
+from gtau.signals.held import holds_of
 from gtau.signals.quantiles import Quantiles
-from gtau.signals.resampling import MISSING_STEP, UniformSamples, uniform
-from gtau.signals.samples import Samples, Source, ahead, complete, counted, extremes, refuse_short
+from gtau.signals.resampling import MISSING_STEP, Resampling, UniformSamples, uniform
+from gtau.signals.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
+from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.storage import block, spans, store
 
 LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
@@ -26,12 +29,14 @@ SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between 
 SLIP_SPEED = 0.5  # and in shares of the joint's speed
 
 
-def check(source: Source, blocks: Iterable[np.ndarray]) -> UniformSamples:
+def check(
+    source: Source, blocks: Iterable[np.ndarray], settings: PreparationSettings = CHOSEN, part: Part = WHOLE
+) -> UniformSamples:
     """Check a log, repair what is safe, and put it on a uniform grid.
 
     Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples of a joint
     whose command is clipped at a limit are masked. Irregular sampling is resampled at the mean rate: cubic
-    splines for positions, lines for commands. Steps of more than 1.5 mean steps are gaps.
+    splines for positions, lines for commands; see :mod:`gtau.signals.clock` for what the samples' instants are.
 
     Parameters
     ----------
@@ -39,6 +44,10 @@ def check(source: Source, blocks: Iterable[np.ndarray]) -> UniformSamples:
         The log.
     blocks : iterable of ndarray
         Its samples (M, 2n + 1) in order: positions, commands and time in SI units.
+    settings : PreparationSettings
+        What is given of the clock and of the commands' delay.
+    part : Part
+        Which part of the log is used.
 
     Returns
     -------
@@ -53,16 +62,19 @@ def check(source: Source, blocks: Iterable[np.ndarray]) -> UniformSamples:
         tenth of the samples, a position that jumps, no moving joint, or values that cannot be right.
     """
     notes: list[str] = []
-    samples = complete(source, blocks, notes)
+    samples = complete(source, blocks, notes, part)
     _refuse_stuck(samples, notes)
-    samples = drop_repeated(samples, notes)
-    clock = clock_of(samples.time)
+    _refuse_standing_time(samples)
+    every = samples
+    samples = drop_repeated(samples, notes, settings.clock)
+    clock = clock_of(samples.time, samples.position, settings.clock)
     _refuse_rates(samples, clock)
     wraps = _wraps(samples, notes)
     samples = unwrapped(samples, wraps)
-    _refuse_slips(samples)
-    masked = clipped(samples, notes)
-    return uniform(samples, wraps, masked, clock, notes)
+    instants = clock.instants(samples.time)
+    _refuse_slips(samples, instants)
+    grid = Resampling(clock, tuple(clipped(samples, notes)), holds_of(samples), settings.delay, samples is not every)
+    return uniform(samples, instants, wraps, grid, settings.clock is not None, notes)
 
 
 def _refuse_stuck(samples: Samples, notes: list[str]) -> None:
@@ -89,12 +101,29 @@ def _refuse_stuck(samples: Samples, notes: list[str]) -> None:
         notes.append(f"the position of joint {names} never changes: it yields no rows")
 
 
+def _refuse_standing_time(samples: Samples) -> None:
+    time, source = samples.time, samples.source
+    if not time[-1] > time[0]:
+        raise GtauError(
+            f"{source.name}, column '{source.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s in "
+            "the first, so time does not pass; give the column of the time, or the rate instead (time: {rate: HZ})."
+        )
+
+
 def _quoted(names: Sequence[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 
-def drop_repeated(samples: Samples, notes: list[str]) -> Samples:
-    """Of samples with the same time and values only the first; raises GtauError where time goes back."""
+def drop_repeated(samples: Samples, notes: list[str], clock: Literal["stamps", "regular"] | None = None) -> Samples:
+    """Drop samples with the time and values of the one before.
+
+    Where samples with the same time have different values they are kept, all of them: their stamps are late.
+
+    Raises
+    ------
+    GtauError
+        Time goes back, or the stamps are given as true although some are the same.
+    """
     source, time = samples.source, samples.time
     repeated: list[int] = []
     for start, stop in ahead(len(time)):
@@ -111,10 +140,12 @@ def drop_repeated(samples: Samples, notes: list[str]) -> Samples:
             values = np.column_stack([block(each, start, stop) for each in (samples.position, samples.command)])
             different = again[(values[again] != values[again + 1]).any(axis=1)]
             if different.size:
+                if clock != "stamps":
+                    return samples
                 i = int(different[0])
                 raise GtauError(
                     f"{source.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s stands in two rows with "
-                    "different values; log the time with more digits, or give the rate instead (time: {rate: HZ})."
+                    "different values, so the stamps are not the instants of the samples; remove 'clock: stamps'."
                 )
             repeated += (start + again + 1).tolist()
     if not repeated:
@@ -166,28 +197,32 @@ def unwrapped(samples: Samples, wraps: np.ndarray, first: np.ndarray | None = No
     return replace(samples, position=store(parts(), wraps.shape))
 
 
-def _refuse_slips(samples: Samples) -> None:
-    """Refuse a position that jumps between two samples, as after a slipped coupling or lost counts."""
+def _refuse_slips(samples: Samples, instants: np.ndarray) -> None:
+    """Refuse a position that jumps between two samples and stays there, as after a slipped coupling or lost counts."""
     source, n = samples.source, len(samples.source.joints)
     usual, fast = Quantiles(n), Quantiles(n)
     largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
     median = None
     for start, stop in spans(len(samples.time)):
-        begin = max(0, start - 3)
-        step = np.diff(block(samples.time, begin, stop))
-        speed = np.diff(block(samples.position, begin, stop), axis=0) / step[:, None]
+        begin = max(0, start - 7)
+        step = np.diff(block(instants, begin, stop))
+        median = np.median(step[step > 0]) if median is None else median
+        # Stamps that are the same, of a sample that repeats another, are no step.
+        speed = np.diff(block(samples.position, begin, stop), axis=0) / np.maximum(step, 0.1 * median)[:, None]
         fast.add(np.abs(speed[max(start - 1, 0) - begin :]))
-        if len(step) < 3:
+        if len(step) < 7:
             continue
-        change = speed[1:-1] - (speed[:-2] + speed[2:]) / 2
-        median = np.median(step) if median is None else median
-        whole = step <= MISSING_STEP * median
-        change[~(whole[:-2] & whole[1:-1] & whole[2:])] = 0.0
-        usual.add(np.abs(change))
-        at = np.argmax(np.abs(change), axis=0)
+        # The mean speed of three steps against the steps around them: what was stale or a glitch is made up for there.
+        change = (speed[1:-3] + speed[2:-2] + speed[3:-1]) - 1.5 * (speed[:-4] + speed[4:])
+        whole = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
+        change[~np.all([whole[k : len(whole) - 4 + k] for k in range(5)], axis=0)] = 0.0
+        three = np.stack([change[:-2], change[1:-1], change[2:]])
+        change = np.where((np.sign(three) == np.sign(three[1])).all(axis=0), np.abs(three).min(axis=0), 0.0)
+        usual.add(change)
+        at = np.argmax(change, axis=0)
         for j, k in enumerate(at):
-            if abs(change[k, j]) > largest[j]:
-                largest[j], places[j], jumps[j] = abs(change[k, j]), begin + k + 2, change[k, j] * step[k + 1]
+            if change[k, j] > largest[j]:
+                largest[j], places[j], jumps[j] = change[k, j], begin + k + 4, three[1, k, j] * step[k + 3]
     speeds = fast.quantile(0.999)
     for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
         raise GtauError(

@@ -1,28 +1,69 @@
-"""The clock behind a time column."""
+"""The clock behind a time column.
+
+Time stamps are true, and samples were taken at irregular instants; or samples were taken at a regular rate, and their
+stamps are late, as those of messages are that were received, polled or came in packets. The positions decide: they
+are smooth in true time.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from gtau.signals.storage import block, spans, store
+
+# How much smoother the positions must be by the other clock. In the shared logs the Panda's positions are 20 times
+# smoother at a regular rate, the UR10e's 3.6 times by their stamps; where neither, jitter does not matter (0.9 to 1.1).
+SMOOTHER = 1.25
+LATE = 1.5  # usual steps, beyond which samples may be missing
+PACKET = 0.2  # share of samples whose stamps follow within a tenth of a step: they came in packets
+FEWEST_AROUND, MOST_AROUND = 20, 400  # samples to either side from which a gap is judged
+NEIGHBOURS = 21  # steps whose median is the usual one
+CLEAR = 8.0  # standard deviations of a step of the joints' motion, where it tells one step from two
+LONGEST_BY_MOTION = 5.5  # steps over which the speed is taken to be constant
+PASSES = 5  # in which period and gaps settle
+DOUBT = 0.7  # of a step: stamps that move by less have lost no sample
+LOOKED_AT = 16, 4096  # parts of a log, and samples in each, that are looked at for smoothness
+DECIMALS = 10.0 ** np.arange(6)
 
 
 @dataclass(frozen=True)
 class Clock:
     """When the samples of a log were taken.
 
-    ``regular``: their instants are multiples of the ``period``, by which time columns are then corrected, and none is
-    missing where the log is ``gapless``; otherwise the period is the mean one. ``count`` samples of that period begin
-    at ``start`` and reach to the last one. ``usual``, ``shortest`` and ``longest`` step, and the sample before the
-    latter. Times in s.
+    Attributes
+    ----------
+    period : float
+        Of a regular clock, or mean step, s.
+    regular : bool
+        Instants are multiples of the period, by which the time column is corrected; otherwise they are the stamps.
+    gapless : bool
+        Regular, and no sample is missing.
+    start : float
+        Instant of the first sample, s.
+    count : int
+        Samples of that period from the start to the last one.
+    shortest, longest : float
+        Steps between samples, s.
+    before_longest : int
+        Sample before the longest step.
+    whole : float
+        Longest step, s, that lacks no sample.
+    gaps : tuple
+        Of a regular clock: pairs of a sample and how many are missing before it; -1 where it repeats the one before.
+    shift : int
+        How many are missing before the first of these gaps.
+    late : float
+        How late stamps of a regular clock are at most, compared with the earliest, s; 0 where only rounded.
+    packets : bool
+        Samples came in packets with the same stamps, or nearly so.
     """
 
     period: float
-    usual: float
     regular: bool
     gapless: bool
     start: float
@@ -30,6 +71,11 @@ class Clock:
     shortest: float
     longest: float
     before_longest: int
+    whole: float
+    gaps: tuple[tuple[int, int], ...] = ()
+    shift: int = 0
+    late: float = 0.0
+    packets: bool = False
 
     @property
     def rate(self) -> float:
@@ -40,43 +86,196 @@ class Clock:
         """Times of samples, s, by their numbers from the start."""
         return self.start + self.period * np.arange(first, stop)
 
-    def instants(self, time: np.ndarray, first: float | None = None) -> np.ndarray:
-        """When samples were taken by this clock (N,), s, from their times; the ``first`` of them, if not ``start``."""
-        if not self.regular or self.gapless:
+    def instants(self, time: np.ndarray, first: int = 0) -> np.ndarray:
+        """When samples were taken by this clock (N,), s, from their times; ``first`` is the number of the first."""
+        if not self.regular:
             return time
-        begin = 0.0 if first is None else round((first - self.start) / self.period)
-        return store(self.start + self.period * (begin + number) for number, _ in _numbered(time, self.usual))
+        return store(self.start + self.period * self._numbers(first + a, first + b) for a, b in spans(len(time)))
+
+    def _numbers(self, first: int, stop: int) -> np.ndarray:
+        """Numbers of samples in the clock, missing ones counted."""
+        samples, missing = self._sums
+        number = np.arange(first, stop)
+        return np.asarray(number + missing[np.searchsorted(samples, number, side="right")], dtype=float)
+
+    @cached_property
+    def _sums(self) -> tuple[np.ndarray, np.ndarray]:
+        """Samples with gaps before them, and how many are missing in all before each and behind the last."""
+        pairs = np.array(self.gaps, dtype=int).reshape(-1, 2)
+        return pairs[:, 0], self.shift + np.concatenate([[0], np.cumsum(pairs[:, 1])])
+
+    def between(self, first: int, stop: int) -> Clock:
+        """The same clock for samples from ``first`` to before ``stop`` only."""
+        samples, missing = self._sums
+        a, b = np.searchsorted(samples, [first, stop])
+        return replace(self, gaps=self.gaps[a:b], shift=int(missing[a]))
 
 
-def clock_of(time: np.ndarray) -> Clock:
-    """The clock of a time column (N,) in s that only grows.
+def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "regular"] | None = None) -> Clock:
+    """Find the clock of a time column (N,) in s that never goes back, and of the positions (N, n) at these times.
 
-    It is regular when the samples leave the straight line by no more than the rounding of the time column,
-    and then the line is the better clock.
+    Where the samples leave a straight line by no more than the rounding of the time column, the clock is regular.
+    Otherwise the positions decide between the stamps and a regular clock, unless it is ``given``.
     """
-    samples, start = len(time), float(time[0])
-    usual = float(np.median([np.median(np.diff(part)) for part in _overlapping(time)]))
-    # The line by least squares, as what it departs from the one of the usual step.
-    sums = np.zeros(4)
-    for number, elapsed in _numbered(time, usual):
-        rest = elapsed - usual * number
+    steps = _sampled_steps(time)
+    packets = bool(np.mean(steps < 0.1 * steps.mean()) > PACKET)
+    usual = float(steps.mean() if packets else np.median(steps))
+    for _ in range(PASSES):  # the usual step of stamps that are late is not the period
+        gaps = _gaps(time, position, usual, packets)
+        period, offset, late, rounded = _line(time, usual, gaps)
+        settled = rounded or abs(period / usual - 1) < 1e-5
+        usual = period
+        if settled:
+            break
+    straight = rounded or late <= 1e-3 * period
+    regular = Clock(
+        period=period,
+        regular=True,
+        gapless=not gaps,
+        start=float(time[0]) if straight else float(time[0]) + offset,
+        count=len(time) + sum(missing for _, missing in gaps),
+        shortest=period,
+        longest=period * (1 + max((missing for _, missing in gaps), default=0)),
+        before_longest=max(gaps, key=lambda gap: gap[1], default=(1, 0))[0] - 1,
+        whole=1.5 * period,
+        gaps=gaps,
+        late=0.0 if straight else late,
+        packets=packets,
+    )
+    if given == "regular" or (given is None and (straight or packets)):
+        return regular
+    if steps.min() == 0 and given is None:
+        return regular
+    stamps = _by_stamps(time, steps)
+    if given == "stamps" or _roughness(time, position, regular) > _roughness(time, position, stamps) / SMOOTHER:
+        return stamps
+    return regular
+
+
+def _by_stamps(time: np.ndarray, steps: np.ndarray) -> Clock:
+    """The clock of true stamps."""
+    period = float((time[-1] - time[0]) / (len(time) - 1))
+    shortest, longest, before, at = np.inf, 0.0, 0, 0
+    for part in _overlapping(time):
+        step = np.diff(part)
+        k = int(np.argmax(step))
+        if step[k] > longest:
+            longest, before = float(step[k]), at + k
+        shortest, at = min(shortest, float(step.min())), at + len(step)
+    return Clock(
+        period=period,
+        regular=False,
+        gapless=False,
+        start=float(time[0]),
+        count=int((time[-1] - time[0]) / period * (1 + 1e-12)) + 1,
+        shortest=shortest,
+        longest=longest,
+        before_longest=before,
+        whole=1.5 * max(period, float(np.quantile(steps, 0.95))),
+    )
+
+
+def _sampled_steps(time: np.ndarray) -> np.ndarray:
+    """Steps of the time column, of a long one in parts spread over it."""
+    parts = _parts(len(time))
+    return np.concatenate([np.diff(block(time, *part)) for part in parts])
+
+
+def _parts(samples: int) -> list[tuple[int, int]]:
+    parts, size = LOOKED_AT
+    if samples <= parts * size:
+        return [(0, samples)]
+    return [(int(start), int(start) + size) for start in np.linspace(0, samples - size, parts)]
+
+
+def _gaps(time: np.ndarray, position: np.ndarray, usual: float, packets: bool) -> tuple[tuple[int, int], ...]:
+    """Samples before which others are missing, and how many, if samples are regular and stamps late.
+
+    Where joints are fast enough, the positions count: a step twice as long as its neighbours has lost a sample, and one
+    of length zero repeats it. Elsewhere the stamps do: a late one makes a long step and a short one after it, but a
+    missing sample moves all stamps behind it. So a step is a gap by as much as the stamps around it are apart.
+    """
+    scatter, size, around = _scatter(time, usual), 1, 1
+    if packets:
+        size = _packet(time, usual)
+    if packets or scatter > 0.01:
+        # The median of as many stamps on either side is then known to a fifth of a step, three times in a hundred.
+        around = int(min(max(np.ceil(150 * scatter**2), FEWEST_AROUND, 3 * size), MOST_AROUND))
+    noise = _noise(position) if around > 1 else None
+    found: list[tuple[int, int]] = []
+    for start, stop in spans(len(time)):
+        begin, end = max(start - around - 1, 0), min(stop + around, len(time))
+        part, step = block(time, begin, end), np.diff(block(time, begin, end))
+        steps = np.ones(len(step)) if noise is None else _steps_by_motion(block(position, begin, end), noise)
+        part -= usual * np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps, nan=1.0))])
+        long = np.isnan(steps) | (noise is None)
+        for k in np.flatnonzero(long & (step > LATE * usual * size)) + 1:
+            moved = np.median(part[k : k + around]) - np.median(part[max(k - around, 0) : k])
+            missing = int(moved / usual + 1 - DOUBT)
+            steps[k - 1] = 1 + max(missing, 0)
+            part[k:] -= max(missing, 0) * usual  # what follows is judged without this gap
+        changed = np.flatnonzero(np.nan_to_num(steps, nan=1.0) != 1) + 1
+        changed = changed[(begin + changed >= start) & (begin + changed < stop)]
+        found += [(begin + int(k), int(steps[k - 1]) - 1) for k in changed]
+    return tuple(found)
+
+
+def _noise(position: np.ndarray) -> np.ndarray:
+    """Standard deviation (n,) of the positions' steps around those of their neighbours, and of their rounding."""
+    parts = [np.diff(block(position, *part), axis=0) for part in _parts(len(position))]
+    change = np.abs(np.concatenate([each[1:-1] - (each[:-2] + each[2:]) / 2 for each in parts]))
+    steps = np.abs(np.concatenate(parts))
+    rounding = [np.min(each[each > 0], initial=np.inf) for each in steps.T]
+    quantum = np.where(np.isfinite(rounding), rounding, 1.0)
+    return np.asarray(np.median(change, axis=0) / 0.6745 / np.sqrt(1.5) + quantum / 3)
+
+
+def _steps_by_motion(position: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Steps of a regular clock (M - 1,) between samples, by how far the joints moved; NaN where that is not clear."""
+    from scipy.ndimage import median_filter
+
+    moved = np.diff(position, axis=0)
+    usual = median_filter(moved, size=(NEIGHBOURS, 1), mode="nearest")
+    speed = ((usual / noise) ** 2).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        steps = ((moved / noise) * (usual / noise)).sum(axis=1) / speed
+    clear = (speed > CLEAR**2) & (steps < LONGEST_BY_MOTION)
+    return np.asarray(np.where(clear, np.maximum(np.round(steps), 0.0), np.nan))
+
+
+def _scatter(time: np.ndarray, usual: float) -> float:
+    """Standard deviation of the stamps around a regular clock, in steps, from the spread of the steps' differences."""
+    steps = _sampled_steps(time) / usual
+    return float(np.median(np.abs(steps - np.median(steps))) / 0.6745 / np.sqrt(2))
+
+
+def _packet(time: np.ndarray, usual: float) -> int:
+    """Samples in a packet, usually."""
+    edges = np.flatnonzero(_sampled_steps(time) > LATE * usual)
+    return int(np.median(np.diff(edges))) if len(edges) > 2 else 1
+
+
+def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> tuple[float, float, float, bool]:
+    """Period and offset (s) of the line through the stamps by least squares, how late they are, and if by rounding."""
+    numbered = Clock(usual, True, not gaps, 0.0, 0, 0.0, 0.0, 0, 0.0, gaps)
+    sums, samples = np.zeros(4), len(time)
+    for start, stop in spans(samples):
+        number = numbered._numbers(start, stop)
+        rest = block(time, start, stop) - time[0] - usual * number
         sums += number.sum(), rest.sum(), number @ number, number @ rest
     x, y, xx, xy = sums.tolist()
     slope = (xy - x * y / samples) / (xx - x * x / samples)
     period, offset = usual + slope, (y - slope * x) / samples
-    off, last, resolution = 0.0, 0, np.zeros(len(DECIMALS))
-    for number, elapsed in _numbered(time, usual):
-        off, last = max(off, float(np.abs(elapsed - period * number - offset).max())), int(number[-1])
+    low, high, resolution = np.inf, -np.inf, np.zeros(len(DECIMALS))
+    for start, stop in spans(samples):
+        elapsed = block(time, start, stop) - time[0]
+        off = elapsed - period * numbered._numbers(start, stop) - offset
+        low, high = min(low, float(off.min())), max(high, float(off.max()))
         scaled = elapsed * DECIMALS[:, None]
         resolution = np.maximum(resolution, np.abs(scaled - np.round(scaled)).max(axis=1))
-    if off > max(1e-3 * period, min(_last_decimal(resolution), 0.5 * period)):
-        count = int((time[-1] - start) / period) + 1
-        return Clock(period, usual, False, False, start, count, **_steps(time))
-    clock = Clock(period, usual, True, last + 1 == samples, start, last + 1, period, period, 0)
-    return clock if clock.gapless else replace(clock, **_steps(clock.instants(time)))
-
-
-DECIMALS = 10.0 ** np.arange(6)
+    rounded = max(-low, high) <= max(1e-3 * period, min(_last_decimal(resolution), 0.5 * period))
+    # The earliest stamps are the least late ones: the clock is shifted to them.
+    return period, offset if rounded else offset + low, high - low, rounded
 
 
 def _last_decimal(off: np.ndarray) -> float:
@@ -88,28 +287,33 @@ def _last_decimal(off: np.ndarray) -> float:
     return 1 / float(DECIMALS[exact[0]]) if exact.size else 1e-6
 
 
+def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
+    """How far positions are from cubics through their neighbours by a clock, usually, where joints are fast.
+
+    The geometric mean over the joints, in m or rad; of a long log in parts spread over it.
+    """
+    off, speeds = [], []
+    for start, stop in _parts(len(time)):
+        instants = np.asarray(clock.instants(block(time, start, stop), start))
+        found = block(position, start, stop)
+        around = [slice(k, len(found) - 4 + k) for k in (0, 1, 3, 4)]
+        apart = np.array([instants[each] for each in around]) - instants[2:-2]
+        apart += 1e-9 * clock.period * np.array([-2, -1, 1, 2])[:, None]  # stamps that are the same
+        predicted = np.zeros_like(found[2:-2])
+        for a, at in enumerate(around):
+            weight = np.prod([apart[b] / (apart[b] - apart[a]) for b in range(4) if b != a], axis=0)
+            predicted += weight[:, None] * found[at]
+        off.append(np.abs(found[2:-2] - predicted))
+        speeds.append(np.abs(found[4:] - found[:-4]))
+    distance, speed = np.concatenate(off), np.concatenate(speeds)
+    roughness = []
+    for j in range(position.shape[1]):
+        fast = speed[:, j] > np.median(speed[:, j])
+        if fast.any():
+            roughness.append(np.median(distance[fast, j]) + 1e-4 * np.median(speed[fast, j]))
+    return float(np.exp(np.mean(np.log(roughness)))) if roughness else 0.0
+
+
 def _overlapping(time: np.ndarray) -> Iterator[np.ndarray]:
     """Blocks that begin with the last sample of the one before."""
     return (block(time, max(start - 1, 0), stop) for start, stop in spans(len(time)))
-
-
-def _numbered(time: np.ndarray, usual: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Blocks of numbers of the samples in a clock of the ``usual`` step, missing ones counted, and times elapsed."""
-    number, before = -1.0, float(time[0]) - usual
-    for span in spans(len(time)):
-        part = block(time, *span)
-        numbers = number + np.cumsum(np.maximum(np.round(np.diff(part, prepend=before) / usual), 1.0))
-        number, before = float(numbers[-1]), float(part[-1])
-        yield numbers, part - time[0]
-
-
-def _steps(instants: np.ndarray) -> dict[str, Any]:
-    """Shortest and longest step, and the sample before the latter."""
-    shortest, longest, before, at = np.inf, 0.0, 0, 0
-    for part in _overlapping(instants):
-        step = np.diff(part)
-        k = int(np.argmax(step))
-        if step[k] > longest:
-            longest, before = float(step[k]), at + k
-        shortest, at = min(shortest, float(step.min())), at + len(step)
-    return {"shortest": shortest, "longest": longest, "before_longest": before}

@@ -8,6 +8,7 @@ from glob import escape, has_magic
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
@@ -24,6 +25,8 @@ from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
 from gtau.signals.formats import is_log_folder
+from gtau.signals.samples import Part
+from gtau.signals.settings import CHOSEN, PreparationSettings
 
 
 class Payload(Keys):
@@ -99,7 +102,8 @@ class LoggedRun(Keys):
     """One run: its log, or two logs with positions and commands, and the payload carried, if any.
 
     In a file the logs may be patterns (``free_*.csv``): so many runs, of two patterns the first match of one with
-    the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2.
+    the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2. Of a log the first rows may
+    be left out (``skip``), and what lies before ``from`` or after ``to``, in s from the first row that is left.
     """
 
     log: Annotated[
@@ -108,6 +112,25 @@ class LoggedRun(Keys):
         Field(min_length=1, max_length=2),
     ]
     payload: Payload | None = None
+    skip: Annotated[int, Field(ge=0)] = 0
+    begin: Annotated[FiniteFloat, Field(ge=0, alias="from")] = 0.0
+    to: Positive | None = None
+
+    @model_validator(mode="after")
+    def _forwards(self) -> LoggedRun:
+        if self.to is not None and self.to <= self.begin:
+            raise ValueError(f"'from' is {self.begin:g} s and 'to' {self.to:g} s; write the earlier one as 'from'")
+        return self
+
+    @property
+    def part(self) -> Part:
+        """The part of the log that is used."""
+        return Part(self.skip, self.begin, np.inf if self.to is None else self.to)
+
+    def overlaps(self, other: LoggedRun) -> bool:
+        """Whether the same rows are in both."""
+        mine, theirs = self.part, other.part
+        return self.log == other.log and mine.begin < theirs.end and theirs.begin < mine.end
 
     @field_validator("log")
     @classmethod
@@ -162,7 +185,7 @@ def _close_file(path: Path) -> str:
 class Experiment(Keys):
     """An experiment file; its paths are relative to the working directory or absolute once read.
 
-    ``priors`` say what is known of standard parameters, by name.
+    ``priors`` say what is known of standard parameters, by name, ``preparation`` what is set of it by hand.
     """
 
     robot: str
@@ -170,6 +193,7 @@ class Experiment(Keys):
     units: Units = Units()
     prior_gains: dict[str, FiniteFloat] = Field(default_factory=dict)
     priors: dict[str, Prior] = Field(default_factory=dict)
+    preparation: PreparationSettings = CHOSEN
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
 
@@ -216,18 +240,18 @@ class Experiment(Keys):
     def _each_log_once(cls, runs: tuple[LoggedRun, ...], info: ValidationInfo) -> tuple[LoggedRun, ...]:
         if info.context is not None:
             runs = tuple(each for run in runs for each in run.each())
-        seen: set[tuple[Path, ...]] = set()
-        for run in runs:
-            if run.log in seen:
-                raise ValueError(f"the log '{run.log[0]}' is listed twice; remove one of them")
-            seen.add(run.log)
+        for k, run in enumerate(runs):
+            if any(run.overlaps(other) for other in runs[:k]):
+                raise ValueError(
+                    f"the log '{run.log[0]}' is listed twice; remove one of them, or give parts (from, to) that do not "
+                    "overlap"
+                )
         return runs
 
     @model_validator(mode="after")
     def _validation_of_other_logs(self) -> Experiment:
-        used = {run.log for run in self.runs}
         for run in self.validation:
-            if run.log in used:
+            if any(run.overlaps(used) for used in self.runs):
                 raise ValueError(
                     f"the log '{run.log[0]}' is listed under 'runs' and under 'validation'; remove one of them, as "
                     "a run that was used proves nothing"

@@ -7,7 +7,7 @@ angles that wrap around) was found where all of it was read, and comes with the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,11 +15,10 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.checks import drop_repeated, unwrapped
-from gtau.signals.clock import Clock
 from gtau.signals.columns import Signals, Units
 from gtau.signals.formats.table import Place
 from gtau.signals.log_set import find_logs
-from gtau.signals.resampling import LANDMARK, Findings, resampled, unclipped
+from gtau.signals.resampling import LANDMARK, Findings, Resampling, resampled, unclipped
 from gtau.signals.samples import gathered
 from gtau.signals.storage import Placed, block, spans
 
@@ -47,7 +46,7 @@ class Log:
 
     def excerpt(self, joints: Sequence[str], samples: range) -> Excerpt:
         """Some samples of the run, their joints in this order."""
-        found, clock = self.findings, self.findings.clock
+        found, clock = self.findings, self.findings.grid.clock
         reach = [float(clock.time(k, k + 1)[0]) for k in (samples.start, samples.stop - 1)]
         # A landmark more on either side: samples need their surroundings, and may stand beside the clock.
         first = max(int(np.searchsorted(found.instants, reach[0])) - 2, 0)
@@ -63,10 +62,8 @@ class Log:
             rows=rows,
             places=tuple(max((at for at in of if at[0] <= rows[0]), default=(0, 0)) for of in self.places),
             first=first * LANDMARK,
-            instant=float(found.instants[first]),
             position=tuple(found.position[first].tolist()),
-            clock=clock,
-            clipped=found.clipped,
+            grid=replace(found.grid, clock=clock.between(first * LANDMARK, min((last + 1) * LANDMARK, found.samples))),
             wraps=tuple(found.wraps.tolist()),
         )
 
@@ -75,8 +72,8 @@ class Log:
 class Excerpt:
     """Some ``samples`` (first, and after the last) of a run: the ``rows`` to read, and what else they depend on.
 
-    ``first`` is the number of the complete sample that the first row holds, ``instant`` (s) and ``position`` (n) are
-    its own. See :class:`gtau.signals.resampling.Findings`.
+    ``first`` is the number of the complete sample that the first row holds, and ``position`` (n) its own; see
+    :class:`gtau.signals.resampling.Findings`.
     """
 
     paths: tuple[Path, ...]
@@ -88,10 +85,8 @@ class Excerpt:
     rows: tuple[int, int]
     places: tuple[Place, ...]
     first: int
-    instant: float
     position: tuple[float, ...]
-    clock: Clock
-    clipped: tuple[tuple[int, float], ...]
+    grid: Resampling
     wraps: tuple[bool, ...]
 
 
@@ -121,10 +116,11 @@ def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
         excerpt.paths, Signals.model_validate_json(excerpt.signals), Units.model_validate_json(excerpt.units)
     )
     samples, _ = gathered(logged.source, logged.blocks(range(*excerpt.rows), excerpt.places))
-    samples = drop_repeated(samples, [])
+    if excerpt.grid.without_repeated:
+        samples = drop_repeated(samples, [])
     samples = unwrapped(samples, np.array(excerpt.wraps), np.array(excerpt.position))
-    clock, (begin, end) = excerpt.clock, excerpt.samples
-    instants = clock.instants(samples.time, excerpt.instant)
+    clock, (begin, end) = excerpt.grid.clock, excerpt.samples
+    instants = clock.instants(samples.time, excerpt.first)
     order = [logged.source.joints.index(joint) for joint in excerpt.joints]
 
     n = len(order)
@@ -135,12 +131,12 @@ def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
         times.put(start, clock.time(start, stop))
     for start, stop in ((begin + a, begin + b) for a, b in spans(end - begin)):
         times.put(start, clock.time(start, stop))
-        if clock.gapless:
+        if excerpt.grid.direct:
             mine = start - excerpt.first, stop - excerpt.first
             position, command = block(samples.position, *mine), block(samples.command, *mine)
-            found = position, command, unclipped(command, excerpt.clipped)
+            found = position, command, unclipped(command, excerpt.grid.clipped)
         else:
-            found = resampled(samples, instants, excerpt.clipped, clock, start, stop)[:3]
+            found = resampled(samples, instants, excerpt.grid, start, stop)[:3]
         for place, values in zip(places.values(), found, strict=True):
             place.put(start, values[:, order])
     return {"time": times.array()} | {name: place.array() for name, place in places.items()}

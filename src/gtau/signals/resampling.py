@@ -9,11 +9,16 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.clock import Clock
+from gtau.signals.held import Holds
 from gtau.signals.samples import MAX_MISSING, Samples, counted
 from gtau.signals.storage import Store, block, spans, store
 
 MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
 MISSING_STEP = 1.5  # steps longer than so many mean steps have lost a sample
+# Steps over which positions are interpolated without a mask: the cubic is then off by 3 % of an oscillation of ten
+# samples, the fastest that logs should hold, and by 4e-4 of one of thirty.
+BRIDGED = 3
+MAX_BRIDGED = 0.3  # part of a log that may be missing in such steps
 LANDMARK = 4096  # samples from one that is known by its place in the log to the next
 SURROUNDINGS = 64  # samples to either side that a spline is made from: what lies beyond acts by less than 1e-19
 
@@ -36,10 +41,8 @@ class Findings:
 
     Attributes
     ----------
-    clock : Clock
-        Of its samples.
-    clipped : tuple
-        Joints' numbers with the levels at which their commands are clipped.
+    grid : Resampling
+        Clock, holds and masks.
     wraps : ndarray
         (n,) whether a joint's angle jumped by turns.
     rows, instants, position : ndarray
@@ -47,69 +50,114 @@ class Findings:
         jumps.
     last : int
         Row of the last sample.
+    samples : int
+        How many complete samples there are.
     """
 
-    clock: Clock
-    clipped: tuple[tuple[int, float], ...]
+    grid: Resampling
     wraps: np.ndarray
     rows: np.ndarray
     instants: np.ndarray
     position: np.ndarray
     last: int
+    samples: int
+
+
+@dataclass(frozen=True)
+class Resampling:
+    """How a log is put on a uniform grid.
+
+    The ``clock`` of its samples, joints' numbers with the levels at which their commands are ``clipped``, how positions
+    and commands are held, by how much commands lag (``delay``, s), and whether samples that repeat the time and values
+    of the one before are left out.
+    """
+
+    clock: Clock
+    clipped: tuple[tuple[int, float], ...]
+    holds: Holds
+    delay: float = 0.0
+    without_repeated: bool = False
+
+    @property
+    def direct(self) -> bool:
+        """Whether the samples stand on the grid already."""
+        return self.clock.gapless and self.holds.none and not self.delay
 
 
 def uniform(
-    samples: Samples, wraps: np.ndarray, clipped: Sequence[tuple[int, float]], clock: Clock, notes: list[str]
+    samples: Samples, instants: np.ndarray, wraps: np.ndarray, grid: Resampling, given: bool, notes: list[str]
 ) -> UniformSamples:
-    """The samples at the instants of their ``clock``, the joints' ``clipped`` levels masked.
+    """Put samples taken at their ``instants`` onto a uniform ``grid``; of a clock that was ``given`` or found.
 
     Raises
     ------
     GtauError
-        A gap is longer than 0.1 s and three steps, or more than 5 % of the samples are missing.
+        A gap is longer than 0.1 s and three steps, or too many samples are missing.
     """
-    source, period = samples.source, clock.period
+    source, clock, period = samples.source, grid.clock, grid.clock.period
     if clock.longest > max(MAX_GAP, 3 * period):
         raise GtauError(
             f"{source.name}, {samples.place(clock.before_longest)}: {clock.longest:.3g} s are missing after "
-            f"{samples.time[clock.before_longest]:.9g} s; cut the log there into two runs."
+            f"{samples.time[clock.before_longest]:.9g} s; cut the log there into two runs (from: and to:)."
         )
     count = clock.count
     time = store(clock.time(*span) for span in spans(count))
-    instants = clock.instants(samples.time)
     findings = Findings(
-        clock=clock,
-        clipped=tuple(clipped),
+        grid=grid,
         wraps=wraps,
         rows=_landmarks(samples.rows),
         instants=_landmarks(instants),
         position=_landmarks(samples.position),
         last=int(samples.rows[-1]),
+        samples=len(samples.rows),
     )
     n = len(source.joints)
-    if clock.gapless:
-        valid = store((unclipped(block(samples.command, *span), clipped) for span in spans(count)), (n,), bool)
+    if grid.direct:
+        valid = store((unclipped(block(samples.command, *span), grid.clipped) for span in spans(count)), (n,), bool)
+        notes += _of_clock(clock, given)
         return UniformSamples(time, samples.position, samples.command, valid, tuple(notes), findings)
-    positions, commands, masks, missing = Store((n,)), Store((n,)), Store((n,), bool), 0
+    positions, commands, masks = Store((n,)), Store((n,)), Store((n,), bool)
+    missing, masked = 0, 0
     for span in spans(count):
-        position, command, valid, lacking = resampled(samples, instants, clipped, clock, *span)
+        position, command, valid, lacking = resampled(samples, instants, grid, *span)
         positions.append(position)
         commands.append(command)
         masks.append(valid)
-        missing += lacking
-    if missing > MAX_MISSING * count:
+        missing, masked = missing + lacking[0], masked + lacking[1]
+    if masked > MAX_MISSING * count or missing > MAX_BRIDGED * count:
         raise GtauError(
             f"{source.name} lacks {missing} of {count} samples (steps of {clock.shortest * 1e3:.3g} to "
             f"{clock.longest * 1e3:.3g} ms); record it at a steady rate."
         )
     if missing:
-        notes.append(f"interpolated and masked {counted(missing, 'missing sample')}")
-    if not clock.regular:
-        notes.append(
-            f"resampled from irregular steps of {clock.shortest * 1e3:.3g} to {clock.longest * 1e3:.3g} ms "
-            f"to a uniform {clock.rate:.2f} Hz"
-        )
+        note = f"interpolated {counted(missing, 'missing sample')}"
+        notes.append(note + (f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""))
+    notes += _of_clock(clock, given)
+    notes += grid.holds.notes(count, clock.rate)
+    if grid.delay:
+        notes.append(f"moved the commands {grid.delay * 1e3:.4g} ms forward, as preparation.delay says")
     return UniformSamples(time, positions.array(), commands.array(), masks.array(), tuple(notes), findings)
+
+
+def _of_clock(clock: Clock, given: bool) -> list[str]:
+    """What to report of a clock that is not simply the time column."""
+    why = "as preparation.clock says" if given else "which makes the positions smoother"
+    if not clock.regular:
+        if not given:
+            why = "the stamps are the instants of the samples, as the positions are no smoother at a regular rate"
+        return [
+            f"resampled from irregular steps of {clock.shortest * 1e3:.3g} to {clock.longest * 1e3:.3g} ms "
+            f"to a uniform {clock.rate:.2f} Hz: {why}"
+        ]
+    if not clock.late:
+        return []
+    how = "come in packets" if clock.packets else "scatter"
+    if clock.packets and not given:
+        why = "as packets are"
+    return [
+        f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at a regular "
+        f"{clock.rate:.2f} Hz instead, {why}"
+    ]
 
 
 def _landmarks(array: np.ndarray) -> np.ndarray:
@@ -117,27 +165,46 @@ def _landmarks(array: np.ndarray) -> np.ndarray:
 
 
 def resampled(
-    samples: Samples, instants: np.ndarray, clipped: Sequence[tuple[int, float]], clock: Clock, start: int, stop: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Positions and commands (M, n) at some of the clock's samples, what is valid, and how many were missing.
+    samples: Samples, instants: np.ndarray, resampling: Resampling, start: int, stop: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
+    """Positions and commands (M, n) at some of the clock's samples, what is valid, and how many were missing or masked.
 
-    They are interpolated between samples at ``instants``, of which there must be some before and after.
+    They are interpolated between fresh samples at ``instants``, of which there must be some before and after.
     """
     from scipy.interpolate import CubicSpline
 
+    clock, holds = resampling.clock, resampling.holds
     grid = clock.time(start, stop)
     begin, end = np.searchsorted(instants, grid[[0, -1]], side="right")
-    begin, end = max(0, begin - SURROUNDINGS), end + SURROUNDINGS
+    around = SURROUNDINGS + holds.position.longest + holds.command.longest
+    begin, end = max(0, begin - around), end + around
     known, command = block(instants, begin, end), block(samples.command, begin, end)
-    position = CubicSpline(known, block(samples.position, begin, end))(grid)
+    position = block(samples.position, begin, end)
+    later = np.concatenate([[True], np.diff(known) > 0])
+    fresh = later & holds.position.fresh(position), later & holds.command.fresh(command)
+    bridged = max(BRIDGED * clock.period, clock.whole, 1.5 * holds.position.period * clock.period)
+    lacking, masked = _gaps(known[later], grid, clock.whole), _gaps(known[fresh[0]], grid, bridged)
+    good = unclipped(command, resampling.clipped)
+    before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(known) - 2)
+    # Lines for the commands: a spline would overshoot where the current is noisy.
+    values = np.column_stack(
+        [np.interp(grid + resampling.delay, known[fresh[1]], each) for each in command[fresh[1]].T]
+    )
+    return (
+        CubicSpline(known[fresh[0]], position[fresh[0]])(grid),
+        values,
+        ~masked[:, None] & good[before] & good[before + 1],
+        (int(lacking.sum()), int((lacking & masked).sum())),
+    )
+
+
+def _gaps(known: np.ndarray, grid: np.ndarray, longest: float) -> np.ndarray:
+    """Which instants of the ``grid`` stand in a step longer than ``longest`` between ``known`` ones, not at these."""
     step = np.diff(known)
     before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(step) - 1)
-    near = np.minimum(np.abs(grid - known[before]), np.abs(known[before + 1] - grid)) < 0.01 * clock.period
-    there = near | (step[before] <= MISSING_STEP * clock.period)
-    good = unclipped(command, clipped)
-    # Lines for the commands: a spline would overshoot where the current is noisy.
-    command = np.column_stack([np.interp(grid, known, each) for each in command.T])
-    return position, command, there[:, None] & good[before] & good[before + 1], int((~there).sum())
+    period = (grid[-1] - grid[0]) / max(len(grid) - 1, 1)
+    near = np.minimum(np.abs(grid - known[before]), np.abs(known[before + 1] - grid)) < 0.01 * period
+    return ~near & (step[before] > longest * (1 + 1e-9))
 
 
 def unclipped(command: np.ndarray, clipped: Sequence[tuple[int, float]]) -> np.ndarray:

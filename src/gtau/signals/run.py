@@ -16,6 +16,7 @@ from gtau.signals.experiment import Payload, as_payload
 from gtau.signals.frames import as_log
 from gtau.signals.log_set import find_logs
 from gtau.signals.log_slice import Excerpt, Log, read_excerpt, stamps_of
+from gtau.signals.samples import WHOLE, Part
 from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.storage import Placed, block, spans, store
 
@@ -87,6 +88,8 @@ def read_run(
     payload: Payload | Mapping[str, Any] | None = None,
     units: Units | Mapping[str, Any] | None = None,
     progress: Callable[[float], None] = lambda done: None,
+    settings: PreparationSettings = CHOSEN,
+    part: Part = WHOLE,
 ) -> Run:
     """Read the log of one run.
 
@@ -100,6 +103,10 @@ def read_run(
         As under these keys of an experiment file; columns and joints may be written as integers.
     progress : callable, optional
         Called with the part of the log that has been read.
+    settings : PreparationSettings
+        What is given of the preparation.
+    part : Part
+        Which part of the log is used.
 
     Returns
     -------
@@ -118,9 +125,9 @@ def read_run(
     paths = tuple([Path(log)] if isinstance(log, (str, Path)) else [Path(each) for each in log])
     logged = find_logs(paths, signals, units)
     stamps = stamps_of(paths)
-    uniform = check(logged.source, logged.blocks(progress=progress))
+    uniform = check(logged.source, logged.blocks(part.rows, progress=progress), settings, part)
     run = Run(
-        name=paths[0].stem,
+        name=paths[0].stem + part.label,
         joints=signals.joints,
         time=uniform.time,
         position=uniform.position,
@@ -129,6 +136,7 @@ def read_run(
         payload=as_payload(payload),
         notes=(*logged.notes, *uniform.notes),
         valid=uniform.valid,
+        settings=settings,
     )
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
 

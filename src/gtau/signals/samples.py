@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -50,6 +51,50 @@ class Samples:
         return self.source.places([self.rows[sample]], 1)
 
 
+@dataclass(frozen=True)
+class Part:
+    """The part of a log that is used: without its first ``skip`` rows, and between two times in s from the next."""
+
+    skip: int = 0
+    begin: float = 0.0
+    end: float = np.inf
+
+    @property
+    def rows(self) -> range:
+        """Rows to read."""
+        return range(self.skip, sys.maxsize)
+
+    @property
+    def label(self) -> str:
+        """What distinguishes the names of runs from one log."""
+        if self.begin == 0 and self.end == np.inf:
+            return ""
+        return f" from {self.begin:g} s" + ("" if self.end == np.inf else f" to {self.end:g} s")
+
+    def of(self, blocks: Iterable[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
+        """Rows of the part, in blocks whose last column is the time, and the number of the first in each."""
+        row, first = self.skip, None
+        for values in blocks:
+            time = values[:, -1]
+            known = np.flatnonzero(np.isfinite(time))
+            if first is None and known.size:
+                first = float(time[known[0]])
+            if first is not None and (self.begin > 0 or self.end < np.inf):
+                # Rows without a time go with those before them.
+                elapsed = np.where(np.isfinite(time), time, -np.inf) - first
+                elapsed = np.maximum.accumulate(elapsed)
+                start, stop = np.searchsorted(elapsed, self.begin), np.searchsorted(elapsed, self.end, side="right")
+                yield row + int(start), values[start:stop]
+                if stop < len(values):
+                    return
+            else:
+                yield row, values
+            row += len(values)
+
+
+WHOLE = Part()
+
+
 def refuse_short(source: Source, count: int) -> None:
     """Refuse a log of so few samples."""
     if count < MIN_SAMPLES:
@@ -73,14 +118,14 @@ class Incomplete:
     numbers: Sequence[int]
 
 
-def gathered(source: Source, blocks: Iterable[np.ndarray]) -> tuple[Samples, Incomplete]:
+def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -> tuple[Samples, Incomplete]:
     """The samples of a log, or of a part of it, none of whose values is missing."""
     n, count = len(source.joints), 0
     stores = Store(dtype=int), Store(), Store((n,)), Store((n,))
     numbers = np.zeros(2 * n + 1, dtype=int)  # in each column
     bad: list[int] = []
     bad_count, bad_column = 0, 0
-    for values in blocks:
+    for row, values in part.of(blocks):
         finite = np.isfinite(values)
         whole = bool(finite.all())
         kept = np.ones(len(values), dtype=bool) if whole else finite.all(axis=1)
@@ -88,19 +133,24 @@ def gathered(source: Source, blocks: Iterable[np.ndarray]) -> tuple[Samples, Inc
         found = np.flatnonzero(~kept)
         if found.size and not bad_count:
             bad_column = int(np.argmin(finite[found[0]]))
-        bad += (count + found[: 5 - len(bad)]).tolist()
+        bad += (row + found[: 5 - len(bad)]).tolist()
         bad_count += found.size
-        parts = count + np.flatnonzero(kept), values[kept, 2 * n], values[kept, :n], values[kept, n : 2 * n]
-        for each, part in zip(stores, parts, strict=True):
-            each.append(part)
+        parts = row + np.flatnonzero(kept), values[kept, 2 * n], values[kept, :n], values[kept, n : 2 * n]
+        for each, rows in zip(stores, parts, strict=True):
+            each.append(rows)
         count += len(values)
     samples = Samples(source, *(each.array() for each in stores))
     return samples, Incomplete(count, bad_count, bad, bad_column, numbers.tolist())
 
 
-def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str]) -> Samples:
+def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str], part: Part = WHOLE) -> Samples:
     """The samples none of whose values is missing; raises GtauError where there are too few."""
-    samples, lacking = gathered(source, blocks)
+    samples, lacking = gathered(source, blocks, part)
+    if not lacking.count and part != WHOLE:
+        raise GtauError(
+            f"{source.name} has no rows in the part that is asked for (skip: {part.skip}, from: {part.begin:g}, to: "
+            f"{part.end:g} s); correct these keys."
+        )
     refuse_short(source, lacking.count)
     for column, number in zip(source.columns, lacking.numbers, strict=True):
         if not number:

@@ -1,0 +1,136 @@
+"""True stamps and late ones are told apart by the positions; samples find their instants under either."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gtau.signals.clock import clock_of
+from gtau.signals.run import Run, read_run
+from gtau.signals.settings import PreparationSettings
+
+PERIOD, SAMPLES = 1e-3, 20000
+SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
+
+
+def motion(time: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.sin(np.pi * time), 0.4 * np.cos(1.6 * np.pi * time)])
+
+
+def logged(time: np.ndarray) -> np.ndarray:
+    return np.round(motion(time) / 1e-5) * 1e-5
+
+
+def regular() -> np.ndarray:
+    return np.arange(SAMPLES) * PERIOD
+
+
+def write(path: Path, time: np.ndarray, position: np.ndarray, command: np.ndarray) -> Path:
+    table = np.column_stack([time, position, command])
+    np.savetxt(path, table, delimiter=",", header="t,qa,qb,va,vb", comments="", fmt="%.9g")
+    return path
+
+
+def currents(time: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.cos(2.3 * time), np.sin(3.1 * time)])
+
+
+def off(run: Run) -> float:
+    """Largest distance of the positions from the motion, where they are valid."""
+    return float(np.abs(run.position - motion(run.time))[run.valid.all(axis=1)].max())
+
+
+@pytest.mark.parametrize("jitter", [0.1, 0.3, 0.6])
+def test_the_positions_decide_between_true_and_late_stamps(jitter: float, rng: np.random.Generator) -> None:
+    stamps = regular() + jitter * PERIOD * rng.uniform(-0.5, 0.5, SAMPLES)
+    late, true = clock_of(stamps, logged(regular())), clock_of(stamps, logged(stamps))
+    assert (late.regular, late.gapless, late.count) == (True, True, SAMPLES)
+    assert late.period == pytest.approx(PERIOD, rel=1e-6)
+    assert late.late == pytest.approx(jitter * PERIOD, rel=0.05)
+    assert not true.regular
+    np.testing.assert_array_equal(true.instants(stamps), stamps)
+    assert clock_of(stamps, logged(regular()), "stamps").regular is False
+    assert clock_of(stamps, logged(stamps), "regular").regular is True
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3, 0.6])
+def test_missing_samples_are_counted_behind_late_stamps(jitter: float, rng: np.random.Generator) -> None:
+    kept = rng.random(SAMPLES) > 0.02
+    kept[[0, -1]] = True
+    kept[7000:7003] = False
+    stamps = regular() + jitter * PERIOD * rng.uniform(-0.5, 0.5, SAMPLES)
+    clock = clock_of(stamps[kept], logged(regular())[kept])
+    instants = clock.instants(stamps[kept])
+    assert clock.count == SAMPLES
+    shift = np.median(instants - regular()[kept])
+    wrong = np.abs(instants - shift - regular()[kept])
+    assert wrong.max() < 1.01 * PERIOD  # near a rest a missing sample is found some samples early or late
+    assert np.mean(wrong > 1e-5) < 1e-3
+    half = clock.between(9000, 15000)
+    np.testing.assert_allclose(half.instants(stamps[kept][9000:15000], 9000), instants[9000:15000], atol=1e-9)
+    assert len(half.gaps) < len(clock.gaps)
+
+
+def test_packets(tmp_path: Path, rng: np.random.Generator) -> None:
+    """40 samples at once every 16 ms, of which two packets are lost."""
+    time = np.arange(SAMPLES) * 4e-4
+    stamps = np.ceil((time + 1e-9) / 16e-3) * 16e-3 + rng.uniform(0, 2e-3, SAMPLES)[np.arange(SAMPLES) // 40]
+    kept = np.ones(SAMPLES, dtype=bool)
+    kept[4000:4040] = kept[9000:9080] = False
+    run = read_run(write(tmp_path / "p.csv", stamps[kept], logged(time)[kept], currents(time)[kept]), SIGNALS)
+    assert run.rate == pytest.approx(2500, rel=1e-3)
+    assert "time stamps come in packets" in " ".join(run.notes)
+    shift = run.time[0]  # when the first sample was taken is not known
+    found = np.abs(run.position - motion(run.time - shift))[run.valid.all(axis=1)]
+    assert found.max() < 0.01
+    assert 60 < (~run.valid.all(axis=1)).sum() < 130
+
+
+def test_stale_samples_are_interpolated(tmp_path: Path, rng: np.random.Generator) -> None:
+    time, position, command = regular(), logged(regular()), currents(regular())
+    stale = np.flatnonzero(rng.random(SAMPLES - 2) < 0.05) + 1
+    stale = stale[np.diff(stale, prepend=-5) > 1]
+    for each in (position, command):
+        each[stale] = each[stale - 1]
+    run = read_run(write(tmp_path / "s.csv", time, position, command), SIGNALS)
+    assert any("samples of the positions are stale" in note for note in run.notes)
+    moving = (
+        np.abs(np.diff(motion(time), axis=0, prepend=0)).max(axis=1) > 1e-4
+    )  # slow ones cannot be told from rounding
+    assert np.abs(position - motion(time))[moving].max() > 1e-3
+    assert np.abs(run.position - motion(time))[moving].max() < 3e-5
+
+
+def test_currents_that_are_held_are_recognised(tmp_path: Path) -> None:
+    time = regular()
+    command = currents(time)[np.arange(SAMPLES) // 10 * 10]
+    run = read_run(write(tmp_path / "h.csv", time, logged(time), command), SIGNALS)
+    assert any("commands are held: new ones come at about 100 Hz" in note for note in run.notes)
+    np.testing.assert_allclose(run.command[:-10], currents(time)[:-10], atol=2e-4)
+    assert run.valid.all()
+
+
+def test_slow_rounded_motions_and_rests_are_not_stale(tmp_path: Path) -> None:
+    time = regular()
+    position = np.round(np.column_stack([0.02 * np.sin(time), np.clip(time - 5, 0, 10)]) / 1e-4) * 1e-4
+    run = read_run(write(tmp_path / "r.csv", time, position, np.round(currents(time), 1)), SIGNALS)
+    assert run.notes == ()
+    np.testing.assert_allclose(run.position, position, atol=1e-12)
+
+
+def test_a_delay_that_is_given_moves_the_commands(tmp_path: Path) -> None:
+    time = regular()
+    path = write(tmp_path / "d.csv", time, logged(time), currents(time - 0.0035))
+    run = read_run(path, SIGNALS, settings=PreparationSettings(delay=0.0035))
+    np.testing.assert_allclose(run.command[:-10], currents(time)[:-10], atol=1e-5)
+    assert "moved the commands 3.5 ms forward, as preparation.delay says" in run.notes
+
+
+def test_the_panda_was_polled_at_a_regular_rate(shared: Path) -> None:
+    folder = shared / "panda"
+    time = np.loadtxt(folder / "exciting_traj_time.txt")
+    clock = clock_of(time, np.loadtxt(folder / "exciting_traj_positions.txt").reshape(-1, 7))
+    assert clock.regular
+    assert clock.period == pytest.approx(1e-3, rel=1e-4)
