@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from engines import closed_torques, random_parameters
+from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
 from gtau.model.coordinates import coordinates
@@ -42,10 +43,13 @@ def load(text: str, tmp_path: Path) -> Robot:
 
 def read(text: str, tmp_path: Path) -> Robot:
     """Without assembly, which would refuse what can still move."""
-    from gtau.robots.readers.mjcf import _robot, compile_geometry
+    from gtau.robots.readers.mjcf import _robot
+    from gtau.robots.readers.mjcf_file import compile_mjcf
+    from gtau.robots.readers.xml_document import read_xml
 
-    (tmp_path / "robot.xml").write_text(text)
-    return _robot(compile_geometry(tmp_path / "robot.xml"), tmp_path / "robot.xml")
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    return _robot(compile_mjcf(read_xml(path), path), path, None)
 
 
 @pytest.mark.parametrize(
@@ -194,9 +198,8 @@ BAD: list[tuple[str, str, str]] = [
     ("not a number", BODY % ('<body pos="0 0 x"/>', ""), ": MuJoCo refuses the file ("),
     ("zero axis", BODY % ('<body><joint axis="0 0 0"/></body>', ""), ": MuJoCo refuses the file ("),
     ("two joints of a name", BODY % ('<body name="b"><joint name="j"/></body>', ""), ": MuJoCo refuses the file ("),
-    ("no joints", "<mujoco/>", ": robot 'robot': it has no joints;"),
-    ("floating base", BODY % (FLOATING, ""), ": body 'g' hangs by a joint on 'f', which floats;"),
-    ("loose body", BODY % ('<body name="f"><freejoint/></body>', ""), ": robot 'robot': no closure holds platform 'f'"),
+    ("no joints", "<mujoco/>", ": it has no joints of a robot, but for"),
+    ("floating base", BODY % (FLOATING, ""), ": body 'f' floats and carries joints,"),
     ("unknown body", BODY % ("", '<equality><weld body1="z"/></equality>'), ": MuJoCo refuses the file ("),
     (
         "polynomial coupling",
@@ -204,17 +207,15 @@ BAD: list[tuple[str, str, str]] = [
         ": equality 'equality 1' is none of connect, weld and a linear joint coupling of two joints;",
     ),
     (
-        "locked joint",
-        BODY % (TWO, '<equality><joint name="lock" joint1="j"/></equality>'),
-        ": equality 'lock' is none of connect, weld and a linear joint coupling",
-    ),
-    (
         "tendon",
         BODY % ("", '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
                     '<actuator><motor name="m" tendon="t"/></actuator>'),
-        ": actuator 'm' does not drive a joint;",
+        ": no actuator drives a joint (joint=...)",
     ),
-    ("no motor", BODY % (TWO, '<equality><joint joint1="j" joint2="k" polycoef="0 0 0 0 0"/></equality>'), "ratio of"),
+    ("copies", BODY % ('<replicate count="900"><replicate count="9"><body><joint/></body></replicate></replicate>', ""),
+     ": it holds 8101 bodies, with the copies that <replicate> and"),
+    ("tied tendons", BODY % ("", '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
+                                 '<equality><tendon name="e" tendon1="t"/></equality>'), ": equality 'e' ties tendons"),
     ("missing include", BODY % ('<include file="nowhere.xml"/>', ""), ": MuJoCo refuses the file ("),
 ]  # fmt: skip
 
@@ -235,6 +236,125 @@ def test_inactive_equalities_are_left_out_and_said(tmp_path: Path) -> None:
     assert robot.closures == ()
     assert robot.notes == ("equality 'w' is not active in the file and was left out",)
     assert robot.joints[0].antecedent == GROUND
+
+
+LEFT_OUT = [
+    ("material", '<body name="b"><site material="m"/><geom size="1" material="m"/></body>',
+     '<asset><material name="m"/></asset>', ""),
+    ("keyframe", "", '<keyframe><key name="home" qpos="0.3 0.2"/></keyframe>', "keyframe 'home' has 2 positions for 1"),
+    ("loose body", '<body name="f"><freejoint/></body>', "", "nothing holds the free body 'f': left out"),
+    ("site", '<site name="s"/>', '<actuator><motor joint="j"/><motor name="m" site="s"/></actuator>',
+     "actuator 'm' of no hinge, slide or fixed tendon: left out"),
+    ("tendon", '<body><joint name="k"/></body>', '<tendon><fixed name="t"><joint joint="k" coef="1"/></fixed></tendon>'
+     '<actuator><motor joint="j"/><motor tendon="t"/></actuator>', "1 joint held since a tendon pulls them"),
+    ("constant", '<body><joint name="k"/></body>', '<equality><joint joint1="k" polycoef="0.2 0 0 0 0"/></equality>',
+     "1 joint held by an equality with a constant (rad, m): 'k' at 0.2"),
+    ("fluid", "", '<option density="1000"/>', "drag of the fluid around the robot"),
+    ("weightless", '<body name="w" gravcomp="1"/>', "", "gravity compensation (gravcomp) acts in the simulator"),
+    ("sensor", "", '<sensor><jointpos joint="j"/></sensor>', ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("bodies", "rest", "note"), [case[1:] for case in LEFT_OUT], ids=[case[0] for case in LEFT_OUT]
+)
+def test_what_does_not_matter_is_left_out_and_said(bodies: str, rest: str, note: str, tmp_path: Path) -> None:
+    robot = load(BODY % (bodies, rest), tmp_path)
+    assert robot.actuated == ("j",)
+    assert len(robot.notes) == bool(note)
+    assert all(each.startswith(note) for each in robot.notes)
+
+
+def test_springs_are_mujoco_s(tmp_path: Path, rng: np.random.Generator) -> None:
+    text = """<mujoco><compiler angle="radian"/><worldbody><body><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+      <joint name="j" axis="0 1 0" stiffness="7" springref="0.4"/><body pos="1 0 0">
+      <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="s" type="slide" stiffness="90" ref="0.1"/></body>
+      </body></worldbody></mujoco>"""
+    robot = load(text, tmp_path)
+    assert [joint.spring for joint in robot.joints] == [0.4, 0.0]
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    q, still = rng.normal(size=(4, 2)), np.zeros((4, 2))
+    found = InverseDynamics(robot).torques(q, still, still, {"k_j": 7.0, "k_s": 90.0})
+    for k in range(4):
+        data.qpos[:] = q[k]
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(found[k], -data.qfrc_passive, rtol=1e-12)
+    write_native(robot, tmp_path / "copy.yaml")
+    assert read_native(tmp_path / "copy.yaml") == robot
+
+
+FLOATING_LEGS = """<mujoco><compiler angle="radian"/><worldbody><body name="trunk" pos="0 0 1" euler="0.4 -0.2 0.3">
+  <freejoint/><inertial mass="5" pos="0.1 0 0" diaginertia="1 2 2"/>%s</body></worldbody>
+  <actuator>%s</actuator></mujoco>"""
+LEG = """<body pos="{x} 0 0"><inertial mass="1" pos="0.02 0.1 0" diaginertia="0.01 0.02 0.02"/>
+  <joint name="{n}_hip" axis="1 0 0"/><body pos="0 0.08 0"><joint name="{n}_knee" axis="0 1 0"/>
+  <inertial mass="0.7" pos="0 0.01 -0.2" diaginertia="0.02 0.02 0.01"/></body></body>"""
+
+
+def legs_of(tmp_path: Path) -> Path:
+    motors = "".join(f'<motor joint="{n}_{joint}"/>' for n in "AB" for joint in ("hip", "knee"))
+    path = tmp_path / "legs.xml"
+    path.write_text(FLOATING_LEGS % (LEG.format(n="A", x=0.3) + LEG.format(n="B", x=-0.3), motors))
+    return path
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_floating_base_is_fixed_where_it_is(turned: bool, tmp_path: Path, rng: np.random.Generator) -> None:
+    """MuJoCo's torques, with the free joint removed, are some parameters' of the model, knees and hips of both legs."""
+    path = legs_of(tmp_path)
+    robot = load_robot(path, base={"rpy": [0.5, 1.0, -2.0]} if turned else "fixed")
+    text = path.read_text().replace("<freejoint/>", "")
+    if turned:  # MuJoCo's Euler angles turn with the body, about x, y and z
+        angles = Rotation.from_euler("xyz", [0.5, 1.0, -2.0]).as_euler("XYZ")
+        text = text.replace("0.4 -0.2 0.3", " ".join(map(repr, angles.tolist())))
+    assert explains(robot, mujoco.MjModel.from_xml_string(text), rng)
+    assert not explains(load_robot(path, base={"rpy": [0.5, -1.0, -2.0]}), mujoco.MjModel.from_xml_string(text), rng)
+
+
+def test_one_leg_with_the_other_held(tmp_path: Path, rng: np.random.Generator) -> None:
+    path = legs_of(tmp_path)
+    robot = load_robot(path, base="fixed", joints=["A_*"], held={"B_hip": 0.3})
+    assert robot.actuated == ("A_hip", "A_knee")
+    assert "2 joints held as chosen (rad, m): 'B_hip' at 0.3, 'B_knee' at 0" in robot.notes
+    model = mujoco.MjModel.from_xml_string(path.read_text().replace("<freejoint/>", ""))
+    assert explains(robot, model, rng, held={"B_hip": 0.3})
+
+
+def explains(
+    robot: Robot, model: mujoco.MjModel, rng: np.random.Generator, held: dict[str, float] | None = None
+) -> bool:
+    """Whether some parameters of the robot give MuJoCo's torques of its joints, the others standing still."""
+    data, samples = mujoco.MjData(model), 60
+    q, qd, qdd = rng.normal(size=(3, samples, len(robot.actuated)))
+    expected = np.zeros_like(q)
+    for name, value in (held or {}).items():
+        data.joint(name).qpos[0] = value
+    for k in range(samples):
+        for i, name in enumerate(robot.actuated):
+            data.joint(name).qpos[0], data.joint(name).qvel[0] = q[k, i], qd[k, i]
+            data.qacc[model.joint(name).dofadr[0]] = qdd[k, i]
+        accelerations = data.qacc.copy()
+        mujoco.mj_inverse(model, data)
+        data.qacc[:] = accelerations
+        expected[k] = [data.qfrc_inverse[model.joint(name).dofadr[0]] for name in robot.actuated]
+    W = InverseDynamics(robot, "inertial").regressor(q, qd, qdd).reshape(expected.size, -1)
+    chi = np.linalg.lstsq(W, expected.ravel(), rcond=1e-12)[0]
+    return bool(np.abs(W @ chi - expected.ravel()).max() < 1e-9 * np.abs(expected).max())
+
+
+def test_what_cannot_be_held(tmp_path: Path) -> None:
+    path = legs_of(tmp_path)
+    for options, sentence in (
+        ({"joints": ["C_*"]}, "no joint of robot 'legs' is called 'C_*'; choose from A_hip,"),
+        ({"held": {"A_hup": 0.0}}, "'held': unknown joint 'A_hup'; did you mean 'A_hip'?"),
+        ({"joints": ["A_*"], "held": {"A_hip": 0.0}}, "joint 'A_hip' is both among the 'joints' that move and 'held'"),
+        ({"held": dict.fromkeys(("A_hip", "A_knee", "B_hip", "B_knee"), 0.0)}, "no joint is left to move"),
+        ({"base": "free"}, "write 'fixed', or how the base is turned"),
+    ):
+        with pytest.raises(GtauError) as refused:
+            load_robot(path, **({"base": "fixed"} | options))
+        assert sentence in str(refused.value)
 
 
 def test_without_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

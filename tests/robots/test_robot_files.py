@@ -18,6 +18,7 @@ from gtau.robots.readers.native_text import native_text, write_native
 from gtau.robots.readers.read import catalog_names
 from gtau.robots.readers.urdf import read_urdf
 from gtau.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Limits, Mdh, Platform, Pose, Robot
+from gtau.robots.units import in_degrees
 
 Frames = dict[str, tuple[np.ndarray, np.ndarray]]
 
@@ -191,13 +192,14 @@ def test_who_is_actuated(tmp_path: Path) -> None:
     loop = "closures: [{connect: [{body: b, d: 1}, {body: ground, d: 1}]}]\n"
     assert read(chain % "", tmp_path).actuated == ("a", "b")
     assert read(chain % ", actuated: false", tmp_path).actuated == ("a",)
-    assert read(chain % ", actuated: true" + loop, tmp_path).actuated == ("b",)
+    (tmp_path / "loop.yaml").write_text(chain % ", actuated: true" + loop)
+    assert read_native(tmp_path / "loop.yaml").actuated == ("b",)
 
 
 names = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=8).filter(
     lambda name: name not in (GROUND, "b", "P")
 )
-numbers = st.floats(-1e3, 1e3)
+numbers = st.floats(-1e3, 1e3).filter(lambda number: not in_degrees(number))
 triples = st.tuples(numbers, numbers, numbers)
 placements = st.builds(Mdh, *6 * [numbers]) | st.builds(Pose, triples, triples)
 positive = st.none() | st.floats(1e-3, 1e3)
@@ -593,8 +595,16 @@ BAD_URDFS: list[tuple[str, str, str]] = [
         ": the file holds xacro macros; expand it with the program xacro first.",
     ),
     ("empty", "<robot name='r'/>", ": robot 'r': it has no joints;"),
-    ("floating", arm('<joint name="j" type="floating"/>'), ": joint 'j' is floating; only revolute, continuous,"),
-    ("planar", arm('<joint name="j" type="planar"/>'), ": joint 'j' is planar; only revolute, continuous,"),
+    (
+        "floating",
+        arm('<joint name="j" type="floating"/>'),
+        ": joint 'j' is floating; if the robot's base does not",
+    ),
+    (
+        "planar",
+        arm('<joint name="j" type="planar"/>'),
+        ": joint 'j' is planar; if the robot's base does not",
+    ),
     (
         "mimic of nothing",
         arm(HINGE.format('<mimic joint="k"/>')),
@@ -634,11 +644,6 @@ BAD_URDFS: list[tuple[str, str, str]] = [
     ("short axis", arm(HINGE.format("").replace("0 0 1", "0 1")), ": the axis of joint 'j' is '0 1'; write 3 numbers."),
     ("origin", arm(HINGE.format('<origin xyz="0 nan 0"/>')), ": the xyz of joint 'j' is '0 nan 0'; write 3 numbers."),
     ("limit", arm(HINGE.format('<limit effort="high"/>')), ": the effort of joint 'j' is 'high'; write a number."),
-    (
-        "limits reversed",
-        arm(HINGE.format('<limit lower="1" upper="-1"/>')),
-        ": robot 'r': the position limits of joint 'j' are 1 to -1; write the lower one first, or leave them out.",
-    ),
 ]
 
 
@@ -651,3 +656,39 @@ def test_bad_urdf(text: str, sentence: str, tmp_path: Path) -> None:
     said = str(refused.value)
     assert said.startswith(str(path))
     assert sentence in said.removeprefix(str(path))
+
+
+# What is noted, and angles in degrees
+
+
+def test_limits_that_leave_no_way_are_dropped_with_a_note(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(arm(HINGE.format('<limit lower="1" upper="-1" velocity="0"/>')))
+    robot = load_robot(tmp_path / "arm.urdf")
+    assert robot.joints[0].limits == Limits()
+    assert robot.notes == ("position limits that leave no way were not taken over: joint 'j' (1 to -1)",)
+
+
+@pytest.mark.parametrize(
+    ("written", "quarters"),
+    [("1.5708", 1), ("-1.57", -1), ("3.14159", 2), ("3.14", 2), ("1.57079637050", 1), ("1.5707", 1),
+     ("1.5712", None), ("1.5688", None), ("0.001", None), ("0.785", None)],
+)  # fmt: skip
+def test_angles_written_short(written: str, quarters: int | None, tmp_path: Path) -> None:
+    """What stands for quarters of a turn is taken for them, with a note; calibrated angles stay as they are."""
+    angle = float(written) if quarters is None else quarters * np.pi / 2
+    (tmp_path / "arm.csv").write_text(f"j,a,mu,sigma,gamma,b,alpha,d,theta,r\n1,0,1,0,0,0,{written},0,0,0\n")
+    robot = load_robot(tmp_path / "arm.csv")
+    assert robot.joints[0].placement == Mdh(alpha=angle)
+    assert len(robot.notes) == (quarters is not None)
+    origin = f'<origin xyz="0 0 0" rpy="{written} 0 0"/>'
+    (tmp_path / "arm.urdf").write_text(arm(HINGE.format(origin)))
+    robot = load_robot(tmp_path / "arm.urdf")
+    assert robot.joints[0].placement == Pose(rpy=(angle, 0.0, 0.0))
+    assert len(robot.notes) == (quarters is not None)
+
+
+@pytest.mark.parametrize("key", ["alpha: 90", "gamma: -45", "theta: q + 180", "theta: q, home: 30"])
+def test_angles_in_degrees_are_refused(key: str, tmp_path: Path) -> None:
+    keys = key if "theta" in key else f"{key}, theta: q"
+    with pytest.raises(GtauError, match=r"line \d+, joints.j.*write deg\(...\) where these are degrees, such as deg\("):
+        read(f"robot: r\njoints:\n  j: {{antecedent: ground, {keys}}}\n", tmp_path)

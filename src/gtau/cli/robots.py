@@ -26,6 +26,18 @@ def robot(
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it in its home pose (needs matplotlib).")
     ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(
+            "--base",
+            metavar="fixed|ROLL,PITCH,YAW",
+            help="Fix a floating base where the file has it, or turned by angles in rad, as deg(90).",
+        ),
+    ] = None,
+    joints: Annotated[
+        list[str] | None,
+        typer.Option("--joints", metavar="PATTERN", help="Joints that move ('FL_*'); others are held. Repeatable."),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Show the joints, loops, degrees of freedom and base parameters of a robot."""
@@ -34,7 +46,8 @@ def robot(
             from gtau.model.home import load_robot
             from gtau.report.robot_page import describe, robot_page
 
-            found = load_robot(source)
+            rpy = {"rpy": base.split(",")} if base is not None and "," in base else base
+            found = load_robot(source, base=rpy, joints=joints or ())
             description = describe(found)
         if save is not None:
             from gtau.robots.readers.native_text import write_native

@@ -19,7 +19,8 @@ from gtau.export.input_file import InputFile, input_file
 from gtau.export.mjcf import digits, imported, notes
 from gtau.export.rigid_body import RigidBody, rigid_body
 from gtau.model.kinematics import frames
-from gtau.robots.readers.mjcf import SHAPES, compile_geometry
+from gtau.robots.readers.mjcf_file import SHAPES, compile_mjcf
+from gtau.robots.readers.xml_document import read_xml
 
 NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
@@ -36,7 +37,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     mujoco = imported()
     model = consistent_model(result, "MJCF")
     file = input_file(source, result.robot)
-    compiled = compile_geometry(source)
+    compiled = compile_mjcf(read_xml(source), source).model
     elements = [element for world in file.root.findall("worldbody") for element in _bodies(world)]
     if len(elements) != compiled.nbody - 1 or file.root.find(".//replicate") is not None:
         raise GtauError(

@@ -13,7 +13,7 @@ import numpy as np
 
 from gtau.model.coordinates import Coordinates
 from gtau.model.kinematics import Twist, accelerations, frames, twists
-from gtau.robots.robot import DRIVE, INERTIAL, Robot
+from gtau.robots.robot import DRIVE, INERTIAL, STIFFNESS, Robot
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
@@ -22,12 +22,11 @@ def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
     ``"inertial"`` leaves out rotor inertia, friction and offset.
     """
     kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
-    joints = [
-        f"{kind}_{joint.name}"
-        for joint in robot.joints
-        for kind in kinds[joint.parameters]
-        if kind in kinds[parameters]
-    ]
+    joints: list[str] = []
+    for joint in robot.joints:
+        joints += [f"{kind}_{joint.name}" for kind in kinds[joint.parameters] if kind in kinds[parameters]]
+        if joint.spring is not None and parameters == "all":
+            joints.append(f"{STIFFNESS}_{joint.name}")
     platforms = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
     return (*joints, *platforms)
 
@@ -81,7 +80,9 @@ def torques(
             power += ca.dot(partial[body].linear, wrench[body].linear)
         for row, joint in enumerate(robot.joints):
             effort = dict(zip(DRIVE, (ydd[row], yd[row], ca.sign(yd[row]), ca.SX(1)), strict=True))
-            for kind in DRIVE:
+            if joint.spring is not None:
+                effort[STIFFNESS] = c[row] - joint.spring
+            for kind in effort:
                 if f"{kind}_{joint.name}" in chi:
                     power += J[row, k] * chi[f"{kind}_{joint.name}"] * effort[kind]
         tau.append(power)

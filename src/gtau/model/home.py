@@ -6,17 +6,20 @@ and whatever moves by more than rounding is said in a note of the robot.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
+from gtau.documents.yaml_document import Document, validate
 from gtau.errors import GtauError
 from gtau.model.closures import assembly_errors, closure_expressions
 from gtau.model.coordinates import Coordinates, coordinates
 from gtau.robots.geometry import characteristic_length, pose_of
 from gtau.robots.readers.read import read_robot
+from gtau.robots.readers.source import RobotSource
 from gtau.robots.robot import Joint, Pose, Robot
 
 # Lengths in what follows are counted in characteristic lengths of the robot, angles in rad.
@@ -36,14 +39,26 @@ DECIMALS = 12  # and beyond these in what the closures make of them
 NAMED = 4  # coordinates that a note lists
 
 
-def load_robot(source: str | Path | Robot) -> Robot:
-    """Load a robot and close its loops.
+def load_robot(
+    source: str | Path | Robot | RobotSource,
+    base: str | Mapping[str, Sequence[float | str]] | None = None,
+    joints: Sequence[str] = (),
+    held: Mapping[str, float] | None = None,
+) -> Robot:
+    """Load a robot, or a part of one, and close its loops.
 
     Parameters
     ----------
-    source : str, Path or Robot
-        A name of the catalog or the path of a file, see :func:`gtau.robots.readers.read.read_robot`, or a robot, which
-        is returned as it is.
+    source : str, Path, Robot or RobotSource
+        A name of the catalog or the path of a file, see :func:`gtau.robots.readers.read.read_robot`; a robot is
+        returned as it is, and with a ``RobotSource`` all that follows is left out.
+    base : "fixed" or mapping, optional
+        ``"fixed"`` fixes a floating base where the file has it; ``{"rpy": [roll, pitch, yaw]}``, rad, fixes it turned
+        so in a world whose z axis points up, or mounts a robot so that is fixed already.
+    joints : sequence of str, optional
+        Patterns (``FL_*``) of the joints that move; the others are held. All move if left out.
+    held : mapping of str to float, optional
+        Positions of joints that are held, rad or m; those not named are held at home.
 
     Returns
     -------
@@ -57,11 +72,16 @@ def load_robot(source: str | Path | Robot) -> Robot:
     """
     if isinstance(source, Robot):
         return source
-    robot = read_robot(source)
+    if isinstance(source, RobotSource):
+        found, name = source, source.file
+    else:
+        options = {"file": str(source), "base": base, "joints": tuple(joints), "held": dict(held or {})}
+        found, name = validate(RobotSource, Document(Path("load_robot"), options, {})), str(source)
+    robot = read_robot(found)
     try:
         return close_home(robot)
     except GtauError as error:
-        raise GtauError(f"{source}: {error}") from None
+        raise GtauError(f"{name}: {error}") from None
 
 
 def close_home(robot: Robot) -> Robot:

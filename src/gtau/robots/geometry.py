@@ -1,4 +1,4 @@
-"""Where everything is at a configuration: poses composed, frames of all bodies, errors of the closures."""
+"""Compose poses and frames, and take angles written short as what they stand for."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import numpy as np
 from gtau.robots.robot import Attachment, Placement, Pose, Robot
 
 ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
+
+NEARLY = 1e-6  # rad: angles in single precision
+SHORT = 2e-3  # rad: 3.14 stands for pi
 
 Frame = tuple[np.ndarray, np.ndarray]
 """Orientation (3, 3) and origin (3,) in m, in base axes."""
@@ -36,6 +39,34 @@ def pose_of(rotation: np.ndarray, position: np.ndarray) -> Pose:
     pitch = atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])
     roll = atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
     return rounded_pose(position, (roll, pitch, yaw))
+
+
+def exact_angle(angle: float) -> float:
+    """The multiple of pi/2 that an angle in a file stands for, or the angle itself.
+
+    Files give pi/2 with fewer digits (1.5708, 1.571, 1.57) or in single precision. An angle is taken for a multiple if
+    it is within 1e-6 of it, or one in the last of its digits and 2e-3 rad: a calibrated angle differs by more.
+    """
+    multiple = round(angle / (pi / 2)) * (pi / 2)
+    digits = repr(float(angle)).partition(".")[2]
+    unit = 0.0 if "e" in digits else min(10.0 ** -len(digits), SHORT)
+    return multiple if abs(angle - multiple) < max(NEARLY, unit) else float(angle)
+
+
+def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, bool]:
+    """The pose that a file gives, and whether an angle in it was written short (see :func:`exact_angle`)."""
+    given = tuple(rpy)
+    angles = tuple(map(exact_angle, given))
+    short = any(abs(angle - exact) > ROUNDING for angle, exact in zip(given, angles, strict=True))
+    return rounded_pose(xyz, angles), short
+
+
+def short_angles_note(names: Iterable[str]) -> tuple[str, ...]:
+    """A note on the joints whose angles a file writes short; none where there are no such."""
+    if not (listed := list(names)):
+        return ()
+    shown = ", ".join(f"'{name}'" for name in listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")
+    return (f"angles written short, such as 1.5708, were taken as multiples of pi/2: joint {shown}",)
 
 
 def compose(first: Placement, second: Placement) -> Pose:

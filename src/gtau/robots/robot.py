@@ -21,6 +21,8 @@ INERTIAL = ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
 """Inertial parameters of a body in its own frame, at the frame's origin; ``xy = -int x y dm``."""
 DRIVE = ("ia", "fv", "fs", "off")
 """Rotor inertia, viscous and Coulomb friction, and offset of a joint."""
+STIFFNESS = "k"
+"""Stiffness of a spring across a joint."""
 
 
 def _rotation_x(angle: float) -> np.ndarray:
@@ -104,7 +106,8 @@ class Joint:
     The link's frame sits at ``placement`` in the antecedent's frame when the coordinate is zero,
     and turns about (or slides along) ``axis``, a unit vector of its own frame. ``parameters`` says which
     standard parameters it has: all 14, those of the link (``inertial``) or of the drive (``drive``, for a
-    motor's shaft) alone, or ``none`` (a massless link of a spherical joint).
+    motor's shaft) alone, or ``none`` (a massless link of a spherical joint). ``spring`` is where a spring across the
+    joint is at rest; its stiffness is a parameter, ``k``.
     """
 
     name: str
@@ -116,6 +119,7 @@ class Joint:
     home: float = 0.0
     limits: Limits = Limits()
     parameters: Literal["all", "inertial", "drive", "none"] = "all"
+    spring: float | None = None
 
     @property
     def has_mass(self) -> bool:

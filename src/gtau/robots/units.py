@@ -1,8 +1,17 @@
-"""SI units of parameters and torques."""
+"""SI units of parameters and torques, and angles that are not in them."""
 
 from __future__ import annotations
 
-from gtau.robots.robot import Robot
+from math import pi
+
+from gtau.robots.robot import STIFFNESS, Robot
+
+DEGREES_ADVICE = "write deg(...) where these are degrees"
+
+
+def in_degrees(angle: float) -> bool:
+    """Whether an angle, rad, was meant in degrees: more than a turn, and a multiple of five."""
+    return abs(angle) > 2 * pi and abs(angle - 5 * round(angle / 5)) < 1e-9
 
 
 def unit_of(kind: str, robot: Robot, joint: str) -> str:
@@ -16,6 +25,8 @@ def unit_of(kind: str, robot: Robot, joint: str) -> str:
     turns = robot.joint(joint).kind == "revolute"
     if kind == "ia":
         return "kg m2" if turns else "kg"
+    if kind == STIFFNESS:
+        return "N m/rad" if turns else "N/m"
     if kind == "fv":
         return "N m s/rad" if turns else "N s/m"
     return torque_unit(robot, joint)

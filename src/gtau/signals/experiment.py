@@ -22,6 +22,7 @@ from gtau.documents.files import matching
 from gtau.documents.kinds import EXPERIMENT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
+from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
 from gtau.signals.formats import is_log_folder
@@ -185,10 +186,15 @@ def _close_file(path: Path) -> str:
 class Experiment(Keys):
     """An experiment file; its paths are relative to the working directory or absolute once read.
 
+<<<<<<< HEAD
     ``priors`` say what is known of standard parameters, by name, ``preparation`` what is set of it by hand.
+=======
+    ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
+    ``priors`` say what is known of standard parameters, by name.
+>>>>>>> 7eef872 (Floating bases fixed, bases mounted, joints held; MJCF leaves out what does not matter; springs across joints; angles written short or in degrees)
     """
 
-    robot: str
+    robot: AnySource
     signals: Signals
     units: Units = Units()
     prior_gains: dict[str, FiniteFloat] = Field(default_factory=dict)
@@ -199,8 +205,12 @@ class Experiment(Keys):
 
     @field_validator("robot")
     @classmethod
-    def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
-        return robot if info.context is None else file_or_name(robot, info.context.robot)
+    def _file_or_name(cls, robot: str | RobotSource, info: ValidationInfo) -> str | RobotSource:
+        if info.context is None:
+            return robot
+        if isinstance(robot, RobotSource):
+            return robot.model_copy(update={"file": file_or_name(robot.file, info.context.robot)})
+        return file_or_name(robot, info.context.robot)
 
     @field_validator("units")
     @classmethod

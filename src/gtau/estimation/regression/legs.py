@@ -33,6 +33,7 @@ def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
                 joint.kind,
                 joint.actuated,
                 joint.parameters,
+                joint.spring,
                 _numbers(np.array(joint.axis)),
                 leg.index(joint.antecedent) if k else -1,
                 _placement(joint.placement) if k else (),

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.robots.geometry import compose, euler_angles, rounded, turn
-from gtau.robots.robot import Attachment, Closure, Joint, Pose, Robot
+from gtau.robots.parts import lock_joints
+from gtau.robots.robot import Attachment, Joint, Pose, Robot
 
 COAXIAL = 1e-8  # rad, and share of the length of the closure's arms
 
@@ -56,7 +57,7 @@ def without_idle_pins(robot: Robot) -> Robot:
             if idle:
                 note = f"joint '{pin.name}' is idle, since {why} in closure {number + 1}; it was locked at zero"
                 note += f", its link a part of '{pin.antecedent}'" * pin.has_mass
-                return without_idle_pins(replace(_locked(robot, pin), notes=(*robot.notes, note)))
+                return without_idle_pins(replace(lock_joints(robot, {pin.name: 0.0}), notes=(*robot.notes, note)))
     return robot
 
 
@@ -121,26 +122,3 @@ def _aimed(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
         for joint, (x, y, z), home in zip(ball, now.T, homes, strict=True)
     }
     return replace(robot, joints=tuple(made.get(joint.name, joint) for joint in robot.joints))
-
-
-def _locked(robot: Robot, pin: Joint) -> Robot:
-    """The robot with a pin's link a part of its antecedent's, which has a mass if the pin's has one."""
-
-    def moved(end: Attachment) -> Attachment:
-        if end.body != pin.name:
-            return end
-        return Attachment(pin.antecedent, compose(pin.placement, end.placement))
-
-    def joined(joint: Joint) -> Joint:
-        if joint.antecedent == pin.name:
-            return replace(joint, antecedent=pin.antecedent, placement=compose(pin.placement, joint.placement))
-        if joint.name != pin.antecedent or not pin.has_mass or joint.has_mass:
-            return joint
-        return replace(joint, parameters="all" if joint.parameters == "drive" else "inertial")
-
-    return replace(
-        robot,
-        joints=tuple(joined(joint) for joint in robot.joints if joint is not pin),
-        closures=tuple(Closure(closure.kind, moved(closure.a), moved(closure.b)) for closure in robot.closures),
-        named_tool=pin.antecedent if robot.named_tool == pin.name else robot.named_tool,
-    )

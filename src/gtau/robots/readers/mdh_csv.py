@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
+from gtau.robots.geometry import short_angles_note
 from gtau.robots.readers.expressions import RESERVED, LinearisedWindow, evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
 from gtau.robots.robot import GROUND, Robot
@@ -49,7 +50,8 @@ def read_mdh_csv(path: str | Path) -> Robot:
         if not rows:
             raise GtauError("no joint is listed; write a line for each below the header.")
         joints, _ = table_joints(rows)
-        return Robot(path.stem, joints, source=path.name)
+        notes = short_angles_note(row.name for row in rows if row.short)
+        return Robot(path.stem, joints, source=path.name, notes=notes)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi
 from typing import Literal
 
 from gtau.errors import GtauError
-from gtau.robots.geometry import compose, rounded
+from gtau.robots.geometry import ROUNDING, compose, exact_angle
 from gtau.robots.robot import GROUND, Attachment, Joint, Mdh
+from gtau.robots.units import DEGREES_ADVICE, in_degrees
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,8 @@ class MdhRow:
     """A frame of a table, placed in the frame of its antecedent.
 
     ``sigma`` is 0 for a revolute joint, 1 for a prismatic one and 2 for a fixed frame; ``mu`` is 1 where a motor acts.
-    ``placement`` has the constant that the joint coordinate is added to in ``theta`` or ``r``.
+    ``placement`` has the constant that the joint coordinate is added to in ``theta`` or ``r``; ``short`` says that an
+    angle in it was written short, see :func:`gtau.robots.geometry.exact_angle`.
     """
 
     name: str
@@ -25,6 +26,7 @@ class MdhRow:
     mu: int
     sigma: int
     placement: Mdh
+    short: bool
 
 
 def moving_parameter(name: str, sigma: float) -> str | None:
@@ -46,14 +48,18 @@ def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: S
     Raises
     ------
     GtauError
-        mu is neither 0 nor 1.
+        mu is neither 0 nor 1, or an angle looks like degrees.
     """
     if mu not in (0, 1):
         raise GtauError(f"mu of joint '{name}' is {mu:g}; write 1 (driven by a motor) or 0 (passive).")
     gamma, b, alpha, d, theta, r = parameters
-    # tables give pi/2 with more or fewer digits
-    placement = Mdh(rounded(gamma, pi / 2), b, rounded(alpha, pi / 2), d, rounded(theta, pi / 2), r)
-    return MdhRow(name, antecedent, int(mu), int(sigma), placement)
+    for key, angle in (("gamma", gamma), ("alpha", alpha), ("theta", theta)):
+        if in_degrees(angle):
+            raise GtauError(f"{key} of joint '{name}' is {angle:g}; angles are in rad, so {DEGREES_ADVICE}.")
+    angles = [exact_angle(angle) for angle in (gamma, alpha, theta)]
+    short = any(abs(a - b) > ROUNDING for a, b in zip(angles, (gamma, alpha, theta), strict=True))
+    placement = Mdh(angles[0], b, angles[1], d, angles[2], r)
+    return MdhRow(name, antecedent, int(mu), int(sigma), placement, short)
 
 
 def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:

@@ -25,20 +25,33 @@ from gtau.robots.robot import (
     Pose,
     Robot,
 )
+from gtau.robots.units import DEGREES_ADVICE, in_degrees
 
 
 def _number(text: str, info: ValidationInfo) -> float:
     return evaluate(text, info.context)
 
 
+def _angle(text: str, info: ValidationInfo) -> float:
+    angle = evaluate(text, info.context)
+    if in_degrees(angle):
+        raise ValueError(f"{text} rad is more than a turn; {DEGREES_ADVICE}, such as deg({text})")
+    return angle
+
+
 def _coordinate(text: str, info: ValidationInfo) -> LinearisedWindow:
-    return linear(text, info.context)
+    factor, constant = linear(text, info.context)
+    if info.field_name == "theta" and in_degrees(constant):
+        raise ValueError(f"{text} adds more than a turn, in rad; {DEGREES_ADVICE}, such as deg({constant:g})")
+    return factor, constant
 
 
 Number = Annotated[float, BeforeValidator(_number)]
+Angle = Annotated[float, BeforeValidator(_angle)]
 Coordinate = Annotated[LinearisedWindow, BeforeValidator(_coordinate)]
 """A number that may hold the joint coordinate ``q``."""
 Triple = tuple[Number, Number, Number]
+Angles = tuple[Angle, Angle, Angle]
 
 
 def _gravity(value: Any) -> Any:
@@ -73,13 +86,13 @@ class _BodyEntry(_Entry):
 
 class _PoseEntry(_Entry):
     xyz: Triple = (0.0, 0.0, 0.0)
-    rpy: Triple = (0.0, 0.0, 0.0)
+    rpy: Angles = (0.0, 0.0, 0.0)
 
 
 class _PlacedEntry(_PoseEntry):
-    gamma: Number = 0.0
+    gamma: Angle = 0.0
     b: Number = 0.0
-    alpha: Number = 0.0
+    alpha: Angle = 0.0
     d: Number = 0.0
 
     @model_validator(mode="after")
@@ -91,7 +104,7 @@ class _PlacedEntry(_PoseEntry):
 
 class _AttachmentEntry(_PlacedEntry):
     body: str
-    theta: Number = 0.0
+    theta: Angle = 0.0
     r: Number = 0.0
 
 
@@ -112,6 +125,14 @@ class _JointEntry(_PlacedEntry, _BodyEntry):
     home: Number = 0.0
     limits: _LimitsEntry = _LimitsEntry()
     parameters: Literal["all", "inertial", "drive", "none"] = "all"
+    stiffness: bool = False
+    springref: Number = 0.0
+
+    @model_validator(mode="after")
+    def _spring_of_a_stiffness(self) -> _JointEntry:
+        if self.written("springref") and not self.stiffness:
+            raise ValueError("'springref' stands without a spring; write 'stiffness: true' beside it, or remove it")
+        return self
 
     @model_validator(mode="after")
     def _one_coordinate(self) -> _JointEntry:
@@ -126,6 +147,8 @@ class _JointEntry(_PlacedEntry, _BodyEntry):
         if by_pose:
             return self
         factors = [self.theta[0], self.r[0]]
+        if factors[0] and in_degrees(self.home) and self.parameters != "drive":
+            raise ValueError(f"home is {self.home:g} rad, many turns; {DEGREES_ADVICE}, such as deg({self.home:g})")
         if factors == [0.0, 0.0]:
             raise ValueError(
                 "the joint coordinate q is missing; write it in theta (revolute) or in r (prismatic), as 'theta: q'"
@@ -259,6 +282,7 @@ def _joint(name: str, entry: _JointEntry, actuated_by_default: bool) -> Joint:
         home=entry.home,
         limits=Limits(**dict(entry.limits)),
         parameters=entry.parameters,
+        spring=entry.springref if entry.stiffness else None,
     )
 
 

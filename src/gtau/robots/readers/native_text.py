@@ -104,6 +104,8 @@ def _joint_data(joint: Joint, passive: bool) -> dict[str, Any]:
         data["limits"] = {key: list(value) if key == "position" else float(value) for key, value in limits.items()}
     if joint.parameters != "all":
         data["parameters"] = joint.parameters
+    if joint.spring is not None:
+        data |= {"stiffness": True} | ({"springref": float(joint.spring)} if joint.spring else {})
     return data
 
 

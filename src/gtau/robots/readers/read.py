@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 
+import numpy as np
+
 from gtau.documents.kinds import ROBOT, refuse_other_kind
 from gtau.errors import GtauError
-from gtau.robots.robot import Robot
+from gtau.robots.geometry import rounded
+from gtau.robots.parts import select_joints
+from gtau.robots.readers.source import Base, RobotSource
+from gtau.robots.robot import Pose, Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
 ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
@@ -18,16 +24,16 @@ def catalog_names() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in CATALOG.glob("*.yaml")))
 
 
-def read_robot(source: str | Path) -> Robot:
+def read_robot(source: str | Path | RobotSource) -> Robot:
     """Read a robot as its file describes it, its home not closed yet (see :func:`gtau.load_robot`).
 
     Parameters
     ----------
-    source : str or Path
+    source : str, Path or RobotSource
         A name of the catalog, or the path of a file, recognised by its ending: a robot file (``.yaml``, ``.yml``), a
         URDF (``.urdf``) with its loops in a YAML file of the same name beside it, or that YAML file, or the folder of
         both where they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a parameter file of OpenSYMORO (``.par``), or
-        a table of MDH parameters (``.csv``).
+        a table of MDH parameters (``.csv``). A ``RobotSource`` also says how its base stands and which joints move.
 
     Returns
     -------
@@ -39,6 +45,24 @@ def read_robot(source: str | Path) -> Robot:
     GtauError
         There is no such robot, or its file is not accepted.
     """
+    if not isinstance(source, RobotSource):
+        return _read(source, None)
+    robot = _read(source.file, source.base)
+    if source.base is not None and source.base.rpy is not None:
+        robot = _mounted(robot, source.base.rpy)
+    try:
+        return select_joints(robot, source.joints, source.held) if source.joints or source.held else robot
+    except GtauError as error:
+        raise GtauError(f"{source.file}: {error}") from None
+
+
+def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:
+    """The robot with its base turned in a world in which its gravity points down."""
+    x, y, z = Pose(rpy=rpy).rotation.T @ [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
+    return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
+
+
+def _read(source: str | Path, base: Base | None) -> Robot:
     if source in catalog_names():
         source = CATALOG / f"{source}.yaml"
     path = Path(source)
@@ -49,11 +73,11 @@ def read_robot(source: str | Path) -> Robot:
         case ".yaml" | ".yml":
             return _from_yaml(path)
         case ".urdf":
-            return _from_urdf(path)
+            return _from_urdf(path, base)
         case ".xml" | ".mjcf":
             from gtau.robots.readers.mjcf import read_mjcf
 
-            return read_mjcf(path)
+            return read_mjcf(path, base)
         case ".sdf":
             raise GtauError(
                 f"{path} is an SDF file, which is not read, since it does not say which joints have motors; give a "
@@ -89,7 +113,7 @@ def _from_yaml(path: Path) -> Robot:
     return read_native(path)
 
 
-def _from_urdf(path: Path) -> Robot:
+def _from_urdf(path: Path, base: Base | None) -> Robot:
     from gtau.robots.readers.urdf_loops import is_loops_file, read_urdf_with_loops
 
     for loops in (path.with_suffix(".yaml"), path.with_suffix(".yml")):
@@ -97,4 +121,4 @@ def _from_urdf(path: Path) -> Robot:
             return read_urdf_with_loops(path, loops)
     from gtau.robots.readers.urdf import read_urdf
 
-    return read_urdf(path)
+    return read_urdf(path, fix_base=base is not None)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
+from gtau.robots.geometry import short_angles_note
 from gtau.robots.readers.expressions import evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
 from gtau.robots.robot import GROUND, STANDARD_GRAVITY, Attachment, Closure, Robot
@@ -78,6 +79,7 @@ def _robot(text: str, path: Path) -> Robot:
         Closure("weld", Attachment(str(cut)), frames[str(cut + joints - links)]) for cut in range(links + 1, joints + 1)
     )
     gravity, notes = _gravity(entries, constants)
+    notes += short_angles_note(row.name for row in rows if row.short)
     if not any(joint.actuated for joint in tree) and links == joints:
         tree = tuple(replace(joint, actuated=True) for joint in tree)
         notes += ("no joint has mu = 1, so all were taken as driven by motors",)

@@ -15,11 +15,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.geometry import ROUNDING, compose, rounded, rounded_pose
+from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
 from gtau.robots.readers.xml_document import attribute, numbers, read_xml
 from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose, Robot
+from gtau.robots.units import in_degrees
 
 Kind = Literal["revolute", "prismatic"]
+FLOATING = ("floating", "planar")
 KINDS: dict[str, Kind | None] = {
     "revolute": "revolute",
     "continuous": "revolute",
@@ -38,6 +40,7 @@ class _Edge:
     parent: str
     child: str
     origin: Pose
+    short: bool  # whether an angle of its origin is written short
     element: Element
 
 
@@ -56,13 +59,14 @@ class UrdfTree:
     notes: tuple[str, ...]
 
 
-def read_urdf(path: str | Path) -> Robot:
+def read_urdf(path: str | Path, fix_base: bool = False) -> Robot:
     """Read a robot from a URDF file.
 
     Links that hang on fixed joints become part of the link that carries them. Joints stand depth first in the order
     of the file; each keeps its name, and its link bears the name too. A joint that mimics another is passive and
     coupled to it. Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths
-    below 1e-10 m, are taken as exact.
+    below 1e-10 m, are taken as exact, and angles written short (1.5708) as the multiples they stand for, with a note.
+    With ``fix_base`` a floating joint is fixed.
 
     Parameters
     ----------
@@ -80,29 +84,34 @@ def read_urdf(path: str | Path) -> Robot:
         joints.
     """
     path = Path(path)
-    tree = read_urdf_tree(path, {})
+    tree = read_urdf_tree(path, {}, fix_base)
+    notes = tree.notes
+    if sum(joint.antecedent == GROUND for joint in tree.joints) > 1:
+        notes += ("the root link was taken as fixed, as a URDF does not say whether it floats",)
     try:
-        return Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=tree.notes)
+        return Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=notes)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
 
-def read_urdf_tree(path: Path, types: Mapping[str, str]) -> UrdfTree:
-    """The tree of a URDF file, with the joints named in `types` read as SPHERICAL, CARDAN or FIXED instead.
+def read_urdf_tree(path: Path, types: Mapping[str, str], fix_base: bool = False) -> UrdfTree:
+    """The tree of a URDF file, with the joints named in ``types`` read as SPHERICAL, CARDAN or FIXED instead.
 
     A spherical joint becomes three revolute ones, about x, y and z, a cardan joint two, about x and y; the links in
     between are massless, and the last one bears the joint's name.
     """
     try:
         root = _parse(path)
-        edges = [_edge(element) for element in root.findall("joint")]
+        edges = [_edge(element, fix_base) for element in root.findall("joint")]
         links = [attribute(element, "name", "a link") for element in root.findall("link")]
         ordered = _depth_first(links, edges)
         joints, frames = _moving(ordered, types)
         couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, tuple(_odd_masses(root)))
+        notes = (*_odd_masses(root), *_limit_notes(ordered))
+        notes += short_angles_note(edge.name for edge in ordered if edge.short)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
@@ -116,9 +125,16 @@ def _parse(path: Path) -> Element:
     return root
 
 
-def _edge(element: Element) -> _Edge:
+def _edge(element: Element, fix_base: bool) -> _Edge:
     name = attribute(element, "name", "a joint")
     kind = attribute(element, "type", f"joint '{name}'")
+    if kind in FLOATING and fix_base:
+        kind = "fixed"
+    if kind in FLOATING:
+        raise GtauError(
+            f"joint '{name}' is {kind}; if the robot's base does not move, fix it: write 'robot: {{file: ..., base: "
+            "fixed}' in the experiment file, or --base fixed."
+        )
     if kind not in KINDS:
         raise GtauError(
             f"joint '{name}' is {kind}; only revolute, continuous, prismatic and fixed joints are read, "
@@ -130,7 +146,7 @@ def _edge(element: Element) -> _Edge:
         if end is None:
             raise GtauError(f"joint '{name}' has no <{tag} link=...>; add it.")
         ends.append(attribute(end, "link", f"<{tag}> of joint '{name}'"))
-    return _Edge(name, KINDS[kind], ends[0], ends[1], _origin(element, name), element)
+    return _Edge(name, KINDS[kind], ends[0], ends[1], *_origin(element, name), element)
 
 
 def _depth_first(links: list[str], edges: list[_Edge]) -> list[_Edge]:
@@ -238,12 +254,17 @@ def _odd_masses(root: Element) -> Iterator[str]:
             )
 
 
-def _origin(element: Element, name: str) -> Pose:
+def _origin(element: Element, name: str) -> tuple[Pose, bool]:
     origin = element.find("origin")
     if origin is None:
-        return Pose()
+        return Pose(), False
     xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
-    return rounded_pose(xyz, rpy)
+    if degrees := [angle for angle in rpy if in_degrees(angle)]:
+        raise GtauError(
+            f"rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by 57.2958 where it is in "
+            "degrees."
+        )
+    return written_pose(xyz, rpy)
 
 
 def _axis(edge: _Edge) -> tuple[float, float, float]:
@@ -268,8 +289,24 @@ def _limits(edge: _Edge) -> Limits:
         if (text := limit.get(key)) is not None
     }
     endless = edge.element.get("type") == "continuous" or not values.keys() & {"lower", "upper"}
+    low, high = values.get("lower", 0.0), values.get("upper", 0.0)
+    velocity, effort = values.get("velocity", 0.0), values.get("effort", 0.0)
     return Limits(
-        position=None if endless else (values.get("lower", 0.0), values.get("upper", 0.0)),
-        velocity=values.get("velocity") or None,
-        effort=values.get("effort") or None,
+        position=None if endless or low >= high else (low, high),
+        velocity=velocity if velocity > 0.0 else None,
+        effort=effort if effort > 0.0 else None,
     )
+
+
+def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
+    """A note on position limits that leave no way, which are not taken over."""
+    dropped = []
+    for edge in ordered:
+        limit = edge.element.find("limit")
+        if edge.kind is None or limit is None or _limits(edge).position or edge.element.get("type") == "continuous":
+            continue
+        low, high = (numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'")[0] for key in ("lower", "upper"))
+        if {"lower", "upper"}.intersection(limit.keys()) and low >= high:
+            dropped.append(f"'{edge.name}' ({low:g} to {high:g})")
+    if dropped:
+        yield f"position limits that leave no way were not taken over: joint {', '.join(dropped)}"

@@ -1,0 +1,154 @@
+"""Hold some joints of a robot, so that one leg, one arm of two, or an arm without its gripper is a robot of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from gtau.documents.yaml_document import unknown
+from gtau.errors import GtauError
+from gtau.robots.geometry import compose, pose_of, turn
+from gtau.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Placement, Pose, Robot
+
+NAMED = 6  # joints that a note lists
+
+
+def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, float]) -> Robot:
+    """Let some joints of a robot move and hold the others.
+
+    Parameters
+    ----------
+    robot : Robot
+    patterns : sequence of str
+        Names of the joints that move, with ``*`` and ``?``; without any all move that are not in ``held``.
+    held : mapping of str to float
+        Positions of joints that do not move, rad or m; the others that do not are held at home.
+
+    Returns
+    -------
+    Robot
+        With a note on the joints that are held.
+
+    Raises
+    ------
+    GtauError
+        A pattern matches no joint, or a joint is both to move and to be held.
+    """
+    names = [joint.name for joint in robot.joints]
+    for name in held:
+        if name not in names:
+            raise GtauError(f"'held': {unknown(f'joint {name!r}', name, names)}.")
+    moving = set() if patterns else set(names) - held.keys()
+    for pattern in patterns:
+        if not (matched := {name for name in names if fnmatchcase(name, pattern)}):
+            raise GtauError(
+                f"no joint of robot '{robot.name}' is called '{pattern}'; choose from {', '.join(names)} (* stands for "
+                "any letters)."
+            )
+        moving |= matched
+    if both := moving & held.keys():
+        raise GtauError(f"joint '{min(both)}' is both among the 'joints' that move and 'held'; remove one of them.")
+    positions = {joint.name: held.get(joint.name, joint.home) for joint in robot.joints if joint.name not in moving}
+    if not positions:
+        return robot
+    return hold_joints(robot, positions, "as chosen")
+
+
+def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot:
+    """Hold joints at ``positions``, rad or m, and note which and ``why``.
+
+    Joints that couplings give from those held are held too.
+    """
+    positions = _with_coupled(robot, positions)
+    shown = [f"'{name}' at {position:.4g}" for name, position in positions.items()]
+    listed = ", ".join(shown[:NAMED]) + (f" and {len(shown) - NAMED} more" if len(shown) > NAMED else "")
+    note = f"{len(shown)} joint{'s' * (len(shown) > 1)} held {why} (rad, m): {listed}"
+    return replace(lock_joints(robot, positions), notes=(*robot.notes, note))
+
+
+def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
+    """Make the links of joints, at ``positions``, parts of the links that carry them, which have a mass if they had.
+
+    A closure whose ends are then on one body is dropped.
+
+    Raises
+    ------
+    GtauError
+        No joint is left to move.
+    """
+    carried = {GROUND: Attachment(GROUND)} | {platform.name: Attachment(platform.name) for platform in robot.platforms}
+    joints: list[Joint] = []
+    heavy = set()
+    for joint in robot.joints:
+        before = carried[joint.antecedent]
+        placement = joint.placement if before.placement == Pose() else compose(before.placement, joint.placement)
+        if joint.name not in positions:
+            joints.append(replace(joint, antecedent=before.body, placement=placement))
+            carried[joint.name] = Attachment(joint.name)
+            continue
+        carried[joint.name] = Attachment(before.body, _after(joint, placement, positions[joint.name]))
+        if joint.has_mass:
+            heavy.add(before.body)
+    if not joints:
+        raise GtauError(f"robot '{robot.name}': no joint is left to move; hold fewer of them.")
+
+    def moved(end: Attachment) -> Attachment:
+        at = carried[end.body]
+        return end if at.body == end.body else Attachment(at.body, compose(at.placement, end.placement))
+
+    closures = (Closure(each.kind, moved(each.a), moved(each.b)) for each in robot.closures)
+    tool = carried[robot.named_tool].body if robot.named_tool else ""
+    return replace(
+        robot,
+        joints=tuple(_heavy(joint) if joint.name in heavy else joint for joint in joints),
+        closures=tuple(each for each in closures if each.a.body != each.b.body),
+        couplings=tuple(_couplings(robot, positions)),
+        named_tool="" if tool == GROUND else tool,
+    )
+
+
+def _after(joint: Joint, placement: Placement, position: float) -> Placement:
+    """Where a joint's link is at a position, its frame being at ``placement`` at zero."""
+    if not position:
+        return placement
+    axis = np.array(joint.axis)
+    if joint.kind == "revolute":
+        return compose(placement, pose_of(turn(axis, position), np.zeros(3)))
+    return compose(placement, pose_of(np.eye(3), axis * position))
+
+
+def _heavy(joint: Joint) -> Joint:
+    if joint.has_mass:
+        return joint
+    return replace(joint, parameters="all" if joint.parameters == "drive" else "inertial")
+
+
+def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, float]:
+    """The positions of held joints, and of those that couplings then leave no choice."""
+    found = dict(positions)
+    settled = False
+    while not settled:
+        settled = True
+        for coupling in robot.couplings:
+            terms = {coupling.joint: 1.0} | {name: -ratio for name, ratio in coupling.ratios}
+            free = [name for name in terms if name not in found]
+            if len(free) == 1:
+                rest = sum(factor * found[name] for name, factor in terms.items() if name in found)
+                found[free[0]] = (coupling.offset - rest) / terms[free[0]]
+                settled = False
+    return found
+
+
+def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Coupling]:
+    """The couplings of the joints that are not held."""
+    for coupling in robot.couplings:
+        terms = {coupling.joint: 1.0} | {name: -ratio for name, ratio in coupling.ratios}
+        free = [name for name in terms if name not in positions]
+        if free:
+            offset = coupling.offset - sum(terms[name] * positions[name] for name in terms if name in positions)
+            first, *others = free
+            ratios = tuple((name, -terms[name] / terms[first]) for name in others)
+            yield Coupling(first, ratios, offset / terms[first])

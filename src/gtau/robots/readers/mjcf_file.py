@@ -1,0 +1,131 @@
+"""Compile an MJCF file by MuJoCo without what does not matter to a robot's geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gtau.errors import GtauError, missing_extra
+from gtau.robots.readers.xml_document import read_xml
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+    import mujoco
+
+SHAPES = ("sensors", "geoms", "pairs", "excludes", "skins", "flexes", "meshes", "textures", "materials", "hfields")
+DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", *SHAPES[1:], "numerics", "texts", "tuples")
+"""What does not matter to geometry: it need not even compile."""
+MOST_COPIES = 2000  # of a body, by <replicate> and <composite>: more keep the compiler busy for minutes
+NESTED = ("worldbody", "body", "frame", "replicate", "composite", "flexcomp")
+
+
+def _with_included(root: Element, path: Path, outer: tuple[Path, ...]) -> list[Element]:
+    """The outermost elements of a file and of those that it includes."""
+    found = [root]
+    for include in root.iter("include"):
+        other = path.parent / include.get("file", "")
+        if other.is_file() and other not in outer:
+            found += _with_included(read_xml(other), other, (*outer, path))
+    return found
+
+
+def _check_copies(roots: Iterable[Element]) -> None:
+    """Refuse files that ask for more copies of a body than a robot can have."""
+
+    def copies(element: Element) -> float:
+        own = 1.0
+        if element.tag in ("replicate", "composite", "flexcomp"):
+            try:
+                own = float(np.prod([float(word) for word in element.get("count", "1").split()]))
+            except ValueError:
+                return 0.0  # MuJoCo says what is wrong with it
+        return own * max([1.0, sum(copies(child) for child in element if child.tag in NESTED)])
+
+    for root in roots:
+        if (most := copies(root)) > MOST_COPIES:
+            raise GtauError(
+                f"it holds {most:.0f} bodies, with the copies that <replicate> and <composite> ask for, and at most "
+                f"{MOST_COPIES} are read; give the file of the robot alone."
+            )
+
+
+@dataclass(frozen=True)
+class MjcfFile:
+    """A file's compiled model, and what was taken off before: it need not even compile.
+
+    Attributes
+    ----------
+    model : mujoco.MjModel
+    elements : list of Element
+        The outermost elements of the file and of those it includes.
+    keys : dict
+        Positions of the keyframes by name.
+    actuators : list
+        Name, transmission, target and gear of each.
+    notes : list of str
+        What was left out.
+    """
+
+    model: mujoco.MjModel
+    elements: list[Element]
+    keys: dict[str, np.ndarray]
+    actuators: list[tuple[str, mujoco.mjtTrn, str, float]]
+    notes: list[str]
+
+
+def compile_mjcf(root: Element, path: Path) -> MjcfFile:
+    """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``.
+
+    Raises
+    ------
+    GtauError
+        MuJoCo is not installed or refuses the file, or it holds flexible bodies or too many copies of a body. The
+        message does not name the file; the caller does.
+    """
+    elements = _with_included(root, path, ())
+    _check_copies(elements)
+    try:
+        import mujoco
+    except ImportError:
+        raise missing_extra("reading an MJCF file", "mujoco", "mujoco") from None
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        if len(spec.flexes):
+            raise GtauError("it holds a flexible body (flex); only rigid bodies are read, so remove it.")
+        keys = {key.name: np.array(key.qpos, dtype=float) for key in spec.keys}
+        actuators = [(each.name, each.trntype, each.target, float(each.gear[0])) for each in spec.actuators]
+        notes = [
+            f"tendon '{each.name}' acts as a spring, damper or friction in the simulator, which is not modelled"
+            for each in spec.tendons
+            if any(np.any(np.asarray(getattr(each, key))) for key in ("stiffness", "damping", "frictionloss"))
+        ]
+        for each in list(spec.equalities):
+            if each.type in (mujoco.mjtEq.mjEQ_TENDON, mujoco.mjtEq.mjEQ_FLEX) or not each.active:
+                if each.active:
+                    raise GtauError(
+                        f"equality '{each.name}' ties tendons or flexible bodies, which is not modelled; remove it, or "
+                        "tie joints by an equality 'joint'."
+                    )
+                notes.append(f"equality '{each.name}' is not active in the file and was left out")
+                spec.delete(each)
+        tied = {name for each in spec.equalities for name in (each.name1, each.name2)}
+        for kind in DELETED:
+            for each in list(getattr(spec, kind)):
+                spec.delete(each)
+        for site in list(spec.sites):
+            if site.name in tied:
+                site.material = ""
+            else:
+                spec.delete(site)
+        for body in spec.bodies[1:]:
+            body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
+            body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
+        return MjcfFile(spec.compile(), elements, keys, actuators, notes)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        said = " ".join(str(error).split()).rstrip(".")
+        raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None
