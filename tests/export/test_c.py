@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from models_to_export import model_of
-from robots_for_tests import ROBOTS, home, random_samples
+from robots_for_tests import ROBOTS, home, random_samples, trajectory
 
 from gtau.estimation.results.result import Result
 from gtau.export.c import export
 from gtau.export.identified import identified, torques
 from gtau.robots.robot import Robot
+from gtau.simulation.closed_loop import simulate
+from gtau.simulation.controllers import Reference, computed_torque
+from gtau.simulation.drive import Drive, hardware
+from gtau.simulation.plant import PlantState
 
 GCC = shutil.which("gcc")
 needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed")
@@ -150,3 +154,45 @@ def test_example_and_cmake_file_work(tmp_path: Path) -> None:
     expected = torques(model, *path) / model.gains
     moving = np.abs(np.sin(w * t[:, 0])) > 1e-6  # at rest the sign of a velocity is chance
     np.testing.assert_allclose(table[moving, 1:], expected[moving], rtol=1e-6, atol=1e-6)
+
+
+class Replay:
+    """An engine that gives recorded states, whatever the forces."""
+
+    def __init__(self, q: np.ndarray) -> None:
+        self.q, self.k = q, 0
+
+    def start(self, q: np.ndarray) -> PlantState:
+        return self._state(0)
+
+    def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
+        self.k += 1
+        return self._state(min(self.k, len(self.q) - 1))
+
+    def _state(self, k: int) -> PlantState:
+        return PlantState(self.q[k], np.zeros_like(self.q[k]), self.q[k], self.q[k])
+
+
+@needs_gcc
+def test_the_controller_gives_the_currents_of_the_one_in_python(tmp_path: Path, rng: np.random.Generator) -> None:
+    robot = next(robot for robot in ROBOTS if robot.name == "five-bar")
+    result = model_of(robot)
+    c = Compiled(result, tmp_path)
+    time = np.arange(100) * 1e-3
+    reference = Reference(time, *trajectory(robot, time))
+    measured = reference.q + rng.normal(0.0, 1e-3, reference.q.shape)
+    limits = {joint: Drive(1.0, current_limit=20.0) for joint in c.model.joints}
+    law = computed_torque(reference, result, bandwidth=80.0)
+    made = simulate("replayed", Replay(measured), law, hardware(c.model.joints, limits, {}), rng, joints=c.model.joints)
+    assert (np.abs(made.run.command) == 20.0).any()  # some at the limit
+    assert (np.abs(made.run.command) < 20.0).any()
+    memory, out = ctypes.create_string_buffer(1 << 10), (ctypes.c_double * 2)()
+    start, cycle = c.library.five_bar_controller_start, c.library.five_bar_controller_cycle
+    start.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p]
+    pair = ctypes.c_double * 2
+    assert start(memory, pair(*reference.q[0]), 1e-3, 80.0, pair(20.0, 20.0)) == 0
+    p = (ctypes.c_double * c.n_p)(*c.model.values)
+    for k in range(len(time)):
+        arrays = (pair(*values[k]) for values in (reference.q, reference.qd, reference.qdd, measured))
+        assert cycle(memory, *arrays, p, out) == 0
+        np.testing.assert_allclose(list(out), made.run.command[k], atol=2e-9)  # logs have nine decimals
