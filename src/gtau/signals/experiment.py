@@ -186,12 +186,8 @@ def _close_file(path: Path) -> str:
 class Experiment(Keys):
     """An experiment file; its paths are relative to the working directory or absolute once read.
 
-<<<<<<< HEAD
-    ``priors`` say what is known of standard parameters, by name, ``preparation`` what is set of it by hand.
-=======
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
-    ``priors`` say what is known of standard parameters, by name.
->>>>>>> 7eef872 (Floating bases fixed, bases mounted, joints held; MJCF leaves out what does not matter; springs across joints; angles written short or in degrees)
+    ``priors`` say what is known of standard parameters, by name, ``preparation`` what is set of it by hand.
     """
 
     robot: AnySource
