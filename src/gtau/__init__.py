@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from gtau import display
+
 TYPE_CHECKING = False  # typing's own takes 5 ms to import, more than all else here
 if TYPE_CHECKING:
     from typing import Any
@@ -65,6 +67,9 @@ _HOMES = {
     "weigh": "estimation.weigh",
 }
 _NAMES_AT_HOME = {"excite": "design", "simulate": "simulate_experiment"}  # the others are called the same there
+
+
+display.register(lambda: import_module("gtau.report.notebook"))
 
 
 def __getattr__(name: str) -> Any:

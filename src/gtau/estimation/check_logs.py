@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gtau import display
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.regression.dataset import at_rate_of, prepare_runs
@@ -82,6 +83,10 @@ class ExperimentCheck:
             for joint, count in rows.items()
             if count < FEWEST_ROWS
         )
+
+    def _repr_html_(self) -> str:
+        html: str = display.views().html(self)
+        return html
 
 
 def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck:

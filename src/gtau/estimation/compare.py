@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from gtau import display
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
@@ -24,6 +25,9 @@ from gtau.estimation.regression.system import require_scale
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.signals.experiment import check_robot, read_experiment
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +54,31 @@ class EstimatorComparison:
 
     joints: tuple[str, ...]
     rows: tuple[Row, ...]
+
+    def to_frame(self) -> pl.DataFrame:
+        """The comparison as a Polars table, one row an estimator and joint; ``.to_pandas()`` makes it one of pandas."""
+        import polars as pl
+
+        rows = [
+            {
+                "method": row.method,
+                "joint": joint,
+                "gain": None if row.gains is None else float(row.gains[j]),
+                "std": None if row.std is None else float(row.std[j]),
+                "residual": None if row.residuals is None else float(row.residuals[j]),
+                "verdict": None if row.outcome is None else row.outcome.value,
+                "refusal": row.refusal or None,
+            }
+            for row in self.rows
+            for j, joint in enumerate(self.joints)
+        ]
+        texts, numbers = ("method", "joint", "verdict", "refusal"), ("gain", "std", "residual")
+        types = dict.fromkeys(texts, pl.String) | dict.fromkeys(numbers, pl.Float64)
+        return pl.DataFrame(rows, schema_overrides=types)
+
+    def _repr_html_(self) -> str:
+        html: str = display.views().html(self)
+        return html
 
 
 def compare(path: str | Path, progress: Progress = silent) -> EstimatorComparison:

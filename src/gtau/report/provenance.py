@@ -44,9 +44,9 @@ def section(of: Provenance) -> Section:
     for what, path in of.inputs:
         size, digest = fingerprint(path)
         rows.append([text(what), text(path), text(size), text(digest, "mono")])
+    command = f'<code class="command">{escape(of.command)}</code>'
     parts = [
-        "<h3>The command that reproduces this report</h3>",
-        f'<code class="command">{escape(of.command)}</code>',
+        f"<h3>The command that reproduces this report</h3>{command}" if of.command else "",
         facts(
             {
                 "made on": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),

@@ -332,8 +332,9 @@ def singular_values_section(evidence: Evidence) -> Section | None:
     )
     panel.points(order[-1:], values[-1:], "residual", [f"smallest: {plain(float(values[-1]), 4)}"])
     words = (
-        f"The smallest of {len(values)} singular values is {gap:.3g} times below the next. The larger this gap, the "
-        "better the solution is determined; a ratio near 1 means that a second direction explains the data as well."
+        "Of W_tot (eq. 33), rows weighted by the residuals and columns of unit length. The smallest belongs to the "
+        f"solution; the next is {gap:.3g} times larger. A ratio near 1 comes from parameters that the motion hardly "
+        "excites, those with large standard deviations, and makes total least squares unreliable."
     )
     return Section(
         "singular-values",

@@ -100,10 +100,11 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches, without a window and known to no pyplot."""
-    from matplotlib.figure import Figure
+    """An empty figure, inches, without a window and known to no pyplot; it shows itself in notebooks."""
+    require_matplotlib()
+    from gtau.report.shown_figure import ShownFigure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return ShownFigure(figsize=(width, height), layout="constrained")
 
 
 def light_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Integral
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau import display
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,10 @@ class Named(dict[str, Estimate]):
             return self[str(name)]
         raise GtauError(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
 
+    def _repr_html_(self) -> str:
+        html: str = display.views().html(self)
+        return html
+
 
 @dataclass(frozen=True)
 class PayloadEstimate:
@@ -78,6 +87,10 @@ class PayloadEstimate:
     parameters: Mapping[str, Estimate]
     known: frozenset[str]
     verdict: Verdict = GOOD
+
+    def _repr_html_(self) -> str:
+        html: str = display.views().html(self)
+        return html
 
 
 @dataclass(frozen=True)
@@ -127,3 +140,13 @@ class Prediction:
             f"Prediction({len(self.time)} rows of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
             f"{self.time[-1]:.4g} s)"
         )
+
+    def to_frame(self) -> pl.DataFrame:
+        """The prediction as a Polars table, one row an instant and joint; ``.to_pandas()`` makes it one of pandas."""
+        from gtau.estimation.results.frames import prediction_frame
+
+        return prediction_frame(self)
+
+    def _repr_html_(self) -> str:
+        html: str = display.views().html(self)
+        return html

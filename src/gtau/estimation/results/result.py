@@ -5,17 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gtau import display
 from gtau.estimation.results.estimate import Prediction, TorqueError
+from gtau.estimation.results.frames import result_frame
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_file import load, save
 from gtau.estimation.results.prediction import predict, torque_errors, torques
 from gtau.estimation.results.summary import summary
 from gtau.signals.experiment import Payload, as_payload
 from gtau.signals.run import Run
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from gtau.report.plots import Plots
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,6 +93,24 @@ class Result(IdentifiedModel):
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
         """Torque errors of each joint on a run of :func:`gtau.read_run`: away from reversals, and over all samples."""
         return torque_errors(self, self.predict(run))
+
+    @property
+    def plot(self) -> Plots:
+        """Figures of the result, one call each: ``result.plot.torques("elbow_joint")``."""
+        plots: Plots = display.views().plots(self)
+        return plots
+
+    def report(self, path: str | Path) -> None:
+        """Write the report of the result, with the runs that it holds, as one self-contained HTML file."""
+        display.views().write(self, Path(path))
+
+    def to_frame(self) -> pl.DataFrame:
+        """All estimates as a Polars table, one row each; ``to_frame().to_pandas()`` is the same for pandas."""
+        return result_frame(self)
+
+    def _repr_html_(self) -> str:
+        html: str = display.views().html(self)
+        return html
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, atomically; see :mod:`gtau.estimation.results.model_file`."""

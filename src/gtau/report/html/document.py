@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -71,7 +70,7 @@ def render(page: Page) -> str:
 {body}
 </main>
 <footer><p>{escape(page.footer)}</p>{notice}</footer>
-<script type="application/json" class="arrays">{json.dumps(page.arrays.packed, separators=(",", ":"))}</script>
+{page.arrays.script()}
 {code}
 </body>
 </html>

@@ -30,6 +30,11 @@ class Arrays:
         self.packed[key] = text
         return key
 
+    def script(self) -> str:
+        """Markup that holds the arrays for the script of the page."""
+        packed = json.dumps(self.packed, separators=(",", ":"))
+        return f'<script type="application/json" class="arrays">{packed}</script>'
+
 
 @dataclass(frozen=True)
 class Line:
