@@ -27,6 +27,7 @@ LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
 LARGEST_VALUE = 1e9  # of anything logged; even counts of encoders and converters are smaller
 SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
 SLIP_SPEED = 0.5  # and in shares of the joint's speed
+SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
 
 
 def check(
@@ -229,7 +230,9 @@ def _refuse_slips(samples: Samples, instants: np.ndarray) -> None:
             f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, which no joint does; "
             "give the units of its position and of the time (units: {position: ..., time: ...})."
         )
-    for j in np.flatnonzero((largest > SLIP * usual.quantile(0.999)) & (largest > SLIP_SPEED * speeds)).tolist():
+    low, high = extremes(samples.position)
+    far = np.abs(jumps) > SLIP_RANGE * (high - low)
+    for j in np.flatnonzero((largest > SLIP * usual.quantile(0.999)) & (largest > SLIP_SPEED * speeds) & far).tolist():
         k = int(places[j])
         raise GtauError(
             f"{source.name}, {samples.place(k)}: the position of joint '{source.joints[j]}' jumps by "
