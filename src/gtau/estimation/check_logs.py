@@ -10,7 +10,7 @@ import numpy as np
 from gtau import display
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.regression.dataset import at_rate_of, prepare_runs
+from gtau.estimation.regression.dataset import prepare_runs
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
@@ -108,7 +108,7 @@ def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck
     checked = []
     for k, run in enumerate(runs):
         progress("checking logs", k, len(runs))
-        own = preparation if k < count else at_rate_of([run], preparation)
+        own = preparation.at(run.rate)
         (prepared,) = prepare_runs(model, [run], own)
         checked.append(_check(model, prepared, own.decimator, validation=k >= count))
     progress("checking logs", len(runs), len(runs))

@@ -45,7 +45,7 @@ def central_windows(dataset: Dataset, pieces: int = 1) -> list[tuple[int, InMemo
     found = []
     for run, whole in enumerate(dataset.prepared):
         size = min(SAMPLES // len(dataset.prepared), len(whole)) // pieces
-        if dataset.preparation.decimator.outputs(size) == 0:
+        if dataset.preparation.at(whole.run.rate).decimator.outputs(size) == 0:
             continue
         begin = (len(whole) - size * pieces) // 2
         starts = (begin + k * size for k in range(pieces))
@@ -73,7 +73,7 @@ def linearise(
     """
     problem, n = system.problem, len(dataset.model.actuated)
     model = dataset.model if model is None else model
-    regressor, decimator = model.columns(dataset.base.standard), dataset.preparation.decimator
+    regressor = model.columns(dataset.base.standard)
     b, p = dataset.base.count, dataset.base.count + EXTRA
     kept = [system.whole.parameters.index(name) for name in problem.parameters]
     columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + 1 + CURRENTS)]
@@ -83,7 +83,7 @@ def linearise(
     found = []
     for run, piece in pieces:
         load = system.load(run, solution.theta) if with_load else None
-        rows = stream_rows(model, regressor, piece, decimator, load)
+        rows = stream_rows(model, regressor, piece, dataset.preparation.at(piece.run.rate).decimator, load)
         waiting: list[list[np.ndarray]] = [[] for _ in range(n)]
         for part, torques in offer(piece, system.motion(run, solution.theta), rows):
             m = torques.shape[-1]

@@ -87,7 +87,8 @@ def _gravity(dataset: Dataset, system: System, solution: Solution) -> Misspecifi
     models = [(model, model.columns(dataset.base.standard)) for model in map(InverseDynamics, others)]
 
     def changes(piece: InMemoryRun, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
-        moved = [stream_rows(model, regressor, piece, dataset.preparation.decimator) for model, regressor in models]
+        decimator = dataset.preparation.at(piece.run.rate).decimator
+        moved = [stream_rows(model, regressor, piece, decimator) for model, regressor in models]
         for part, *parts in zip(rows, *moved, strict=True):
             before = own.torques(part.entries, values, n)
             torques = [regressor.torques(p.entries, values, n) for p, (_, regressor) in zip(parts, models, strict=True)]

@@ -85,7 +85,7 @@ def position_ripple(dataset: Dataset, system: System, solution: Solution, free_g
     def offer(piece: InMemoryRun, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
         q = piece.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
-        hats = dataset.preparation.decimator.apply(hats)  # (n, KNOTS, outputs)
+        hats = dataset.preparation.at(piece.run.rate).decimator.apply(hats)  # (n, KNOTS, outputs)
         for part in rows:
             yield part, hats[:, :, part.outputs].transpose(0, 2, 1)
 

@@ -26,7 +26,7 @@ def unexplained(dataset: Dataset) -> np.ndarray:
     currents: list[list[np.ndarray]] = [[] for _ in range(n)]
     for run, piece in central_windows(dataset):
         mine = np.array([loads[run] == kind for kind in kinds], dtype=float)
-        for part in stream_rows(dataset.model, regressor, piece, dataset.preparation.decimator):
+        for part in stream_rows(dataset.model, regressor, piece, dataset.preparation.at(piece.run.rate).decimator):
             for j in range(n):
                 own = part.entries[regressor.rows == j][:, part.keep[j]].T
                 rows[j].append(np.kron(mine, own))

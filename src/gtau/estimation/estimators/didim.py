@@ -45,7 +45,9 @@ def along_simulated_motion(
         simulated = zip(resimulated_runs(dataset, system, solution), loads, dataset.factors, strict=True)
         factors = tuple(
             replace(
-                reduce_run(dataset.model, dataset.base.standard, run, dataset.preparation.decimator, load),
+                reduce_run(
+                    dataset.model, dataset.base.standard, run, dataset.preparation.at(run.run.rate).decimator, load
+                ),
                 distances=logged.distances,  # to singularities: of what the robot did
             )
             for run, load, logged in simulated

@@ -147,9 +147,9 @@ def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
     simulated = resimulated_runs(dataset, system, solution)
     loaded = any(term.startswith("fl_") for term in system.friction.terms)
     loads = [system.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
-    decimator, columns = dataset.preparation.decimator, dataset.base.standard
+    preparation, columns = dataset.preparation, dataset.base.standard
     pairs = [
-        _reduced(dataset.model, columns, measured, other, decimator, load)
+        _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load)
         for measured, other, load in zip(dataset.prepared, simulated, loads, strict=True)
     ]
     measured, instruments = (

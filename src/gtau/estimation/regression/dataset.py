@@ -131,7 +131,7 @@ class Dataset:
                     self.robot,
                     self.base.standard,
                     each,
-                    self.preparation.decimator,
+                    self.preparation.at(each.run.rate).decimator,
                     stretches,
                     None if loads is None else loads[k],
                     None if weigh is None else weigh[k],
@@ -213,7 +213,9 @@ def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Prepa
         Where nothing moves in a run, or its log is shorter than its filters.
     """
     friction_speed_ratios = _friction_speed_ratios(model)
-    return tuple(within_limits(model.robot, prepare(run, preparation, friction_speed_ratios)) for run in runs)
+    return tuple(
+        within_limits(model.robot, prepare(run, preparation.at(run.rate), friction_speed_ratios)) for run in runs
+    )
 
 
 def _friction_speed_ratios(model: InverseDynamics) -> np.ndarray:

@@ -61,7 +61,7 @@ def build_result(
     units = [torque_unit(robot, joint) for joint in joints]
     of_current = dataset.runs[0].kind == "current"
     along = [
-        (prepared, dataset.preparation.decimator, factors.distances)
+        (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
         if factors.distances is not None
     ]
