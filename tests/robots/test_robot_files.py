@@ -315,8 +315,16 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     ("only a comment", "# nothing\n", " is empty; write 'key: value' lines."),
     ("list at the root", "- a\n", ", line 1: the file must consist of 'key: value' lines."),
     ("text at the root", "robot\n", ", line 1: the file must consist of 'key: value' lines."),
-    ("syntax", "robot: r\njoints: {j: {antecedent: ground\n", ": this is not valid YAML (while parsing a flow mapping"),
-    ("tab", "robot: r\njoints:\n\tj: 1\n", ", line 3: this is not valid YAML (while scanning for the next token"),
+    (
+        "syntax",
+        "robot: r\njoints: {j: {antecedent: ground\n",
+        ": this is not valid YAML: a bracket or brace is not closed",
+    ),
+    (
+        "tab",
+        "robot: r\njoints:\n\tj: 1\n",
+        ", line 3: this is not valid YAML: a value that begins with a special character must be quoted",
+    ),
     ("control characters", "robot: r\x01\n", " holds control characters; save it as plain text."),
     ("not UTF-8", b"robot: r\nsource: caf\xe9\n", ", line 2: the text is not UTF-8; save the file in that encoding."),
     ("huge", "#" * (1 << 20) + "\n", " is larger than 1 MiB;"),

@@ -103,7 +103,7 @@ BAD_CSV: list[tuple[str, str | bytes, str]] = [
     ("open quote", HEADER + '1,0,1,0,0,0,0,0,"q,0\n', ": this is no table of comma-separated values ("),
     ("not UTF-8", b"a = 1 # caf\xe9\n", ": the text is not UTF-8; save the file in that encoding."),
     ("huge", "a" * (1 << 20) + "\n", ": the file is larger than 1 MiB;"),
-    ("NUL", HEADER + "1,0,1,0,0,0,0,0,q\0,0\n", ": "),
+    ("NUL", HEADER + "1,0,1,0,0,0,0,0,q\0,0\n", " is a binary file of another program"),
 ]
 
 

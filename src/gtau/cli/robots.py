@@ -48,7 +48,6 @@ def robot(
 
             rpy = {"rpy": base.split(",")} if base is not None and "," in base else base
             found = load_robot(source, base=rpy, joints=joints or ())
-            description = describe(found)
         if save is not None:
             from gtau.robots.readers.native_text import write_native
             from gtau.robots.readers.urdf_loops import is_loops_file
@@ -64,6 +63,8 @@ def robot(
             from gtau.report.style import save_figure
 
             save_figure(robot_figure(found), figure)
+        with progress_bar():
+            description = describe(found)
         if json_:
             print_json(description)
         else:
