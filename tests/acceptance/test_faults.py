@@ -211,7 +211,7 @@ def test_a_link_two_per_cent_off_is_found(names: list[str], runs: list[Run]) -> 
 
 
 def test_millimetres_read_as_metres_are_refused(runs: list[Run]) -> None:
-    with pytest.raises(GtauError, match="if the log is in mm say so"):
+    with pytest.raises(GtauError, match=r"look like mm taken for m; write mm under units\.position"):
         identify(ROBOT, [replace(run, position=1e3 * run.position) for run in runs])
 
 

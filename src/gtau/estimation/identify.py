@@ -10,6 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.plausibility import require_felt_payload
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import read_runs
@@ -98,7 +99,11 @@ def identify(
         dataset = reduce_runs(robot, runs, decimator=options.decimator, progress=progress, mapper=mapper)
         if gains is None:
             require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], estimator.name)
-        return estimate(dataset, estimator, Given(gains, priors or {}, progress), options, prior_gains, consistent)
+        try:
+            return estimate(dataset, estimator, Given(gains, priors or {}, progress), options, prior_gains, consistent)
+        except GtauError:
+            require_felt_payload(dataset.system(Friction()))
+            raise
 
 
 def _given_runs(runs: Sequence[Run] | None) -> Sequence[Run]:

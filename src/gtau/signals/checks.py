@@ -244,8 +244,13 @@ def _refuse_slips(samples: Samples, instants: np.ndarray) -> None:
 def _refuse_rates(samples: Samples, clock: Clock) -> None:
     if not LEAST_RATE <= clock.rate <= LARGEST_RATE:
         column, unit = samples.source.columns[-1], "ms" if clock.rate < LEAST_RATE else "s"
+        repair = (
+            "write the controller's rate in Hz under signals.time"
+            if column == "rate"
+            else f"give the unit of that column (units: {{time: {unit}}}, for all logs; convert one that differs from "
+            "the others)"
+        )
         raise GtauError(
             f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
-            f"{clock.period:.3g} s), which no drive's log is; give the unit of that column (units: "
-            f"{{time: {unit}}}, for all logs; convert one that differs from the others), or the right rate."
+            f"{clock.period:.3g} s), which no drive's log is; {repair}."
         )

@@ -279,7 +279,10 @@ class Experiment(Keys):
 def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
     for joint in values:
         if joint not in signals.position:
-            raise ValueError(f"the signals have no joint '{joint}'; choose from {', '.join(signals.joints)}")
+            raise ValueError(
+                f"the signals have no joint '{joint}', but {', '.join(signals.joints)}; add its columns under "
+                "'signals' if it has a motor, or correct the name here"
+            )
 
 
 def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:

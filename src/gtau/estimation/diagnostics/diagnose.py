@@ -82,6 +82,8 @@ def _check_description(verdicts: Sequence[Verdict], found: Misspecification | No
     if found is None:
         return tuple(verdicts)
     return tuple(
-        each if each.outcome == Outcome.CONTRADICTORY else Verdict(Outcome.CONTRADICTORY, found.why, found.advice)
+        each
+        if each.outcome == Outcome.CONTRADICTORY and not found.decisive
+        else Verdict(Outcome.CONTRADICTORY, found.why, found.advice)
         for each in verdicts
     )

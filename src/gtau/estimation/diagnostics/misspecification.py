@@ -17,11 +17,19 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step, linearise, nothing, stack
+from gtau.estimation.diagnostics.plausibility import other_clock
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds import GRAVITY_SHARE, LENGTH_CHANGE, LENGTH_SHARE
+from gtau.estimation.thresholds import (
+    CLOCK_REVERSED,
+    CLOCK_SHARE,
+    CLOCK_SIZE,
+    GRAVITY_SHARE,
+    LENGTH_CHANGE,
+    LENGTH_SHARE,
+)
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Attachment, Mdh, Placement, Robot
@@ -36,12 +44,16 @@ MOST = 12  # lengths that are tried, the longest first
 
 @dataclass(frozen=True)
 class Misspecification:
-    """What may be wrong, the ``share`` of the errors' variance that it explains, and a length's relative ``change``."""
+    """What may be wrong, the ``share`` of the errors' variance that it explains, and a length's relative ``change``.
+
+    ``decisive`` says that it is the reason of what other checks find.
+    """
 
     why: str
     advice: str
     share: float
     change: float = 0.0
+    decisive: bool = False
 
 
 def find_misspecification(
@@ -95,13 +107,22 @@ def _gravity(dataset: Dataset, system: System, solution: Solution) -> Misspecifi
             yield part, np.stack(torques, axis=-1) - before[..., None]
 
     e, J, columns = stack(linearise(dataset, system, solution, True, changes, central_windows(dataset)))
-    step = least_squares_step(np.hstack([J, columns]), e)
-    left = e + np.hstack([J, columns]) @ step
-    share = 1 - float(left @ left) / float(np.sum((e + J @ least_squares_step(J, e)) ** 2))
+    own_way = columns @ np.array(robot.gravity)[:, None] / np.linalg.norm(robot.gravity)
+    before = float(np.sum((e + J @ least_squares_step(J, e)) ** 2))
+    step, of_size = (least_squares_step(np.hstack([J, more]), e) for more in (columns, own_way))
+    share, size_share = (
+        1 - float(np.sum((e + np.hstack([J, more]) @ found) ** 2)) / before
+        for more, found in ((columns, step), (own_way, of_size))
+    )
     x, y, z = np.array(robot.gravity) + size * step[-3:]
+    factor = 1 + STEP * float(of_size[-1])
+    reversed_ = bool(np.any(solution.gains < 0))  # as where gravity points up
+    if size_share > CLOCK_SIZE * share and factor > CLOCK_REVERSED and not reversed_:
+        why, advice = other_clock(factor, dataset.runs)
+        return Misspecification(f"{_goes(share)} another clock: {why}", advice, share, decisive=share > CLOCK_SHARE)
     return Misspecification(
         f"{_goes(share)} another gravity, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2",
-        "check the direction of gravity, which runs carry the payload, and on which body",
+        "check the direction of gravity, the sampling rate, which runs carry the payload, and on which body",
         share,
     )
 

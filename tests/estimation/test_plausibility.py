@@ -1,0 +1,110 @@
+"""Wrong units, wrong clocks and currents that never felt the payload are named, not what follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
+
+from gtau.errors import GtauError
+from gtau.estimation.check_logs import check_logs
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.motion_limits import within_limits
+from gtau.model.home import load_robot
+from gtau.robots.readers.read import CATALOG
+from gtau.signals.preparation import choose_preparation, prepare
+from gtau.signals.run import Run
+
+PLANT = Plant(noise=0.01)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("plausibility")
+    write_log(folder / "free.csv", PLANT.run("free", seed=1))
+    write_log(folder / "loaded.csv", PLANT.run("loaded", payload=STEEL, seed=2))
+    write_log(folder / "check.csv", PLANT.run("check", payload=STEEL, seed=3))
+    write_log(folder / "unfelt.csv", PLANT.run("unfelt", seed=2))
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    return folder
+
+
+def test_the_right_rate_raises_no_doubt(folder: Path) -> None:
+    path = _with(folder, "right", "time: t", f"time: {{rate: {_rate(folder)}}}")
+    assert {each.verdict.outcome.value for each in identify(path).drive_gains.values()} == {"good"}
+
+
+@pytest.mark.parametrize(("factor", "said"), [(2.0, "too high"), (1.4, "too high"), (0.6, "too low")])
+def test_a_wrong_rate_is_named(folder: Path, factor: float, said: str) -> None:
+    path = _with(folder, "wrong", "time: t", f"time: {{rate: {factor * _rate(folder):g}}}")
+    for gain in identify(path).drive_gains.values():
+        assert gain.verdict.outcome.value == "contradictory"
+        assert f"the sampling rate is {said}" in gain.verdict.why
+        assert "under signals.time" in gain.verdict.advice
+
+
+@pytest.mark.parametrize("gravity", ["[0, 0, 9.81]", "[6.9, 0, -6.9]"])
+def test_gravity_of_another_direction_is_no_clock(folder: Path, gravity: str) -> None:
+    robot = (CATALOG / "five-bar.yaml").read_text()
+    (folder / "tilted.yaml").write_text(f"{robot}\ngravity: {gravity}\n")
+    for gain in identify(_with(folder, "tilt", "robot: five-bar", "robot: tilted.yaml")).drive_gains.values():
+        assert gain.verdict.outcome.value == "contradictory"
+        assert "clock" not in gain.verdict.why
+        assert "gravity" in gain.verdict.sentence
+
+
+def test_currents_that_never_felt_the_payload(folder: Path) -> None:
+    with pytest.raises(GtauError, match="the currents do not feel payload 'steel': they are explained as well without"):
+        identify(_with(folder, "unfelt", "log: loaded.csv", "log: unfelt.csv"))
+
+
+def _one_joint(kind: str) -> tuple[object, Run]:
+    robot = load_robot("orthoglide" if kind == "prismatic" else "five-bar")
+    time = np.arange(4000) / 500
+    joints = robot.actuated
+    home = np.array([robot.joint(joint).home for joint in joints])
+    q = home + 0.05 * np.sin(2 * np.pi * np.outer(time, 0.5 + 0.1 * np.arange(len(joints))))
+    return robot, Run("moves", joints, time, q, np.zeros_like(q))
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+def test_positions_in_another_unit(kind: str) -> None:
+    robot, run = _one_joint(kind)
+    unlimited = replace(
+        robot,
+        joints=tuple(replace(each, limits=type(each.limits)()) for each in robot.joints),  # type: ignore[attr-defined]
+    )
+
+    def checked(factor: float, time: float = 1.0) -> None:
+        scaled = replace(run, position=run.position * factor, time=run.time * time)
+        within_limits(unlimited, prepare(scaled, choose_preparation([scaled])))
+
+    checked(1.0)
+    other = "mm" if kind == "prismatic" else "deg"
+    with pytest.raises(GtauError, match=rf"look like {other} taken for .*; write {other} under units\.position"):
+        checked(1000.0)
+    with pytest.raises(GtauError, match=r"which no robot has; correct the unit of the time"):
+        checked(5.0, 1e-3)
+
+
+def test_metres_and_radians_declared_as_mm_and_deg(folder: Path) -> None:
+    text = EXPERIMENT.replace("runs:", "units: {position: deg}\nruns:", 1)
+    (folder / "deg.yaml").write_text(text)
+    for use in (identify, check_logs):
+        with pytest.raises(GtauError, match=r"look like rad declared as deg; write rad under units\.position"):
+            use(folder / "deg.yaml")
+
+
+def _rate(folder: Path) -> float:
+    time = np.loadtxt(folder / "free.csv", delimiter=",", skiprows=1, usecols=0)
+    return round(1 / float(np.median(np.diff(time))))
+
+
+def _with(folder: Path, name: str, old: str, new: str) -> Path:
+    assert old in EXPERIMENT
+    path = folder / f"{name}.yaml"
+    path.write_text(EXPERIMENT.replace(old, new))
+    return path
