@@ -76,7 +76,9 @@ class Logged:
                 time = seconds(values[:, self.times], self.time_scale)
             found = values[:, self.order]
             if self.aligned is not None:
-                found = np.hstack([found, self.aligned.at(time)])
+                commands = self.aligned.at(time)
+                commands[np.isnan(found).all(axis=1)] = np.nan  # rows that hold other topics
+                found = np.hstack([found, commands])
             row += len(values)
             yield np.column_stack([found * self.scale, time])
 

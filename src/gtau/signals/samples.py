@@ -108,10 +108,12 @@ def refuse_short(source: Source, count: int) -> None:
 class Incomplete:
     """Of ``count`` rows, the number ``of_rows`` that lack a value, the ``first`` of them, and the column that it lacks.
 
-    ``numbers`` are those in each column.
+    ``numbers`` are those in each column. ``empty`` further rows hold no position and no command: where they are many,
+    they hold other signals.
     """
 
     count: int
+    empty: int
     of_rows: int
     first: Sequence[int]
     column: int
@@ -124,23 +126,29 @@ def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -
     stores = Store(dtype=int), Store(), Store((n,)), Store((n,))
     numbers = np.zeros(2 * n + 1, dtype=int)  # in each column
     bad: list[int] = []
-    bad_count, bad_column = 0, 0
+    bad_empty: list[int] = []
+    bad_count, bad_column, empty = 0, 0, 0
     for row, values in part.of(blocks):
         finite = np.isfinite(values)
         whole = bool(finite.all())
         kept = np.ones(len(values), dtype=bool) if whole else finite.all(axis=1)
         numbers += len(values) if whole else finite.sum(axis=0)
-        found = np.flatnonzero(~kept)
+        nothing = np.zeros(len(values), dtype=bool) if whole else ~finite[:, : 2 * n].any(axis=1)
+        found = np.flatnonzero(~kept & ~nothing)
         if found.size and not bad_count:
             bad_column = int(np.argmin(finite[found[0]]))
         bad += (row + found[: 5 - len(bad)]).tolist()
         bad_count += found.size
+        if nothing.any():
+            bad_empty += (row + np.flatnonzero(nothing)[: 5 - len(bad_empty)]).tolist()
         parts = row + np.flatnonzero(kept), values[kept, 2 * n], values[kept, :n], values[kept, n : 2 * n]
         for each, rows in zip(stores, parts, strict=True):
             each.append(rows)
-        count += len(values)
+        count, empty = count + len(values) - int(nothing.sum()), empty + int(nothing.sum())
     samples = Samples(source, *(each.array() for each in stores))
-    return samples, Incomplete(count, bad_count, bad, bad_column, numbers.tolist())
+    if empty <= MAX_MISSING * (count + empty):  # faults like others, such as a last row that was cut
+        bad, bad_count, count, empty = sorted(bad + bad_empty)[:5], bad_count + empty, count + empty, 0
+    return samples, Incomplete(count, empty, bad_count, bad, bad_column, numbers.tolist())
 
 
 def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str], part: Part = WHOLE) -> Samples:
@@ -152,6 +160,8 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str], par
             f"{part.end:g} s); correct these keys."
         )
     refuse_short(source, lacking.count)
+    if lacking.empty:
+        notes.append(f"left out {counted(lacking.empty, 'row')} that hold other signals only")
     for column, number in zip(source.columns, lacking.numbers, strict=True):
         if not number:
             entry = source.texts.get(column, "")
@@ -167,7 +177,7 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str], par
             f"{source.name} has {lacking.of_rows} of {lacking.count} rows with missing or non-numeric values (first in "
             f"{source.places(lacking.first[:1], 1)}, column '{column}'"
             + (f": '{entry}'" if entry else "")
-            + "); record it again."
+            + "); correct or delete them, or record the log again."
         )
     if lacking.of_rows:
         places = source.places(lacking.first, lacking.of_rows)

@@ -113,6 +113,28 @@ def test_a_log_read_in_parts_begins_where_its_table_does(
     np.testing.assert_allclose(run.position[:, 0], VALUES[:, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize("each", [False, True], ids=["one topic", "two topics"])
+def test_rows_of_other_topics_are_left_out(write: Callable[..., Path], each: bool) -> None:
+    """As PlotJuggler exports several topics: a row for every stamp of any of them, most of it empty."""
+    rows = [f"{time + 0.0005:.6f},,,7.5" for time in TIME]
+    if each:
+        rows += [f"{time:.6f},{q:.9f},," for time, (q, _) in zip(TIME, VALUES, strict=True)]
+        rows += [f"{time + 0.001:.6f},,{v:.9f}," for time, (_, v) in zip(TIME, VALUES, strict=True)]
+    else:
+        rows += [f"{row}," for row in ROWS]
+    time = {"position": "__time", "command": "__time"} if each else "__time"
+    run = read_run(write("__time,q,v,temperature", *sorted(rows, key=_stamp)), SIGNALS | {"time": time})
+    kept = N - 1 if each else N  # the first position is before the first command
+    assert run.notes[-1] == f"left out {2 * kept + 1 if each else N} rows that hold other signals only"
+    assert run.valid.all()
+    np.testing.assert_allclose(run.position[:, 0], VALUES[N - kept :, 0], atol=1e-9)
+    np.testing.assert_allclose(run.command[:, 0], np.cos(3 * (run.time - 0.001 * each)), atol=1e-4)
+
+
+def _stamp(row: str) -> float:
+    return float(row.split(",")[0])
+
+
 SCOPE = """\
 Name\tYT Scope
 File\tD:\\arm.csv
