@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models_to_export import model_of
+from models_to_export import model_of, sprung
 from robots_for_tests import ROBOTS, home, random_samples, trajectory
 
 from gtau.estimation.results.result import Result
@@ -55,13 +55,23 @@ def relative(found: np.ndarray, expected: np.ndarray) -> float:
     return float(np.abs(found - expected).max() / np.abs(expected).max())
 
 
-QUICK = ("tree", "ur10e", "slider-crank", "five-bar", "two platforms")  # the others take gcc too long for every day
+QUICK = (
+    "sprung",
+    "tree",
+    "ur10e",
+    "slider-crank",
+    "five-bar",
+    "two platforms",
+)  # the others take gcc too long for every day
 
 
 @needs_gcc
 @pytest.mark.parametrize(
     "robot",
-    [pytest.param(robot, marks=() if robot.name in QUICK else pytest.mark.slow, id=robot.name) for robot in ROBOTS],
+    [
+        pytest.param(robot, marks=() if robot.name in QUICK else pytest.mark.slow, id=robot.name)
+        for robot in (*ROBOTS, sprung())
+    ],
 )
 def test_c_gives_what_python_gives(robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     result = model_of(robot)

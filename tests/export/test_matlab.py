@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models_to_export import model_of
+from models_to_export import model_of, sprung
 from robots_for_tests import ROBOTS, random_samples
 
 from gtau.estimation.results.result import Result
@@ -18,7 +18,7 @@ from gtau.robots.robot import Robot
 
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 pytestmark = pytest.mark.skipif(OCTAVE is None, reason="GNU Octave is not installed")
-QUICK = ("ur10e", "five-bar", "slider-crank")
+QUICK = ("sprung", "ur10e", "five-bar", "slider-crank")
 
 
 def octave(folder: Path, script: str) -> np.ndarray:
@@ -36,7 +36,10 @@ def vector(values: np.ndarray) -> str:
 
 @pytest.mark.parametrize(
     "robot",
-    [pytest.param(robot, marks=() if robot.name in QUICK else pytest.mark.slow, id=robot.name) for robot in ROBOTS],
+    [
+        pytest.param(robot, marks=() if robot.name in QUICK else pytest.mark.slow, id=robot.name)
+        for robot in (*ROBOTS, sprung())
+    ],
 )
 def test_octave_gives_what_python_gives(robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     result: Result = model_of(robot)

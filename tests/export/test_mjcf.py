@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from models_to_export import model_of
+from models_to_export import model_of, sprung
 from robots_for_tests import CLOSED, SERIAL
 
 from gtau.errors import GtauError
@@ -29,8 +29,8 @@ GEARED = Robot(
     ),
     couplings=(Coupling("2", (("1", -1.5),), 0.2),),
 )
-QUICK = ("tree", "slider-crank", "five-bar", "geared")
-FIT = [*SERIAL, GEARED, *(robot for robot in CLOSED if robot.name != "two platforms")]
+QUICK = ("sprung", "tree", "slider-crank", "five-bar", "geared")
+FIT = [*SERIAL, GEARED, sprung(), *(robot for robot in CLOSED if robot.name != "two platforms")]
 
 
 def state(result: Result, model: mujoco.MjModel, motion: Motion, k: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from models_to_export import model_of
+from models_to_export import model_of, sprung
 from robots_for_tests import CLOSED, SERIAL
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +19,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
 from gtau.robots.robot import ROTATIONS, TRANSLATIONS, Robot
 
-QUICK = ("seven-r", "tree", "slider-crank", "five-bar")
+QUICK = ("sprung", "seven-r", "tree", "slider-crank", "five-bar")
 
 
 def rotation_columns(angles: np.ndarray) -> np.ndarray:
@@ -32,7 +32,7 @@ def rotation_columns(angles: np.ndarray) -> np.ndarray:
     "robot",
     [
         pytest.param(robot, marks=() if robot.name in QUICK else pytest.mark.slow, id=robot.name)
-        for robot in (*SERIAL, *CLOSED)
+        for robot in (*SERIAL, *CLOSED, sprung())
     ],
 )
 def test_pinocchio_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
@@ -94,6 +94,8 @@ def test_pinocchio_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: P
             passive[row] += np.abs(model.upperDryFrictionLimit[at]) * np.sign(v[row])
             passive[row] += drive.get("armature", {"value": 0.0})["value"] * motion.ydd[row, k]
             passive[row] += drive.get("offset", {"value": 0.0})["value"]
+            if "stiffness" in drive:
+                passive[row] += drive["stiffness"]["value"] * (motion.c[row, k] - drive["springref"]["value"])
         found = motion.J[:, :, k].T @ (effort + passive)
         np.testing.assert_allclose(found, tau[:, k], atol=1e-8 * np.abs(tau).max())
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cache
+from dataclasses import replace
 
 import numpy as np
 from engines import random_parameters
-from robots_for_tests import ROBOTS
+from robots_for_tests import slider_crank
 
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
@@ -28,6 +28,7 @@ def model_of(
     """A result with random parameters, friction terms f3 and fl if ``terms``, and a payload on the tool."""
     rng, model = np.random.default_rng(seed), InverseDynamics(robot)
     standard = dict.fromkeys(model.parameter_names, 0.0) | (random_parameters(robot, rng) if chi is None else chi)
+    standard |= {name: 3.0 for name in standard if name.startswith("k_")}
     base = base_parameters(model)
     values = base.matrix @ [standard[name] for name in model.parameter_names]
     joints, units = robot.actuated, [torque_unit(robot, joint) for joint in robot.actuated]
@@ -79,7 +80,9 @@ def model_of(
     )
 
 
-@cache
-def models() -> dict[str, Result]:
-    """A model of every robot of the tests, by the robot's name."""
-    return {robot.name: model_of(robot) for robot in ROBOTS}
+def sprung() -> Robot:
+    """The slider-crank with springs across its crank and its slider."""
+    robot = slider_crank()
+    rests = {"1": 0.3, "3": 0.5}
+    joints = tuple(replace(joint, spring=rests.get(joint.name)) for joint in robot.joints)
+    return replace(robot, name="sprung", joints=joints)

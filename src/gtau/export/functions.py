@@ -18,7 +18,7 @@ from gtau.model.dynamics import torques
 
 OUTPUTS = {
     "torques": "inverse dynamics: torques of the actuated joints",
-    "gravity": "torques that hold the robot against gravity",
+    "gravity": "torques that hold the robot against gravity and springs",
     "friction": "torques of friction and offsets, to be compensated",
     "inertia": "inertia matrix of the actuated joints, rotors included",
     "regressor": "regressor W, row by row: torques = W parameters",

@@ -15,11 +15,11 @@ from gtau.estimation.results.result import Result
 from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences, term_notes
 from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
-from gtau.robots.robot import GROUND, Robot
+from gtau.robots.robot import GROUND, STIFFNESS, Robot
 from gtau.simulation.mujoco_plant import LIGHTEST, STEP, platform_coordinates, robot_spec
 
 STIFF = ([2 * STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0])  # solref and solimp of closures, as of the plant
-JOINT = ("range", "armature", "damping", "frictionloss")
+JOINT = ("range", "armature", "damping", "frictionloss", "stiffness", "springref")
 THICKNESS = 0.012  # m: of the links as drawn
 
 
@@ -86,6 +86,10 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
         placed.frictionloss = model.of("fs", joint.name)
         if cubic:
             placed.damping = (model.of("fv", joint.name), 0.0, model.cubic(joint.name))
+        if joint.spring is not None:
+            stiffness = model.of(STIFFNESS, joint.name)
+            placed.stiffness = (stiffness, 0.0, 0.0) if np.size(placed.stiffness) == 3 else stiffness
+            placed.springref = joint.spring
         if joint.limits.position is not None:
             placed.range = joint.limits.position
     _draw(mujoco, robot, spec)

@@ -21,6 +21,7 @@ from gtau.export.rigid_body import RigidBody, rigid_body
 from gtau.model.kinematics import frames
 from gtau.robots.readers.mjcf_file import SHAPES, compile_mjcf
 from gtau.robots.readers.xml_document import read_xml
+from gtau.robots.robot import STIFFNESS
 
 NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
@@ -132,6 +133,8 @@ def _put_friction(element: Element, model: ConsistentModel, joint: str) -> None:
         element.set("armature", digits(model.of("ia", joint)))
         element.set("damping", digits((model.of("fv", joint), 0.0, cubic) if cubic else model.of("fv", joint)))
         element.set("frictionloss", digits(model.of("fs", joint)))
+    if f"{STIFFNESS}_{joint}" in model.standard:
+        element.set("stiffness", digits(model.of(STIFFNESS, joint)))
 
 
 def _put_gears(root: Element, model: ConsistentModel) -> list[str]:

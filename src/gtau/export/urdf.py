@@ -17,7 +17,18 @@ from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
 from gtau.export.rigid_body import RigidBody, rigid_body
 from gtau.robots.geometry import compose, pose_of, turn
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Placement, Platform, Pose, Robot
+from gtau.robots.robot import (
+    GROUND,
+    ROTATIONS,
+    STIFFNESS,
+    TRANSLATIONS,
+    Attachment,
+    Joint,
+    Placement,
+    Platform,
+    Pose,
+    Robot,
+)
 from gtau.robots.units import torque_unit
 
 ROOT = "base"
@@ -45,7 +56,8 @@ def export(result: Result, out: Path) -> Exported:
 
 def notes(model: ConsistentModel, name: str) -> list[str]:
     """What the URDF lacks and where it stands instead."""
-    found = [f"a URDF has no place for drive gains, rotor inertias and offsets: they are in {name}_drives.yaml"]
+    springs = " and springs" if any(joint.spring is not None for joint in model.result.robot.joints) else ""
+    found = [f"a URDF has no place for drive gains, rotor inertias, offsets{springs}: they are in {name}_drives.yaml"]
     cubic = [term for term in model.result.friction if term.startswith("f3")]
     found += [f"friction cubic in speed is in {name}_drives.yaml too"] if cubic else []
     return found + term_notes(model.result, "URDF", [term for term in model.result.friction if term not in cubic])
@@ -197,6 +209,9 @@ def drives_text(model: ConsistentModel) -> str:
             entry["offset"] = {"value": offset, "unit": unit}
         if cubic := model.cubic(joint.name):
             entry["cubic_friction"] = {"value": cubic, "unit": "N m s3/rad3" if turns else "N s3/m3"}
+        if joint.spring is not None:
+            stiffness = {"value": model.of(STIFFNESS, joint.name), "unit": f"{unit}/{'rad' if turns else 'm'}"}
+            entry |= {"stiffness": stiffness, "springref": {"value": joint.spring, "unit": "rad" if turns else "m"}}
         if entry:
             joints[joint.name] = entry
     return str(yaml.safe_dump({"robot": model.result.robot.name, "joints": joints}, sort_keys=False))
