@@ -10,7 +10,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Prediction
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.prediction import predict
 from gtau.report import result_figures
 from gtau.report.figures import torques_figure
 from gtau.robots.units import torque_unit
@@ -28,7 +29,7 @@ class Plots:
     that was loaded from a file has no runs: give one of :func:`gtau.read_run`.
     """
 
-    result: Result
+    result: IdentifiedModel
 
     def __repr__(self) -> str:
         names = [name for name in dir(self) if not name.startswith("_") and name != "result"]
@@ -96,7 +97,7 @@ class Plots:
         if joint is not None and joint not in joints:
             raise GtauError(f"there is no joint '{joint}'; choose from {', '.join(joints)}.")
         chosen = run if isinstance(run, Run) else self._run(run)
-        return chosen, self.result.predict(chosen), joints if joint is None else (joint,)
+        return chosen, predict(self.result, chosen), joints if joint is None else (joint,)
 
     def _run(self, name: str | None) -> Run:
         runs = {run.name: run for run in self.result.data}

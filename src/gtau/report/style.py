@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from importlib.util import find_spec
 from io import BytesIO
 from math import floor, log10
@@ -102,9 +103,24 @@ def styled() -> Iterator[None]:
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure, inches, without a window and known to no pyplot; it shows itself in notebooks."""
     require_matplotlib()
-    from gtau.report.shown_figure import ShownFigure
+    return _shown_figure()(figsize=(width, height), layout="constrained")
 
-    return ShownFigure(figsize=(width, height), layout="constrained")
+
+@cache
+def _shown_figure() -> type[Figure]:
+    """Make the class of figures that show themselves in a notebook without pyplot; imports Matplotlib."""
+    from matplotlib.figure import Figure
+
+    class ShownFigure(Figure):
+        """A figure unknown to pyplot, drawn where a notebook cell ends with it."""
+
+        def _repr_png_(self) -> bytes:
+            content = BytesIO()
+            with styled():
+                self.savefig(content, format="png")
+            return content.getvalue()
+
+    return ShownFigure
 
 
 def light_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:

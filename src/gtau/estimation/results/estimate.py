@@ -143,9 +143,18 @@ class Prediction:
 
     def to_frame(self) -> pl.DataFrame:
         """The prediction as a Polars table, one row an instant and joint; ``.to_pandas()`` makes it one of pandas."""
-        from gtau.estimation.results.frames import prediction_frame
+        import polars as pl
 
-        return prediction_frame(self)
+        samples, n = self.measured.shape
+        return pl.DataFrame(
+            {
+                "time": np.repeat(self.time, n),
+                "joint": np.tile(np.array(self.joints), samples),
+                "measured": self.measured.reshape(-1),
+                "predicted": self.predicted.reshape(-1),
+                "kept": self.keep.reshape(-1),
+            }
+        )
 
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from gtau.estimation.results.estimate import Estimate, Prediction
+from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import IdentifiedModel
 
 if TYPE_CHECKING:
@@ -29,22 +27,6 @@ def result_frame(result: IdentifiedModel) -> pl.DataFrame:
     for payload in result.payloads:
         rows += _rows(f"payload {payload.name} of {payload.run}", payload.parameters.values())
     return _frame(rows)
-
-
-def prediction_frame(prediction: Prediction) -> pl.DataFrame:
-    """A prediction, one row an instant and joint: ``time``, ``joint``, ``measured``, ``predicted`` and ``kept``."""
-    import polars as pl
-
-    samples, n = prediction.measured.shape
-    return pl.DataFrame(
-        {
-            "time": np.repeat(prediction.time, n),
-            "joint": np.tile(np.array(prediction.joints), samples),
-            "measured": prediction.measured.reshape(-1),
-            "predicted": prediction.predicted.reshape(-1),
-            "kept": prediction.keep.reshape(-1),
-        }
-    )
 
 
 def _rows(group: str, estimates: Iterable[Estimate]) -> list[dict[str, Any]]:
