@@ -106,7 +106,8 @@ def write_design_report(design: Design, document: dict[str, Any], path: Path, fo
 
 def inputs_of(path: Path, experiment: Experiment, runs: bool = True) -> tuple[tuple[str, Path], ...]:
     """An experiment file, the robot file and the logs that it names, those of the ``runs`` only where wanted."""
-    robot = Path(experiment.robot)
+    source = experiment.robot
+    robot = Path(source if isinstance(source, str) else source.file)
     listed = (*(experiment.runs if runs else ()), *experiment.validation)
     logs = tuple(("log", log) for run in listed for log in run.log)
     return (("experiment", path), *((("robot", robot),) if robot.exists() else ()), *logs)
