@@ -57,8 +57,8 @@ def test_csv_has_a_row_an_estimate(result: Result, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("m_11R", r"{m}_{\mathrm{11}\,R}"),
-        ("off_21R", r"\tau_{\mathrm{off}_{\mathrm{21}\,R}}"),
+        ("m_11R", r"{m}_{\mathrm{11}R}"),
+        ("off_21R", r"\tau_{\mathrm{off}_{\mathrm{21}R}}"),
         ("fv_left_forearm", r"{fv}_{\mathrm{left\_forearm}}"),
     ],
 )

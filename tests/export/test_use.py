@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.export.along_log import torques_along_log, write_table
+from gtau.export.along_log import carrying, torques_along_log, write_table
 from gtau.model.home import load_robot
 from gtau.signals.experiment import Payload
 
@@ -52,6 +52,15 @@ def test_a_push_is_the_external_torque(result: gtau.Result) -> None:
     free = torques_along_log(result, PLANT.run("check", seed=7)).joints[0]
     assert free.share < 0.01
     assert free.unit == "N m"
+
+
+def test_a_payload_of_the_model_is_no_external_torque(result: gtau.Result) -> None:
+    run = PLANT.run("loaded", payload=STEEL, seed=9)
+    without, carried = (torques_along_log(result, each).joints[0] for each in (run, carrying(result, run, "steel")))
+    assert without.share > 0.5
+    assert carried.share < 0.01
+    with pytest.raises(gtau.GtauError, match="knows no payload 'lead'; choose from steel"):
+        carrying(result, run, "lead")
 
 
 def test_the_command_writes_tables(result: gtau.Result, tmp_path: Path) -> None:

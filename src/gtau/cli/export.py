@@ -54,6 +54,9 @@ def use(
             help="Take columns and units from an experiment file; default: t, q and v with the joint's name.",
         ),
     ] = None,
+    payload: Annotated[
+        str | None, typer.Option("--payload", metavar="NAME", help="Payload of the model that the robot carries.")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Compute motor, model and external joint torques along a log, to see contacts and collisions.
@@ -64,12 +67,13 @@ def use(
         from dataclasses import asdict
 
         from gtau.estimation.results.result import Result
-        from gtau.export.along_log import read_log, summary_text, torques_along_log, write_table
+        from gtau.export.along_log import carrying, read_log, summary_text, torques_along_log, write_table
 
         result = Result.load(model)
         with progress_bar() as progress:
             progress("torques along the log", 0, 1)
-            found = torques_along_log(result, read_log(result, log, experiment))
+            run = read_log(result, log, experiment)
+            found = torques_along_log(result, run if payload is None else carrying(result, run, payload))
             progress("torques along the log", 1, 1)
         if out is not None:
             write_table(found, out)

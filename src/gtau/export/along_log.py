@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.robots.units import torque_unit
+from gtau.signals.experiment import Payload
 from gtau.signals.run import Run, read_run
 
 if TYPE_CHECKING:
@@ -85,6 +86,14 @@ def read_log(result: Result, log: str | Path, experiment: str | Path | None = No
         return read_run(log, signals)
     except GtauError as error:
         raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
+
+
+def carrying(result: Result, run: Run, payload: str) -> Run:
+    """The run with one of the model's payloads; raises GtauError where the model does not know its mass."""
+    known = [name for name in dict.fromkeys(each.name for each in result.payloads) if "m" in result.payload(name)]
+    if payload not in known:
+        raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
+    return replace(run, payload=Payload(name=payload))
 
 
 def torques_along_log(result: Result, run: Run) -> TorquesAlongLog:

@@ -15,12 +15,12 @@ from gtau.robots.robot import Mdh, Robot
 
 SYMBOLS = {"ia": "ia", "fv": "fv", "fs": "fs", "f3": "f_3", "fl": r"f_{\ell}"}
 UNITS = {"kg m2": r"kg\,m$^2$", "kg m": r"kg\,m", "N m": r"N\,m", "N m s/rad": r"N\,m\,s/rad", "N s/m": r"N\,s/m"}
-HEAD = r"""% Tables of '{robot}', written by 'gtau export': \usepackage{{booktabs}} and \input this file.
+HEAD = r"""% Tables of '{robot}', written by 'gtau export': \usepackage{{amsmath,booktabs}} and \input this file.
 """
 
 
 def export(result: Result, out: Path) -> Exported:
-    r"""Write ``NAME.tex`` into ``out``: tables for ``\input``, which want the package booktabs."""
+    r"""Write ``NAME.tex`` into ``out``: tables for ``\input``, which want the packages amsmath and booktabs."""
     parts = [HEAD.format(robot=" ".join(result.robot.name.split()))]
     notes = []
     if all(isinstance(joint.placement, Mdh) for joint in result.robot.joints):
@@ -35,7 +35,7 @@ def symbol(name: str) -> str:
     """A parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R."""
     kind, _, index = name.partition("_")
     plain = re.sub(r"R$", "", index) if index else ""
-    subscript = r"\mathrm{" + _escaped(plain) + "}" + (r"\,R" if index.endswith("R") else "")
+    subscript = r"\mathrm{" + _escaped(plain) + "}" + ("R" if index.endswith("R") else "")
     if kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"
     return rf"{{{SYMBOLS.get(kind, kind)}}}_{{{subscript}}}"
@@ -72,6 +72,11 @@ def _angle(value: float) -> str:
     return _number(value)
 
 
+def _sum(variable: str, constant: str) -> str:
+    number = constant.strip("$")
+    return f"${variable} {number.replace('-', '- ')}$" if number.startswith("-") else f"${variable} + {number}$"
+
+
 def _geometry(robot: Robot) -> str:
     """Modified Denavit-Hartenberg parameters, as in the paper's Table 2."""
     lines = []
@@ -82,9 +87,9 @@ def _geometry(robot: Robot) -> str:
         variable = f"q_{{\\mathrm{{{_escaped(joint.name)}}}}}"
         theta, r = _angle(at.theta), _number(at.r)
         if turns:
-            theta = f"${variable}$" if theta == "0" else f"${variable} + {theta.strip('$')}$"
+            theta = f"${variable}$" if theta == "0" else _sum(variable, theta)
         else:
-            r = f"${variable}$" if not at.r else f"${variable} + {r.strip('$')}$"
+            r = f"${variable}$" if not at.r else _sum(variable, r)
         antecedent = "0" if joint.antecedent == "ground" else _escaped(joint.antecedent)
         flags = ("1" if joint.actuated else "0", "0" if turns else "1")
         placed = (_angle(at.gamma), _number(at.b), _angle(at.alpha), _number(at.d), theta, r)
