@@ -223,7 +223,7 @@ def kuka(data: Path, folder: Path) -> str:
     """A KUKA LBR Med 7; the rate of its log is not stated and taken as 100 Hz."""
     joints, log = [f"A{k}" for k in range(1, 8)], data / "kuka_med7" / "measurements.csv"
     signals = numbered("q_", joints, 0), ("torque", numbered("tau_", joints, 0))
-    return experiment_file(str(data / "kuka_med7" / "med7dock.urdf"), "{rate: 100}", *signals, [(log, ", to: 11")], [(log, ", from: 11")])  # fmt: skip
+    return experiment_file(str(data / "kuka_med7" / "med7dock.urdf"), "{rate: 100}", *signals, [(log, "")], [])  # fmt: skip
 
 
 def rokae(column: str) -> Callable[[Path, Path], str]:
