@@ -294,7 +294,7 @@ def correlation_section(evidence: Evidence) -> Section | None:
     strongest = np.argsort(upper, axis=None)[::-1]
     pairs = [np.unravel_index(k, upper.shape) for k in strongest if upper.flat[k] >= STRONG]
     rows = [[text(names[i], "mono"), text(names[j], "mono"), number(float(matrix[i, j]), 3)] for i, j in pairs[:LISTED]]
-    hint = "Point at a cell to read it. Blue: positive, orange: negative; the darker, the stronger."
+    hint = "Point at a cell to read it. Blue: positive, orange: negative; the fuller the colour, the stronger."
     drawn = (
         f'<div class="matrix" data-names="{escape(json.dumps(names))}" data-values="{packed}">'
         f'<canvas role="img" aria-label="Correlation matrix of {len(names)} estimates"></canvas>'

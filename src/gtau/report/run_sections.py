@@ -327,7 +327,7 @@ def motion_section(evidence: Evidence, arrays: Arrays) -> Section:
     shown = [run for run in evidence.runs if run.used == used][:COLOURS]
     paths = [(run.run.name, body_path(result, run.run)[1]) for run in shown]
     if paths:
-        parts.append(f"<h3>Path of ‘{escape(result.robot.tool)}’, the body that carries the payload</h3>")
+        parts.append(f"<h3>Path of the frame of ‘{escape(result.robot.tool)}’, the body that carries the payload</h3>")
         parts.append(path_panels(paths))
     starts = {run.run.name: float(run.run.time[0]) for run in evidence.runs}
     if used:
