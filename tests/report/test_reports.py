@@ -51,11 +51,15 @@ PROBE = """
 <script>
 const problems = [];
 addEventListener("error", (event) => problems.push(event.message));
-setTimeout(async () => {
+addEventListener("load", async () => {
   const wait = () => new Promise((done) => setTimeout(done, 50));
-  const say = { page: "NAME", ready: document.documentElement.dataset.ready, charts: 0, blank: 0, synced: true };
+  const say = { page: "NAME", charts: 0, blank: 0, synced: true };
+  for (let k = 0; k < 200 && !document.documentElement.dataset.ready; k += 1) await wait();
+  say.ready = document.documentElement.dataset.ready;
   document.querySelectorAll("details").forEach((each) => { each.open = true; });
-  for (let k = 0; k < 40; k += 1) await wait();
+  const blank = () => [...document.querySelectorAll(".chart")].some((chart) => !chart.plot);
+  for (let k = 0; k < 200 && blank(); k += 1) await wait();
+  for (let k = 0; k < 10; k += 1) await wait();
   for (const chart of document.querySelectorAll(".chart")) {
     say.charts += 1;
     if (!chart.plot || chart.plot.width < 100 || !chart.querySelector("canvas")) say.blank += 1;
@@ -88,7 +92,7 @@ setTimeout(async () => {
   say.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
   say.problems = problems;
   console.log("probe" + JSON.stringify(say));
-}, 300);
+});
 </script>
 """
 
