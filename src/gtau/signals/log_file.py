@@ -122,6 +122,11 @@ def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
 
 def _refuse_missing(path: Path, names: Iterable[str], table: Table) -> None:
     columns = list(table.columns)
+    if not columns:
+        raise GtauError(
+            f"{path} holds no columns of numbers; save the signals as plain numeric arrays, not as objects such as "
+            "tables or time series."
+        )
     for name in names:
         if columns.count(name) > 1:
             raise GtauError(f"{path} has {columns.count(name)} columns named '{name}'; rename them.")

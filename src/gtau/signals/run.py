@@ -96,7 +96,7 @@ def read_run(
     Parameters
     ----------
     log : path, two paths, or a table
-        A CSV or Parquet file (or a folder of the latter), or one with the positions (and the time) and one with the
+        A log in any format of :mod:`gtau.signals.formats`, or one with the positions (and the time) and one with the
         commands; or a Polars or pandas data frame, a mapping of columns, or an array (N, columns), whose columns are
         numbered from 1.
     signals, payload, units : mapping

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -227,6 +228,14 @@ def test_a_missing_extra_is_named_with_its_command(
         read_run(tmp_path / name, columns)
 
 
+def test_files_without_numbers(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", note="no numbers", scale=2.0)
+    with pytest.raises(
+        GtauError, match=r"log\.npz holds no columns of numbers; save the signals as plain numeric arrays"
+    ):
+        read_log(tmp_path / "log.npz", ["t"])
+
+
 def test_columns_of_different_length(tmp_path: Path, log: Log) -> None:
     np.savez(tmp_path / "log.npz", t=log[0], q=log[1], tau=log[2][:-7])
     with pytest.raises(GtauError, match=r"'t' has 1500 rows but 'tau\[1\]' has 1493; give columns that were sampled"):
@@ -277,6 +286,22 @@ def test_topics_with_stamps_of_their_own_are_aligned(topics: Callable, rng: np.r
     assert stamps(run) == pytest.approx((1000.102, 1002.496), abs=1e-6)
     np.testing.assert_allclose(run.position[:, 0], np.sin(3 * run.time), atol=1e-8)
     np.testing.assert_allclose(run.command[:, 0], np.cos(3 * run.time), atol=2e-5)
+
+
+@pytest.mark.parametrize("kind", ["two topics", "bag"])
+def test_another_process_reads_its_part_of_such_logs(
+    tmp_path: Path, topics: Callable, log: Log, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gtau.signals.resampling.LANDMARK", 100)
+    monkeypatch.setattr("gtau.signals.log_slice.LANDMARK", 100)
+    if kind == "bag":
+        run = read_run(tmp_path / "bag", rosbag(tmp_path / "bag", log))
+    else:
+        run = read_run(topics(1000.0 + np.arange(N) / RATE, 1000.1013 + np.arange(600) / 250), EACH)
+    part = pickle.loads(pickle.dumps(run.only(range(500, 700))))
+    for name in ("time", "position", "command", "valid"):
+        np.testing.assert_allclose(getattr(part, name)[500:700], getattr(run, name)[500:700], atol=1e-12)
+    assert not part.valid[:400].any()
 
 
 def test_equal_stamps_are_left_as_they_are(topics: Callable) -> None:
