@@ -1,7 +1,9 @@
 # make demo and make test do all the set-up themselves.
 BIN := .venv/bin
 READY := .venv/.gtau-installed
+TOOLS := .venv/.gtau-tools-installed
 PYTHONS := python3.13 python3.12 python3.11 python3.14 python3
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))
 
 .PHONY: demo test slow lint clean
@@ -13,18 +15,23 @@ demo: $(READY)
 test: lint
 	$(BIN)/pytest -n auto --dist loadfile -m "not slow"
 
-slow: $(READY)
+slow: $(TOOLS)
 	$(BIN)/pytest -n auto --dist loadfile -m slow
 
-lint: $(READY)
+lint: $(TOOLS)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
 $(READY): pyproject.toml constraints.txt | $(BIN)/python
-	@echo "installing gtau into .venv (once, a few minutes)"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plot,test,dev]'
+	@echo "installing gtau into .venv (once, about a minute)"
+	$(INSTALL) -e '.[plot]'
+	@touch $@
+
+$(TOOLS): $(READY)
+	@echo "installing what the tests need into .venv (once, a few minutes)"
+	$(INSTALL) -e '.[plot,test,dev]'
 	@touch $@
 
 $(BIN)/python:

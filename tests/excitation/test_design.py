@@ -234,6 +234,24 @@ def test_all_weak_parameters_are_listed_with_the_figures_of_the_table(found: Des
             assert weak.get(each["name"], each["rel_std"]) == pytest.approx(each["rel_std"])
 
 
+def test_bodies_without_parameters_are_listed(tmp_path: Path) -> None:
+    given = FIVE_BAR.replace("prior:\n", "prior:\n  parameters: {m_left: 1.0, zz_left_forearm: 0.01, fv_right: 0.1}\n")
+    _, assumed = read_design(write(tmp_path, given))
+    assert assumed["massless"].startswith("no mass and inertia of right, right_forearm")
+    assert "left" not in assumed["massless"]
+    assert "massless" not in read_design(write(tmp_path, FIVE_BAR))[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [("gain_lef", r"did you mean 'gain_left'\?"), ("nonsense", "choose gains, condition, logdet, trace, or names of")],
+)
+def test_an_unknown_criterion_is_refused_shortly(found: Design, name: str, advice: str) -> None:
+    with pytest.raises(GtauError, match=f"there is no criterion or parameter '{name}'; {advice}") as refusal:
+        design(found.task, name)
+    assert len(str(refusal.value)) < 200
+
+
 def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None:
     weak = weak_unknowns(found, forecast(found.task, found.x))
     assert weak

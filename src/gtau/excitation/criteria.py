@@ -6,6 +6,7 @@ They work on triangular factors, R^T R = M: the matrices themselves would cost h
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -45,10 +46,11 @@ def criterion(name: str, unknowns: DesignUnknowns) -> Criterion:
         wanted = [each.strip() for each in name.split(",")]
         for each in wanted:
             if each not in unknowns.names:
-                raise GtauError(
-                    f"there is no criterion or parameter '{each}'; choose {', '.join(NAMED)} or from "
-                    f"{', '.join(np.array(unknowns.names)[estimated])}."
-                )
+                known = [*NAMED, *np.array(unknowns.names)[estimated].tolist()]
+                close = get_close_matches(each, known, n=1)
+                names = f"names of gains and base parameters such as {known[-1]} or {known[len(NAMED)]}"
+                advice = f"did you mean '{close[0]}'?" if close else f"choose {', '.join(NAMED)}, or {names}."
+                raise GtauError(f"there is no criterion or parameter '{each}'; {advice}")
         chosen = np.isin(unknowns.names, wanted)
     weight = chosen / unknowns.scale**2 / chosen.sum()
     return lambda R: weighted_trace(R, unknowns.precision, weight)

@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.results.result import Result
 from gtau.excitation.closure_gradients import in_platform_space
-from gtau.excitation.prior import given_parameters, noise_of, parameters_of, rough_noise, rough_parameters
+from gtau.excitation.prior import given_parameters, massless, noise_of, parameters_of, rough_noise, rough_parameters
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.home import load_robot
@@ -249,6 +249,11 @@ def _prior(
     else:
         if prior.parameters:
             chi = given_parameters(model, base, prior.parameters)
+            light = massless(model, prior.parameters)
+            if light:
+                assumed["massless"] = (
+                    f"no mass and inertia of {', '.join(light)}: 'prior.parameters' names none of theirs"
+                )
         else:
             carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
             rough, mass = rough_parameters(model, base, carried)

@@ -1,4 +1,4 @@
-"""What is assumed of a robot beforehand: from a model, from given parameters, or roughly from its geometry."""
+"""Prior knowledge of a robot: from a model, from given parameters, or roughly from its geometry."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gtau.estimation.regression.base_parameters import BaseParameters
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
-from gtau.robots.robot import Robot
+from gtau.robots.robot import INERTIAL, Robot
 
 FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque
 MODERATE = 0.15  # rough rms torque, of the effort limit
@@ -35,6 +35,12 @@ def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: M
             )
     chi = base.matrix @ np.array([parameters.get(name, 0.0) for name in model.parameter_names])
     return np.where(np.abs(chi) > 1e-12 * np.abs(chi).max(initial=0.0), chi, 0.0)
+
+
+def massless(model: InverseDynamics, parameters: Mapping[str, float]) -> tuple[str, ...]:
+    """Links and platforms of which the parameters name no mass, moment or inertia: they have none."""
+    named = {name.split("_", 1)[1] for name in parameters if name.split("_", 1)[0] in INERTIAL}
+    return tuple(body for body in model.robot.bodies if f"m_{body}" in model.parameter_names and body not in named)
 
 
 def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:
