@@ -110,7 +110,7 @@ def test_figures_in_one_call(result: gtau.Result) -> None:
     whole = plot.torques()
     assert [axes.get_title(loc="left") for axes in whole.axes[::2]] == ["free: joint left", "joint right"]
     part = plot.torques("right", run="loaded", start=2.0, stop=4.0)
-    assert part.axes[0].get_title(loc="left") == "loaded, 2 to 4 s of 9.83 s: joint right"
+    assert part.axes[0].get_title(loc="left") == "loaded, 2 to 4 s of 9.998 s: joint right"
     times = part.axes[0].get_lines()[0].get_xdata()
     assert 2.0 <= min(times) < max(times) <= 4.0
     assert "current reference" not in str([text.get_text() for text in part.legends[0].get_texts()])

@@ -29,15 +29,18 @@ def check(
             from gtau.report.log_page import describe_logs, log_page, write_check
 
             checked = check_logs(experiment, progress)
-        written = []
+        written: list[Path] = []
+        notes: list[str] = []
         if out is not None:
+            from gtau.report.style import skipped_figures
             from gtau.report.write_reports import write_check_report
 
             written.append(write_check_report(checked, experiment, folder_of(out), perf_counter() - start))
             written += write_check(checked, out)
+            notes = skipped_figures()
         document = describe_logs(checked)
         if json_:
             print_json(document)
         else:
             typer.echo(log_page(document))
-            typer.echo("\n".join(f"written: {path}" for path in written), nl=bool(written))
+            typer.echo("\n".join([*(f"written: {path}" for path in written), *notes]), nl=bool(written))

@@ -76,17 +76,18 @@ def torques_figure(
     title: str,
     kind: str = "current",
     origin: float = 0.0,
+    length: float | None = None,
 ) -> Figure:
     """Measured and predicted torques of each joint between two instants, and the residuals.
 
     ``start`` and ``stop`` are in s from the start of the run, which the prediction's clock calls ``origin``; a stretch
-    that is not the whole run stands in the title. Where ``kind`` is current, what is measured is ``v g_tau``. Where
-    the model's friction does not hold, near reversals, the residual is left out.
+    that is not the whole run, of ``length`` s, stands in the title. Where ``kind`` is current, what is measured is
+    ``v g_tau``. Where the model's friction does not hold, near reversals, the residual is left out.
     """
     since_start = prediction.time - origin
     window = (since_start >= start) & (since_start <= stop)
     if not window.all():
-        title = f"{title}, {start:.4g} to {stop:.4g} s of {since_start[-1]:.4g} s"
+        title = f"{title}, {start:.4g} to {stop:.4g} s of {length or since_start[-1]:.4g} s"
     time = since_start[window]
     measured, predicted, keep = (each[window] for each in (prediction.measured, prediction.predicted, prediction.keep))
     difference = np.where(keep, measured - predicted, np.nan)

@@ -11,7 +11,7 @@ import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.estimation.results.singularity_distances import write_distances
-from gtau.report.style import BLACK, LINES, joint_label, light_grid, new_figure, require_matplotlib, save_figure, styled
+from gtau.report.style import BLACK, LINES, has_matplotlib, joint_label, light_grid, new_figure, save_figure, styled
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit
 from gtau.signals.storage import block, spans
@@ -128,27 +128,27 @@ def log_figure(log: LogCheck, robot: Robot) -> Figure:
         unit: [j for j, each in enumerate(log.joints) if _unit(robot, each.joint) == unit] for unit in ("rad", "m")
     }
     units = {unit: joints for unit, joints in units.items() if joints}
+    time = log.distances.time - float(log.run.time[0])
     with styled():
         figure = new_figure(7.2, 2.5 + 2.0 * len(units))
         *positions, below = figure.subplots(len(units) + 1, 1, sharex=True)
         for axes, (unit, joints) in zip(positions, units.items(), strict=True):
             for j in joints:
                 style = LINES[j % len(LINES)]
-                axes.plot(
-                    *outline(log.distances.time, log.position[:, j]), label=joint_label(log.joints[j].joint), **style
-                )
+                axes.plot(*outline(time, log.position[:, j]), label=joint_label(log.joints[j].joint), **style)
             axes.set_ylabel(f"position, {unit}")
             light_grid(axes)
         positions[0].set_title(log.run.name)
         for values, name, style in zip(log.distances.values.T, TYPES.values(), LINES[:2], strict=True):
-            times, drawn = outline(log.distances.time, values)
+            times, drawn = outline(time, values)
             if not np.isnan(drawn).all():
                 below.plot(times, drawn, label=name, **style)
         if robot.closures:  # other robots have no singularities of type 2, at which alone it matters
             below.axhline(NEAR, color=BLACK, linewidth=0.8, linestyle=":", label=f"{NEAR:g}, near")
         below.set_ylim(0.0, 1.05)
         below.set_ylabel("distance to singularity")
-        below.set_xlabel("time, s")
+        below.set_xlabel("time from the start of the run, s")
+        below.set_xlim(0.0, float(log.run.time[-1] - log.run.time[0]))
         below.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=3)
         light_grid(below)
         handles = [line for axes in positions for line in axes.get_lines()]
@@ -173,14 +173,15 @@ def outline(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
     """Write a figure for each log, and the distances of all to singularities as ``singularities.parquet``.
 
+    Without matplotlib only the latter; see :func:`gtau.report.style.skipped_figures`.
+
     Raises
     ------
     GtauError
-        Where a file cannot be written, or matplotlib is not installed.
+        Where a file cannot be written.
     """
-    require_matplotlib()
     written, used = [], Counter[str]()
-    for log in checked.logs:
+    for log in checked.logs if has_matplotlib() else ():
         name = log.run.name
         used[name] += 1
         written.append(folder / (f"{name}.png" if used[name] == 1 else f"{name}-{used[name]}.png"))

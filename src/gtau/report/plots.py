@@ -53,10 +53,11 @@ class Plots:
             *(array[:, chosen] for array in (prediction.keep, prediction.valid)),
         )
         origin = float(run.time[0])
-        stop = float(run.time[-1]) - origin if stop is None else stop
+        length = float(run.time[-1]) - origin
+        stop = length if stop is None else stop
         if not start < stop:
             raise GtauError(f"the stretch from {start:g} to {stop:g} s is empty; give start below stop.")
-        return torques_figure(part, [units[k] for k in chosen], start, stop, run.name, run.kind, origin)
+        return torques_figure(part, [units[k] for k in chosen], start, stop, run.name, run.kind, origin, length)
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
         """Histogram, spectrum and autocorrelation of a joint's residuals along a run."""

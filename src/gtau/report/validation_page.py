@@ -98,7 +98,9 @@ def write_torques(validations: Sequence[Validation], folder: Path) -> list[Path]
         written.append(folder / f"torques_{each.run.name}{number}.png")
         origin = float(each.run.time[0])
         start, stop = (instant - origin for instant in worst_stretch(each.prediction, SHOWN))
-        figure = torques_figure(each.prediction, each.units, start, stop, each.run.name, each.run.kind, origin)
+        length = float(each.run.time[-1]) - origin
+        name, kind = each.run.name, each.run.kind
+        figure = torques_figure(each.prediction, each.units, start, stop, name, kind, origin, length)
         save_figure(figure, written[-1])
     return written
 
