@@ -24,6 +24,8 @@ from gtau.export.parameter_orders import ORDERS, from_order, to_order
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 
+FIVE_BAR = load_robot("five-bar")
+
 
 @pytest.fixture(scope="module")
 def result() -> Result:
@@ -84,7 +86,7 @@ def test_latex_tables_are_complete(robot: Robot, tmp_path: Path) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(ORDERS)))
 def test_orders_are_undone(seed: int, program: str) -> None:
-    chi = random_parameters(load_robot("five-bar"), np.random.default_rng(seed))
+    chi = random_parameters(FIVE_BAR, np.random.default_rng(seed))
     body = "left_forearm"
     there = to_order(chi, body, program)
     for values in (there, list(there.values())):

@@ -77,7 +77,7 @@ def term_notes(result: Result, target: str, left_out: Sequence[str]) -> list[str
     if left_out:
         kinds = {"f3": "cubic in speed", "fl": "proportional to the load"}
         named = ", ".join(f"{name} ({kinds[name.split('_', 1)[0]]})" for name in left_out)
-        notes.append(f"{target} has no such friction, left out: {named}")
+        notes.append(f"{target} cannot express this friction, left out: {named}")
     late = [f"{1e3 * (each.value or 0.0):.2g} ms ('{joint}')" for joint, each in result.delays.items() if each.value]
     if late:
         notes.append(f"delays between current and torque are not part of the file: {', '.join(late)}")

@@ -203,7 +203,7 @@ def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -
     said = term_notes(result, "MJCF", [name for name in result.friction if not (cubic and name.startswith("f3"))])
     unable = [name for name, value in model.standard.items() if name not in expressed and value]
     if unable:
-        said.append(f"constant torques (offsets) are left out: {', '.join(unable)}")
+        said.append(f"these offsets are not part of the file: {', '.join(unable)}")
     light = [joint.name for joint in result.robot.joints if not joint.has_mass]
     if light:
         said.append(f"MuJoCo moves no massless body, so these weigh {LIGHTEST:g} kg: {', '.join(light)}")
