@@ -64,9 +64,9 @@ def test_edges_cover_what_the_filter_does_not_know() -> None:
 def test_rules_of_thumb() -> None:
     assert cutoff_frequency(0.3, 20.0, 95.0) == 5.0
     assert cutoff_frequency(7.0, 100.0, 1000.0) == 70.0
-    assert cutoff_frequency(7.0, 15.0, 1000.0) == 30.0  # noise takes over at 15 Hz
-    assert cutoff_frequency(7.0, 7.0, 1000.0) == 21.0  # and here within the motion
-    assert cutoff_frequency(4.0, 30.0, 95.0) is None
+    assert cutoff_frequency(7.0, 20.0, 1000.0) == 25.0  # noise takes over at 20 Hz
+    assert cutoff_frequency(7.0, 7.0, 1000.0) == 17.5  # and here within the motion
+    assert cutoff_frequency(4.0, 36.0, 95.0) is None
     assert [decimation_factor(1000, f) for f in (0.1, 12, 100, 400)] == [20, 16, 2, 1]
     assert decimation_factor(1000, 0.5, 400) == 400
 

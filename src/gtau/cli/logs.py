@@ -18,11 +18,20 @@ def check(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder for report.html, figures of the logs and singularities."),
     ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(
+            "--figure",
+            metavar="DIR",
+            help="Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out.",
+        ),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Check the logs before identifying: repairs, sampling rate, motion, usable rows, distance to singularities."""
     with refusals(json_):
         refuse_as_folder(out)
+        refuse_as_folder(figure)
         start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
@@ -38,6 +47,10 @@ def check(
             written.append(write_check_report(checked, experiment, folder_of(out), perf_counter() - start))
             written += write_check(checked, out)
             notes = skipped_figures()
+        if figure is not None:
+            from gtau.report.preparation_figure import write_preparation_figures
+
+            written += write_preparation_figures(checked, folder_of(figure))
         document = describe_logs(checked)
         if json_:
             print_json(document)

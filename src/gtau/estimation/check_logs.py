@@ -19,7 +19,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singularities
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
-from gtau.signals.bandwidth import spectra
+from gtau.signals.bandwidth import JointSpectrum, spectra
 from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import check_robot, read_experiment
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation
@@ -57,8 +57,11 @@ class LogCheck:
     rows: int
     joints: tuple[JointCheck, ...]
     position: np.ndarray
+    used: np.ndarray
     distances: Distances
     nearest: tuple[NearestPose, ...]
+    preparation: Preparation
+    spectra: tuple[JointSpectrum, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +124,13 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     if not rows:
         raise GtauError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
     lowest, highest, fastest, strongest = ([] for _ in range(4))
-    positions, distances = Store((n,)), Store((2,), np.float32)
-    kept, power, c = np.zeros(n), np.zeros(n), None
+    positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
+    power, c = np.zeros(n), None
     for block in decimator.blocks(len(prepared), max(BLOCK // decimator.factor, 1)):
         of = prepared.samples(block.samples.start, block.samples.stop)
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         at = slice(block.first, last + 1, decimator.factor)
-        kept += decimator.keep(of.usable[block.first - decimator.support : last + decimator.support + 1]).sum(axis=0)
+        masks.append(decimator.keep(of.usable[block.first - decimator.support : last + decimator.support + 1]))
         q, labels = of.q[at].T.copy(), Labels(run.name, of.time[at])
         c = model.path(q, labels, None if c is None else c[:, -1])
         still = np.zeros_like(q)
@@ -138,17 +141,17 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         highest.append(of.q.max(axis=0))
         fastest.append(np.abs(of.qd).max(axis=0))
         strongest.append(np.abs(of.command).max(axis=0))
-    values = distances.array()
+    values, used, found = distances.array(), masks.array(), spectra(run)
     columns = zip(
         run.joints,
         np.min(lowest, axis=0).tolist(),
         np.max(highest, axis=0).tolist(),
         np.sqrt(np.diag(prepared.speeds)).tolist(),
         np.max(fastest, axis=0).tolist(),
-        [each.bandwidth for each in spectra(run)],
+        [each.bandwidth for each in found],
         np.sqrt(power / rows).tolist(),
         np.max(strongest, axis=0).tolist(),
-        (kept / rows).tolist(),
+        used.mean(axis=0).tolist(),
         strict=True,
     )
     return LogCheck(
@@ -158,6 +161,9 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         rows=rows,
         joints=tuple(JointCheck(joint, (low, high), *rest) for joint, low, high, *rest in columns),
         position=positions.array(),
+        used=used,
         distances=distances_of(prepared, decimator, values),
         nearest=tuple(nearest_poses(prepared, decimator, values)),
+        preparation=prepared.preparation,
+        spectra=found,
     )

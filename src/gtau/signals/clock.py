@@ -22,7 +22,7 @@ SMOOTHER = 1.25
 LATE = 1.5  # usual steps, beyond which samples may be missing
 PACKET = 0.2  # share of samples whose stamps follow within a tenth of a step: they came in packets
 FEWEST_AROUND, MOST_AROUND = 20, 400  # samples to either side from which a gap is judged
-NEIGHBOURS = 21  # steps whose median is the usual one
+NEIGHBOURS = 21  # steps whose median is the usual one; where motions change faster, no step is clear
 CLEAR = 8.0  # standard deviations of a step of the joints' motion, where it tells one step from two
 LONGEST_BY_MOTION = 5.5  # steps over which the speed is taken to be constant
 PASSES = 5  # in which period and gaps settle
@@ -223,19 +223,24 @@ def _gaps(time: np.ndarray, position: np.ndarray, usual: float, packets: bool) -
 def _noise(position: np.ndarray) -> np.ndarray:
     """Standard deviation (n,) of the positions' steps around those of their neighbours, and of their rounding."""
     parts = [np.diff(block(position, *part), axis=0) for part in _parts(len(position))]
-    change = np.abs(np.concatenate([each[1:-1] - (each[:-2] + each[2:]) / 2 for each in parts]))
+    change = np.abs(np.concatenate([each - _usual_steps(each) for each in parts]))
     steps = np.abs(np.concatenate(parts))
     rounding = [np.min(each[each > 0], initial=np.inf) for each in steps.T]
     quantum = np.where(np.isfinite(rounding), rounding, 1.0)
-    return np.asarray(np.median(change, axis=0) / 0.6745 / np.sqrt(1.5) + quantum / 3)
+    return np.asarray(np.median(change, axis=0) / 0.6745 + quantum / 3)
+
+
+def _usual_steps(moved: np.ndarray) -> np.ndarray:
+    """Median (M, n) of the steps around each of the positions' steps."""
+    from scipy.ndimage import median_filter
+
+    return np.asarray(median_filter(moved, size=(NEIGHBOURS, 1), mode="nearest"))
 
 
 def _steps_by_motion(position: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Steps of a regular clock (M - 1,) between samples, by how far the joints moved; NaN where that is not clear."""
-    from scipy.ndimage import median_filter
-
     moved = np.diff(position, axis=0)
-    usual = median_filter(moved, size=(NEIGHBOURS, 1), mode="nearest")
+    usual = _usual_steps(moved)
     speed = ((usual / noise) ** 2).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         steps = ((moved / noise) * (usual / noise)).sum(axis=1) / speed

@@ -15,10 +15,10 @@ FORGOTTEN = 18.0  # periods of the cut-off after which a filter has forgotten wh
 def cutoff_frequency(bandwidth: float, end: float, rate: float) -> float | None:
     """Cut-off of the position filter, Hz; None, no filter, where that is not below 0.8 of the Nyquist frequency.
 
-    Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where noise takes over below that, twice
-    the ``end`` of the signal, but three times the bandwidth at least: the gain at the bandwidth is then 1 - 2e-4.
+    Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where noise takes over below that, 1.25
+    times the ``end`` of the signal, but 2.5 times the bandwidth at least: the gain at the bandwidth is then 1 - 7e-4.
     """
-    cutoff = max(min(max(10 * bandwidth, 5.0), 2 * end), 3 * bandwidth)
+    cutoff = max(min(max(10 * bandwidth, 5.0), 1.25 * end), 2.5 * bandwidth)
     return cutoff if cutoff < 0.4 * rate else None
 
 

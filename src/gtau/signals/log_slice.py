@@ -44,6 +44,12 @@ class Log:
     findings: Findings
     places: tuple[tuple[Place, ...], ...]
 
+    def stamps_read(self) -> np.ndarray:
+        """Time column (N,) of the whole log in s, read again."""
+        blocks = find_logs(self.paths, self.signals, self.units).blocks()
+        time = np.concatenate([values[:, -1] for values in blocks])
+        return np.asarray(time[np.isfinite(time)])
+
     def excerpt(self, joints: Sequence[str], samples: range) -> Excerpt:
         """Some samples of the run, their joints in this order."""
         found, clock = self.findings, self.findings.grid.clock
