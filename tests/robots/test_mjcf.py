@@ -214,8 +214,9 @@ BAD: list[tuple[str, str, str]] = [
     ),
     ("copies", BODY % ('<replicate count="900"><replicate count="9"><body><joint/></body></replicate></replicate>', ""),
      ": it holds 8101 bodies, with the copies that <replicate> and"),
-    ("tied tendons", BODY % ("", '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
-                                 '<equality><tendon name="e" tendon1="t"/></equality>'), ": equality 'e' ties tendons"),
+    ("tied tendons", BODY % ("", '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed><fixed name="u"><joint '
+                                 'joint="j" coef="1"/></fixed></tendon><equality><tendon name="e" tendon1="t" '
+                                 'tendon2="u" polycoef="0 0 1 0 0"/></equality>'), ": equality 'e' ties tendons"),
     ("missing include", BODY % ('<include file="nowhere.xml"/>', ""), ": MuJoCo refuses the file ("),
 ]  # fmt: skip
 
@@ -263,6 +264,22 @@ def test_what_does_not_matter_is_left_out_and_said(bodies: str, rest: str, note:
     assert robot.actuated == ("j",)
     assert len(robot.notes) == bool(note)
     assert all(each.startswith(note) for each in robot.notes)
+
+
+def test_fixed_tendons_of_a_length_couple_joints(tmp_path: Path) -> None:
+    text = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="a" ref="0.1"/><geom size="1"/><body>
+      <joint name="b" range="-1 1"/><geom size="1"/></body></body></worldbody><tendon><fixed name="t">
+      <joint joint="a" coef="2"/><joint joint="b" coef="-1"/></fixed></tendon>
+      <equality><tendon tendon1="t" polycoef="0.4 0 0 0 0"/></equality>
+      <actuator><motor joint="b"/></actuator></mujoco>"""
+    robot = load(text, tmp_path)
+    assert robot.couplings == (Coupling("a", (("b", 0.5),), pytest.approx(0.3)),)
+    assert robot.actuated == ("b",)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos[:] = [0.5 * 0.7 + 0.3, 0.7]
+    mujoco.mj_forward(model, data)
+    assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_springs_are_mujoco_s(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -139,6 +139,14 @@ def close_loops(robot: Robot) -> Loops:
     if rank < n_passive:
         free = np.abs(np.linalg.svd(G_p[:, :, 0])[2][rank:]).max(axis=0) > 1e-6
         names = ", ".join(layout.names[k] for k in layout.passive[free])
+        alone = [layout.names[k] for k in layout.passive[free] if k not in errors.looped]
+        if alone:
+            raise GtauError(
+                f"robot '{robot.name}': no motor moves {', '.join(alone)} and no closure holds "
+                f"{'them' if len(alone) > 1 else 'it'}; hold what stands still in the logs, by 'held: {{{alone[0]}: "
+                "POSITION}' beside the robot's 'file', fix a base that floats by 'base: fixed', or mark the joint "
+                "actuated."
+            )
         raise GtauError(
             f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home "
             f"configuration {names} can still move ({n_passive - rank} dof); actuate more joints, or move home away "

@@ -64,8 +64,7 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
     """
     positions = _with_coupled(robot, positions)
     shown = [f"'{name}' at {position:.4g}" for name, position in positions.items()]
-    listed = ", ".join(shown[:NAMED]) + (f" and {len(shown) - NAMED} more" if len(shown) > NAMED else "")
-    note = f"{len(shown)} joint{'s' * (len(shown) > 1)} held {why} (rad, m): {listed}"
+    note = f"{len(shown)} joint{'s' * (len(shown) > 1)} held {why} (rad, m): {_first(shown)}"
     return replace(lock_joints(robot, positions), notes=(*robot.notes, note))
 
 
@@ -152,3 +151,12 @@ def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Couplin
             first, *others = free
             ratios = tuple((name, -terms[name] / terms[first]) for name in others)
             yield Coupling(first, ratios, offset / terms[first])
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in quotes, the first few of many."""
+    return _first([f"'{name}'" for name in names])
+
+
+def _first(texts: Sequence[str]) -> str:
+    return ", ".join(texts[:NAMED]) + (f" and {len(texts) - NAMED} more" if len(texts) > NAMED else "")

@@ -5,18 +5,19 @@ Masses, shapes and meshes are left aside; a model reads without the files of its
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import compose, pose_of, rounded, turn
-from gtau.robots.parts import NAMED, hold_joints
+from gtau.robots.parts import hold_joints, listed
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.mjcf_file import MjcfFile, compile_mjcf
+from gtau.robots.readers.mjcf_ties import actuated_joints, equalities, fixed_tendons, name_in, pose_in, tendon_coupling
 from gtau.robots.readers.source import Base
 from gtau.robots.readers.urdf import turning
 from gtau.robots.readers.xml_document import read_xml
@@ -25,8 +26,6 @@ from gtau.robots.robot import (
     ROTATIONS,
     TRANSLATIONS,
     Attachment,
-    Closure,
-    Coupling,
     Joint,
     Limits,
     Platform,
@@ -94,14 +93,14 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
     platforms: list[Platform] = []
     for body in range(1, model.nbody):
         before = carried[int(model.body_parentid[body])]
-        placement = compose(before.placement, _pose(model.body_pos[body], model.body_quat[body]))
+        placement = compose(before.placement, pose_in(model.body_pos[body], model.body_quat[body]))
         at = Attachment(before.body, placement)
         own = range(int(model.body_jntadr[body]), int(model.body_jntadr[body]) + int(model.body_jntnum[body]))
         for number in own:
             last = number == own[-1]
             if mujoco.mjtJoint(int(model.jnt_type[number])) == mujoco.mjtJoint.mjJNT_FREE:
-                name, start = _name(model, "body", body), int(model.jnt_qposadr[number])
-                pose = _pose(qpos[start : start + 3], qpos[start + 3 : start + 7])
+                name, start = name_in(model, "body", body), int(model.jnt_qposadr[number])
+                pose = pose_in(qpos[start : start + 3], qpos[start + 3 : start + 7])
                 if body not in carriers:
                     at = Attachment(name)
                     platforms.append(Platform(name, TRANSLATIONS + ROTATIONS, pose))
@@ -117,11 +116,18 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
                 made, at = _joints(model, number, at, qpos, last)
                 joints += made
         carried[body] = at
-    closures, couplings, held = _equalities(model, carried)
+    closures, couplings, held = equalities(model, carried)
+    tendons = fixed_tendons(file)
+    for each in file.tied_tendons:
+        coupling = tendon_coupling(model, tendons, each)
+        if coupling.ratios:
+            couplings.append(coupling)
+        else:
+            held[coupling.joint] = coupling.offset
     tied = {end.body for closure in closures for end in (closure.a, closure.b)}
     if loose := [platform.name for platform in platforms if platform.name not in tied]:
-        notes.append(f"nothing holds the free {'bodies' if len(loose) > 1 else 'body'} {_listed(loose)}: left out")
-    driven, pulled = _actuated(file, notes)
+        notes.append(f"nothing holds the free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)}: left out")
+    driven, pulled = actuated_joints(file, tendons, notes)
     slaves = {coupling.joint for coupling in couplings}
     actuated = driven if file.actuators else {joint.name for joint in joints} - slaves
     notes += _simulated_alone(model)
@@ -140,10 +146,36 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
         tuple(notes),
         home_given=home_given,
     )
-    if held:
-        robot = hold_joints(robot, held, "by an equality with a constant")
-    homes = {joint.name: joint.home for joint in robot.joints if joint.name in pulled - driven}
-    return hold_joints(robot, homes, "since a tendon pulls them, which is not modelled") if homes else robot
+    for names, why in (
+        (held.keys(), "by an equality with a constant"),
+        (pulled - driven, "since a tendon pulls them, which is not modelled"),
+        (_scenery(robot), "since they carry no motor and nothing ties them to one that does"),
+        (set() if base is None else _moving_base(robot), "with the base"),
+    ):
+        if here := {joint.name: held.get(joint.name, joint.home) for joint in robot.joints if joint.name in names}:
+            robot = hold_joints(robot, here, why)
+    return robot
+
+
+def _scenery(robot: Robot) -> set[str]:
+    """Joints of doors, targets and the like: of trees from the ground without a motor, a closure or a coupling."""
+    tied = robot.driven | {end.body for closure in robot.closures for end in (closure.a, closure.b)}
+    root: dict[str, str] = {}
+    for joint in robot.joints:
+        root[joint.name] = root.get(joint.antecedent, joint.name)
+    moving = {root[name] for name in tied if name in root}
+    return {name for name in root if root[name] not in moving}
+
+
+def _moving_base(robot: Robot) -> set[str]:
+    """Joints without a motor between the ground and the first body that more than one joint or a motor moves."""
+    tied = robot.driven | {end.body for closure in robot.closures for end in (closure.a, closure.b)}
+    found: set[str] = set()
+    for joint in robot.joints:
+        before = joint.antecedent == GROUND or joint.antecedent in found
+        if before and joint.name not in tied and any(other.antecedent == joint.name for other in robot.joints):
+            found.add(joint.name)
+    return found
 
 
 def _carriers(model: mujoco.MjModel) -> set[int]:
@@ -160,18 +192,12 @@ def _simulated_alone(model: mujoco.MjModel) -> Iterator[str]:
     """Notes on what acts in the simulator and is not modelled."""
     if model.opt.density or model.opt.viscosity:
         yield "drag of the fluid around the robot (density, viscosity) acts in the simulator and is not modelled"
-    if floating := [_name(model, "body", k) for k in range(1, model.nbody) if model.body_gravcomp[k]]:
-        yield f"gravity compensation (gravcomp) acts in the simulator and is not modelled: body {_listed(floating)}"
+    if floating := [name_in(model, "body", k) for k in range(1, model.nbody) if model.body_gravcomp[k]]:
+        yield f"gravity compensation (gravcomp) acts in the simulator and is not modelled: body {listed(floating)}"
     balls = [k for k in range(model.njnt) if model.jnt_type[k] == 1 and np.any(model.jnt_stiffness[k])]
     if balls:
-        names = _listed([_name(model, "joint", k) for k in balls])
+        names = listed([name_in(model, "joint", k) for k in balls])
         yield f"springs of balls act in the simulator and are not modelled: joint {names}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names[:NAMED]) + (
-        f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    )
 
 
 def _joints(
@@ -180,7 +206,7 @@ def _joints(
     """A joint of a body whose frame, not yet moved by it, is at `at`; and where the frame is after it."""
     import mujoco
 
-    name, start = _name(model, "joint", number), int(model.jnt_qposadr[number])
+    name, start = name_in(model, "joint", number), int(model.jnt_qposadr[number])
     kind, axis = mujoco.mjtJoint(int(model.jnt_type[number])), model.jnt_axis[number]
     if kind == mujoco.mjtJoint.mjJNT_SLIDE:
         anchor, reference = np.zeros(3), pose_of(np.eye(3), -axis * model.qpos0[start])
@@ -212,91 +238,3 @@ def _joints(
         spring=rounded(model.qpos_spring[start]) if np.any(model.jnt_stiffness[number]) else None,
     )
     return [joint], after
-
-
-def _equalities(
-    model: mujoco.MjModel, carried: dict[int, Attachment]
-) -> tuple[list[Closure], list[Coupling], dict[str, float]]:
-    """Closures, couplings, and the positions of joints that an equality holds."""
-    import mujoco
-
-    closures, couplings, held = [], [], {}
-    for number in range(model.neq):
-        name, kind = _name(model, "equality", number), mujoco.mjtEq(int(model.eq_type[number]))
-        ends, data = (int(model.eq_obj1id[number]), int(model.eq_obj2id[number])), model.eq_data[number]
-        if kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
-            if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
-                bodies = [int(model.site_bodyid[site]) for site in ends]
-                poses = [_pose(model.site_pos[site], model.site_quat[site]) for site in ends]
-            elif kind == mujoco.mjtEq.mjEQ_CONNECT:
-                bodies, poses = list(ends), [pose_of(np.eye(3), data[k : k + 3]) for k in (0, 3)]
-            else:
-                bodies, poses = list(ends), [_pose(data[3:6], data[6:10]), pose_of(np.eye(3), data[:3])]
-            a, b = (
-                Attachment(carried[body].body, compose(carried[body].placement, pose))
-                for body, pose in zip(bodies, poses, strict=True)
-            )
-            if a.body != b.body:
-                closures.append(Closure("connect" if kind == mujoco.mjtEq.mjEQ_CONNECT else "weld", a, b))
-        elif kind == mujoco.mjtEq.mjEQ_JOINT and not (ends[1] >= 0 and np.any(data[2:5])):
-            zeros = [float(model.qpos0[model.jnt_qposadr[end]]) for end in ends if end >= 0]
-            slave = _name(model, "joint", ends[0])
-            if ends[1] < 0:
-                held[slave] = zeros[0] + float(data[0])
-                continue
-            offset, ratio = zeros[0] + float(data[0]) - float(data[1]) * zeros[1], float(data[1])
-            if ratio:
-                couplings.append(Coupling(slave, ((_name(model, "joint", ends[1]), ratio),), offset))
-            else:
-                held[slave] = offset
-        else:
-            raise GtauError(
-                f"equality '{name}' is none of connect, weld and a linear joint coupling of two joints; remove it, or "
-                "describe the mechanism by these."
-            )
-    return closures, couplings, held
-
-
-def _actuated(file: MjcfFile, notes: list[str]) -> tuple[set[str], set[str]]:
-    """Names of the joints that actuators drive, and of those that they pull by fixed tendons; adds notes."""
-    import mujoco
-
-    model, driven, pulled, others = file.model, set(), set(), []
-    turning_or_sliding = {
-        _name(model, "joint", k)
-        for k in range(model.njnt)
-        if mujoco.mjtJoint(int(model.jnt_type[k])) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    }
-    tendons = {
-        tendon.get("name", ""): {joint.get("joint", "") for joint in tendon.iter("joint")}
-        for root in file.elements
-        for tendon in root.iter("fixed")
-    }
-    for name, transmission, target, gear in file.actuators:
-        of_joint = transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-        if of_joint and target in turning_or_sliding:
-            driven.add(target)
-            if gear != 1.0:
-                notes.append(
-                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are those of the "
-                    "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
-                )
-        elif transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
-            pulled |= tendons[target]
-        else:
-            others.append(name or target)
-    if others:
-        s = "s" * (len(others) > 1)
-        notes.append(f"actuator{s} {_listed(others)} of no hinge, slide or fixed tendon: left out")
-    return driven, pulled
-
-
-def _pose(position: np.ndarray, quaternion: np.ndarray) -> Pose:
-    from scipy.spatial.transform import Rotation
-
-    return pose_of(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
-
-
-def _name(model: mujoco.MjModel, kind: str, number: int) -> str:
-    element: Any = getattr(model, kind)(number)
-    return element.name or f"{kind} {number + 1}"

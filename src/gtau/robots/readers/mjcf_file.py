@@ -55,6 +55,16 @@ def _check_copies(roots: Iterable[Element]) -> None:
 
 
 @dataclass(frozen=True)
+class TiedTendons:
+    """An equality: the length of a tendon is a polynomial in that of another, or of nothing, both from their zeros."""
+
+    name: str
+    tendon: str
+    other: str
+    polynomial: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class MjcfFile:
     """A file's compiled model, and what was taken off before: it need not even compile.
 
@@ -67,6 +77,8 @@ class MjcfFile:
         Positions of the keyframes by name.
     actuators : list
         Name, transmission, target and gear of each.
+    tied_tendons : list of TiedTendons
+        Active equalities between tendons.
     notes : list of str
         What was left out.
     """
@@ -75,6 +87,7 @@ class MjcfFile:
     elements: list[Element]
     keys: dict[str, np.ndarray]
     actuators: list[tuple[str, mujoco.mjtTrn, str, float]]
+    tied_tendons: list[TiedTendons]
     notes: list[str]
 
 
@@ -104,15 +117,15 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
             for each in spec.tendons
             if any(np.any(np.asarray(getattr(each, key))) for key in ("stiffness", "damping", "frictionloss"))
         ]
+        lengths = []
         for each in list(spec.equalities):
-            if each.type in (mujoco.mjtEq.mjEQ_TENDON, mujoco.mjtEq.mjEQ_FLEX) or not each.active:
-                if each.active:
-                    raise GtauError(
-                        f"equality '{each.name}' ties tendons or flexible bodies, which is not modelled; remove it, or "
-                        "tie joints by an equality 'joint'."
-                    )
+            if not each.active:
                 notes.append(f"equality '{each.name}' is not active in the file and was left out")
-                spec.delete(each)
+            elif each.type == mujoco.mjtEq.mjEQ_TENDON:
+                lengths.append(TiedTendons(each.name, each.name1, each.name2, tuple(map(float, each.data[:5]))))
+            else:
+                continue
+            spec.delete(each)
         tied = {name for each in spec.equalities for name in (each.name1, each.name2)}
         for kind in DELETED:
             for each in list(getattr(spec, kind)):
@@ -125,7 +138,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         for body in spec.bodies[1:]:
             body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
             body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
-        return MjcfFile(spec.compile(), elements, keys, actuators, notes)
+        return MjcfFile(spec.compile(), elements, keys, actuators, lengths, notes)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None

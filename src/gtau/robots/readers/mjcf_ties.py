@@ -1,0 +1,137 @@
+"""What ties the joints of an MJCF file, and what drives them: equalities, fixed tendons and actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.robots.geometry import compose, pose_of
+from gtau.robots.parts import listed
+from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons
+from gtau.robots.readers.xml_document import numbers
+from gtau.robots.robot import Attachment, Closure, Coupling, Pose
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+def equalities(
+    model: mujoco.MjModel, carried: dict[int, Attachment]
+) -> tuple[list[Closure], list[Coupling], dict[str, float]]:
+    """Closures, couplings, and the positions of joints that an equality holds."""
+    import mujoco
+
+    closures, couplings, held = [], [], {}
+    for number in range(model.neq):
+        name, kind = name_in(model, "equality", number), mujoco.mjtEq(int(model.eq_type[number]))
+        ends, data = (int(model.eq_obj1id[number]), int(model.eq_obj2id[number])), model.eq_data[number]
+        if kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+            if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
+                bodies = [int(model.site_bodyid[site]) for site in ends]
+                poses = [pose_in(model.site_pos[site], model.site_quat[site]) for site in ends]
+            elif kind == mujoco.mjtEq.mjEQ_CONNECT:
+                bodies, poses = list(ends), [pose_of(np.eye(3), data[k : k + 3]) for k in (0, 3)]
+            else:
+                bodies, poses = list(ends), [pose_in(data[3:6], data[6:10]), pose_of(np.eye(3), data[:3])]
+            a, b = (
+                Attachment(carried[body].body, compose(carried[body].placement, pose))
+                for body, pose in zip(bodies, poses, strict=True)
+            )
+            if a.body != b.body:
+                closures.append(Closure("connect" if kind == mujoco.mjtEq.mjEQ_CONNECT else "weld", a, b))
+        elif kind == mujoco.mjtEq.mjEQ_JOINT and not (ends[1] >= 0 and np.any(data[2:5])):
+            zeros = [float(model.qpos0[model.jnt_qposadr[end]]) for end in ends if end >= 0]
+            slave = name_in(model, "joint", ends[0])
+            if ends[1] < 0:
+                held[slave] = zeros[0] + float(data[0])
+                continue
+            offset, ratio = zeros[0] + float(data[0]) - float(data[1]) * zeros[1], float(data[1])
+            if ratio:
+                couplings.append(Coupling(slave, ((name_in(model, "joint", ends[1]), ratio),), offset))
+            else:
+                held[slave] = offset
+        else:
+            raise GtauError(
+                f"equality '{name}' is none of connect, weld and a linear joint coupling of two joints; remove it, or "
+                "describe the mechanism by these."
+            )
+    return closures, couplings, held
+
+
+def fixed_tendons(file: MjcfFile) -> dict[str, dict[str, float]]:
+    """The joints of the fixed tendons and what a tendon's length gains by a unit of each."""
+    return {
+        tendon.get("name", ""): {
+            joint.get("joint", ""): numbers(joint.get("coef", ""), 1, "coef of a fixed tendon")[0]
+            for joint in tendon.iter("joint")
+        }
+        for root in file.elements
+        for tendon in root.iter("fixed")
+    }
+
+
+def tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, float]], tied: TiedTendons) -> Coupling:
+    """The coupling of joints that two fixed tendons whose lengths are tied make, or one of constant length."""
+    constant, factor, *higher = tied.polynomial
+    known = tied.tendon in tendons and (not tied.other or tied.other in tendons)
+    if not known or (tied.other and any(higher)):
+        raise GtauError(
+            f"equality '{tied.name}' ties tendons other than fixed ones, or not linearly, which is not modelled; "
+            "remove it, or tie joints by an equality 'joint'."
+        )
+    terms = dict(tendons[tied.tendon])
+    for name, coefficient in tendons.get(tied.other, {}).items():
+        terms[name] = terms.get(name, 0.0) - factor * coefficient
+    zeros = {name: float(model.qpos0[int(model.joint(name).qposadr[0])]) for name in terms}
+    offset = constant + sum(value * zeros[name] for name, value in terms.items())
+    (first, own), *rest = [(name, value) for name, value in terms.items() if value]
+    return Coupling(first, tuple((name, -value / own) for name, value in rest), offset / own)
+
+
+def actuated_joints(
+    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], notes: list[str]
+) -> tuple[set[str], set[str]]:
+    """Names of the joints that actuators drive, and of those that they pull by fixed tendons; adds notes."""
+    import mujoco
+
+    model, others = file.model, []
+    driven: set[str] = set()
+    pulled: set[str] = set()
+    turning_or_sliding = {
+        name_in(model, "joint", k)
+        for k in range(model.njnt)
+        if mujoco.mjtJoint(int(model.jnt_type[k])) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    }
+    for name, transmission, target, gear in file.actuators:
+        of_joint = transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        if of_joint and target in turning_or_sliding:
+            driven.add(target)
+            if gear != 1.0:
+                notes.append(
+                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are those of the "
+                    "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
+                )
+        elif transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
+            pulled |= tendons[target].keys()
+        else:
+            others.append(name or target)
+    if others:
+        s = "s" * (len(others) > 1)
+        notes.append(f"actuator{s} {listed(others)} of no hinge, slide or fixed tendon: left out")
+    return driven, pulled
+
+
+def pose_in(position: np.ndarray, quaternion: np.ndarray) -> Pose:
+    """The pose of a position (3,) and a unit quaternion (4,), w first."""
+    from scipy.spatial.transform import Rotation
+
+    return pose_of(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
+
+
+def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
+    """The name of an element, or its kind and number where it has none."""
+    element: Any = getattr(model, kind)(number)
+    return element.name or f"{kind} {number + 1}"
