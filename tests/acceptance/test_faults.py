@@ -141,7 +141,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, str]] = {
     "a robot that warms up in a run": (
         lambda runs: (ROBOT, only(runs, 0, warm_up)),
         Outcome.CONTRADICTORY,
-        "let the robot warm up before",
+        "let the robot warm up",
     ),
     "a robot that warms up from run to run": (
         lambda runs: (ROBOT, [warmer(run, 0.01 * k) for k, run in enumerate(runs)]),
@@ -150,7 +150,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, str]] = {
     ),
     "a torque constant that falls with the current": (
         lambda runs: (ROBOT, list(map(saturating, runs))),
-        Outcome.CONTRADICTORY,
+        Outcome.WEAK,
         "stay at lower currents",
     ),
 }
@@ -168,6 +168,9 @@ def test_a_fault_is_noticed(name: str, runs: list[Run]) -> None:
     result = identify(robot, faulty)
     found = worst([gain.verdict for gain in result.drive_gains.values()])
     assert list(Outcome).index(found) >= list(Outcome).index(outcome), sentences(result)
+    for joint, gain in result.drive_gains.items():  # no gain is believed that is off by more than its interval
+        low, high = gain.interval() or (0.0, 0.0)
+        assert low < DRIVE_GAINS[joint] < high or gain.verdict.outcome != Outcome.GOOD
     assert advice in sentences(result)
     assert advice.split()[0] in " ".join(result.summary().split())
 
@@ -178,7 +181,7 @@ def test_one_reversed_current_is_a_negative_gain_and_said(
     result = identify(ROBOT, [command(run, [0, 1, 2], (1, -1, 1)) for run in runs])
     assert result.drive_gains["12"].value == pytest.approx(-DRIVE_GAINS["12"], rel=0.006)
     assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD
-    assert "drive gain of '12' good: it is negative" in " ".join(result.summary().split())
+    assert "Joint '12': it is negative" in " ".join(result.summary().split())
 
 
 def longer(names: Sequence[str], factor: float) -> Robot:
@@ -200,14 +203,17 @@ def longer(names: Sequence[str], factor: float) -> Robot:
         [joint.name for joint in ROBOT.joints],
     ],
 )
-def test_a_link_two_per_cent_off_is_found(names: list[str], runs: list[Run]) -> None:
+def test_a_link_two_per_cent_off_is_found_and_the_intervals_hold(names: list[str], runs: list[Run]) -> None:
+    """It moves no gain by as much as 3 %, so that no gain is contradictory; the summary names the length."""
     result = identify(longer(names, 1.02), runs)
-    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
-    assert "check the robot's geometry" in sentences(result)
-    assert "variance would go with other lengths" in sentences(result)
+    assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in result.drive_gains.values()}
+    note = next(note for note in result.notes if "another length" in note)
+    assert "check the robot's geometry" in note
     if len(names) == 1:
-        assert f"such as the length of 316.2 mm at '{names[0]}'" in sentences(result)
-        assert " % shorter" in sentences(result)
+        assert f"such as the length of 316.2 mm at '{names[0]}'" in note
+    for joint, gain in result.drive_gains.items():
+        low, high = gain.interval() or (0.0, 0.0)
+        assert low < DRIVE_GAINS[joint] < high
 
 
 def test_millimetres_read_as_metres_are_refused(runs: list[Run]) -> None:
@@ -224,11 +230,11 @@ def heavier(run: Run, name: str, factor: float) -> Run:
     return replace(run, payload=Payload(name=name, mass=factor * run.payload.mass))
 
 
-def test_a_wrong_mass_is_not_noticed_with_one_payload_and_that_is_said(runs: list[Run]) -> None:
+def test_a_wrong_mass_is_not_noticed_with_one_payload(runs: list[Run]) -> None:
+    """All gains scale with it, which docs/trust.md says."""
     result = identify(ROBOT, [heavier(run, "1.983 kg", 1.2) for run in runs])
     np.testing.assert_allclose(errors(result), 20.0, atol=0.6)
     assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD
-    assert "a wrong one cannot be noticed" in " ".join(result.summary().split())
 
 
 def test_a_wrong_mass_is_noticed_with_two_payloads() -> None:

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gtau.estimation.diagnostics.gain_change import DOMINANT, worst_differences
+from gtau.estimation.diagnostics.gain_change import gain_changes
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.estimation.thresholds import DOMINANT
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.experiment import Payload
@@ -61,17 +62,18 @@ def test_runs_in_scale_are_good(runs: list[Run]) -> None:
 def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run]) -> None:
     """Not taken for ripple, which it looks like: a torque that lifts is a function of the position."""
     result = identify(ARM, scaled(runs, which, factor))
-    sentences = " ".join(gain.verdict.sentence for gain in result.drive_gains.values())
+    said = " ".join([*(gain.verdict.sentence for gain in result.drive_gains.values()), *result.notes])
     way = "larger" if factor > 1 else "smaller"
-    assert f"in run 'run {which}' its current is" in sentences
-    assert f"{way} than the other runs tell" in sentences
-    assert Outcome.CONTRADICTORY in {gain.verdict.outcome for gain in result.drive_gains.values()}
+    assert f"being {way} in run 'run {which}' than the other runs say" in said
+    for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
+        low, high = gain.interval() or (0.0, 0.0)
+        assert low < truth < high or gain.verdict.outcome == Outcome.CONTRADICTORY
     assert not any("repeat at the same positions" in note for note in result.notes)
 
 
 def test_the_difference_is_measured(runs: list[Run]) -> None:
     system = reduce_runs(ARM, scaled(runs, 2, 1.03)).system(Friction(per_run=True))
-    for each in worst_differences(system.problem, ml(system.problem), system.block_positions):
+    for each in gain_changes(system.problem, ml(system.problem), system.block_positions):
         assert each.runs == (2,)
         assert each.share > DOMINANT
     assert each.change == pytest.approx(0.03, rel=0.1)

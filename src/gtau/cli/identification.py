@@ -67,6 +67,18 @@ def identify(
     consistent: Annotated[
         bool, typer.Option("--consistent", help="Also find physically consistent standard parameters.")
     ] = False,
+    accuracy: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            max=50.0,
+            metavar="PERCENT",
+            help="A drive gain is good where its 95 % interval is within +- PERCENT of it.",
+        ),
+    ] = 3.0,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print all parameters, the fit of each joint and all notes.")
+    ] = False,
     dask: Dask = None,
     no_cache: Annotated[
         bool, typer.Option("--no-cache", help="Neither use nor write the cache of reduced long logs.")
@@ -94,6 +106,7 @@ def identify(
                     ratio=ratio,
                     as_paper=as_paper,
                     consistent=consistent,
+                    accuracy=accuracy / 100,
                     progress=progress,
                     mapper=in_order(shard_map if no_cache else caching_map(shard_map, cache_folder())),
                 )
@@ -112,7 +125,7 @@ def identify(
         if json_:
             print_json(to_document(result))
         else:
-            typer.echo("\n".join([result.summary(), *(f"written: {path}" for path in written)]))
+            typer.echo("\n".join([result.summary(verbose), *(f"written: {path}" for path in written)]))
         outcomes = {gain.verdict.outcome.value for gain in result.drive_gains.values()}
         if outcomes.isdisjoint(("given", "good", "weak")):
             raise typer.Exit(3)  # so that a script does not go on with such a model

@@ -19,6 +19,7 @@ from gtau.estimation.regression.dataset import Mapper, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import require_scale
 from gtau.estimation.results.result import Result
+from gtau.estimation.thresholds import ACCURACY
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
@@ -35,6 +36,7 @@ def identify(
     as_paper: bool = False,
     consistent: bool = False,
     priors: Mapping[str, Prior] | None = None,
+    accuracy: float = ACCURACY,
     progress: Progress = silent,
     mapper: Mapper = map,
 ) -> Result:
@@ -65,6 +67,8 @@ def identify(
         :mod:`gtau.estimation.estimators.physical_consistency`).
     priors : mapping, optional
         What is known of standard parameters, by name, for these and ``ridge``; the experiment file's if left out.
+    accuracy : float
+        Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
     progress : callable, optional
         Called as the work goes on.
     mapper : callable, optional
@@ -82,7 +86,7 @@ def identify(
         Where a file is wrong, the data cannot be used, or they cannot give what the method asks for.
     """
     options = AS_PAPER if as_paper else DEFAULT
-    options = options if ratio is None else replace(options, ratio=ratio)
+    options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
     chosen = None if method is None else estimator_of(method)
     if isinstance(source, Robot):
         robot, runs = source, _given_runs(runs)

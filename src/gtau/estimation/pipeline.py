@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from gtau.estimation.diagnostics.diagnose import diagnose
+from gtau.estimation.diagnostics.findings import examine
 from gtau.estimation.diagnostics.payload_checks import weigh_known
 from gtau.estimation.diagnostics.uncertainty import uncertainty_of
 from gtau.estimation.estimators.essential_parameters import reduce_fit
@@ -17,6 +20,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import PAPER
 from gtau.estimation.results.build import build_result
 from gtau.estimation.results.result import Result
+from gtau.estimation.thresholds import ACCURACY
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ class Options:
         The paper's r_sigma for the essential parameters; without one the Bayesian information criterion decides.
     joint_reduction : bool
         Estimate the gains again together with the essential parameters, as the paper does.
+    accuracy : float
+        Half the relative width of the 95 % interval up to which a gain is good.
     """
 
     decimator: Literal["fir", "chebyshev"] = "fir"
@@ -45,6 +51,7 @@ class Options:
     correlated: bool = True
     ratio: float | None = None
     joint_reduction: bool = False
+    accuracy: float = ACCURACY
 
 
 DEFAULT = Options()
@@ -88,7 +95,8 @@ def estimate(
         system = dataset.system(PAPER, options.delays)  # eqs. (29) to (33)
     progress("estimation", 0, 1)
     fit = estimator.fit(dataset, system, given)  # eqs. (24) to (28), or (34) to (39)
-    uncertainty = uncertainty_of(fit, options.correlated)
+    findings = examine(fit, progress)
+    uncertainty = uncertainty_of(fit, findings, options.correlated)
     essential = reduce_fit(fit, uncertainty.covariance, options.ratio, options.correlated, options.joint_reduction)
     payloads = weigh_known(fit, estimator.name) if fit.free_gains else {}
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
@@ -96,6 +104,7 @@ def estimate(
     if options.joint_reduction:  # the gains that go with the essential parameters
         system = replace(fit.system, problem=essential.problem)
         fit = replace(fit, system=system, solution=essential.solution)
-        uncertainty = replace(uncertainty, covariance=essential.solution.covariance)
-    diagnosis = diagnose(fit, uncertainty, payloads, prior_gains or {}, progress)
-    return build_result(fit, estimator, uncertainty, essential, diagnosis, bodies)
+        covariance = essential.solution.covariance
+        uncertainty = replace(uncertainty, random=covariance, model=np.zeros_like(covariance))
+    diagnosis = diagnose(fit, findings, uncertainty, payloads, prior_gains or {}, options.accuracy)
+    return build_result(fit, estimator, findings, uncertainty, essential, diagnosis, bodies)

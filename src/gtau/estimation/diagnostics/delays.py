@@ -1,4 +1,4 @@
-"""Which delays of the currents the data tell.
+"""Which delays of the currents are identifiable.
 
 A delay is read off the current's rate of change. Where a joint moves slowly, that is mostly noise, which looks the
 same at any delay. What the expansion ``v - d v' + d^2/2 v''`` makes of the noise then places the minimum, and gives it
@@ -12,7 +12,7 @@ import numpy as np
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds import DELAY_MOTION
+from gtau.estimation.thresholds import DELAY_MOTION, DELAY_STD
 
 
 def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -31,14 +31,35 @@ def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.n
     return share, np.linalg.norm(of_motion - share * whole, axis=0) / total
 
 
-def delay_verdicts(problem: Problem, solution: Solution) -> tuple[Verdict, ...]:
-    """Verdict on the delay of every joint's current."""
-    lost = Verdict(
+def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> tuple[Verdict, ...]:
+    """Judge the delay of every joint's current.
+
+    Parameters
+    ----------
+    problem, solution : Problem, Solution
+        What was solved.
+    std : ndarray
+        Standard deviations of the delays (n,), s.
+    period : float
+        Of the samples, s; a delay within one is believed whatever its relative standard deviation.
+    """
+    noise = Verdict(
         Outcome.NOT_IDENTIFIABLE,
         "the current's rate of change may all be noise",
-        "take it for unknown, or move this joint faster; the drive gain does not rest on it",
+        "treat it as unknown, or move this joint faster; the drive gain does not rest on it",
     )
-    return tuple(
-        GOOD if share > DELAY_MOTION * error else lost
-        for share, error in zip(*moving_share(problem, solution), strict=True)
-    )
+    found = []
+    for share, error, delay, deviation in zip(*moving_share(problem, solution), solution.delays, std, strict=True):
+        if share <= DELAY_MOTION * error:
+            found.append(noise)
+        elif abs(delay) > period and deviation > DELAY_STD * abs(delay):
+            found.append(
+                Verdict(
+                    Outcome.WEAK,
+                    f"its standard deviation is {1e3 * deviation:.2g} ms",
+                    "treat it as a nuisance parameter, or move this joint faster",
+                )
+            )
+        else:
+            found.append(GOOD)
+    return tuple(found)

@@ -1,4 +1,4 @@
-"""What can be believed of a fit: verdicts on gains and delays from all hypotheses and checks."""
+"""What can be believed of a fit: verdicts on gains and delays from all findings and checks."""
 
 from __future__ import annotations
 
@@ -8,82 +8,98 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.diagnostics.delays import delay_verdicts
-from gtau.estimation.diagnostics.gain_verdicts import gain_verdicts, lack_of_fit
+from gtau.estimation.diagnostics.findings import Findings
+from gtau.estimation.diagnostics.gain_verdicts import gain_verdicts
 from gtau.estimation.diagnostics.leg_symmetry import unlike_legs
-from gtau.estimation.diagnostics.misspecification import Misspecification, find_misspecification
 from gtau.estimation.diagnostics.position_ripple import ripple_notes
 from gtau.estimation.diagnostics.prior_checks import check_limits, check_payloads, check_priors, share_doubts
-from gtau.estimation.diagnostics.saturation import check_saturation, find_saturation
-from gtau.estimation.diagnostics.swapped_channels import check_swapped
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds import LACKING
-from gtau.progress import Progress, silent
+from gtau.estimation.thresholds import MISFIT_GIVEN
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """Verdicts on the drive gains and delays (n,) and on the known payloads by name, and notes on what was found."""
+    """Verdicts on the drive gains and delays (n,) and on the known payloads by name, and notes on what was found.
+
+    ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good.
+    """
 
     gains: tuple[Verdict, ...]
     delays: tuple[Verdict, ...]
     payloads: Mapping[str, Verdict]
-    lack_of_fit: float
     notes: tuple[str, ...]
+    accuracy: float
 
 
 def diagnose(
     fit: Fit,
+    findings: Findings,
     uncertainty: Uncertainty,
     payloads: Mapping[str, Verdict],
     prior_gains: Mapping[str, float],
-    progress: Progress = silent,
+    accuracy: float,
 ) -> Diagnosis:
-    """Find what can be believed of a fit.
+    """Judge what can be believed of a fit.
 
     Parameters
     ----------
-    fit, uncertainty : Fit, Uncertainty
-        What was estimated, and how well.
+    fit, findings, uncertainty : Fit, Findings, Uncertainty
+        What was estimated, what the data say against it, and how well it is known.
     payloads : mapping
         Verdicts on known payloads, by name.
     prior_gains : mapping
         Gains expected, N m/A or N/A, by joint; may be empty.
-    progress : callable
-        Called while the hypotheses are tested.
+    accuracy : float
+        Half the relative width of the 95 % interval up to which a gain is good.
     """
     dataset, system, solution = fit.dataset, fit.system, fit.solution
     robot, problem, joints = dataset.robot, system.problem, dataset.model.actuated
-    n_theta, n, lack = problem.n_theta, len(joints), lack_of_fit(problem, solution)
-    std = np.sqrt(np.diag(uncertainty.covariance))
-    gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
-    verdicts: Sequence[Verdict] = (GIVEN,) * n
-    if gain_std.any():
-        repeating = uncertainty.ripple is not None and uncertainty.ripple.found
-        names = tuple(run.name for run in dataset.runs)
-        verdicts = gain_verdicts(problem, solution, gain_std, system.block_positions, names, repeating)
-        if any(each != GOOD for each in verdicts) or lack > LACKING:
-            verdicts = check_swapped(verdicts, dataset)
-            verdicts = _check_description(verdicts, find_misspecification(dataset, system, solution, progress))
-            verdicts = check_saturation(verdicts, find_saturation(dataset, system, solution))
+    torques = np.abs(solution.gains) * problem.signal
+    if fit.free_gains:
+        verdicts: Sequence[Verdict] = gain_verdicts(fit, findings, uncertainty, accuracy)
         verdicts = check_priors(check_payloads(verdicts, payloads), robot, solution.gains, prior_gains)
-    elif lack > LACKING:
-        verdicts = check_swapped(verdicts, dataset)
-    verdicts = share_doubts(check_limits(verdicts, robot, np.abs(solution.gains) * problem.signal), joints)
-    delays = delay_verdicts(problem, solution) if delay_std.any() else (GOOD,) * n
-    ripple = () if uncertainty.ripple is None else ripple_notes(uncertainty.ripple, joints, solution)
-    notes = (*unlike_legs(dataset, system, solution.theta, uncertainty.covariance), *ripple)
-    return Diagnosis(tuple(verdicts), tuple(delays), payloads, lack, notes)
-
-
-def _check_description(verdicts: Sequence[Verdict], found: Misspecification | None) -> tuple[Verdict, ...]:
-    """Condemn all gains where something in the robot's description is suspected, unless another reason is known."""
-    if found is None:
-        return tuple(verdicts)
-    return tuple(
-        each
-        if each.outcome == Outcome.CONTRADICTORY and not found.decisive
-        else Verdict(Outcome.CONTRADICTORY, found.why, found.advice)
-        for each in verdicts
+    else:
+        verdicts = _given_verdicts(fit, findings)
+    verdicts = share_doubts(check_limits(verdicts, robot, torques), joints)
+    delay_std = np.sqrt(np.diag(uncertainty.random))[problem.n_theta + len(joints) :]
+    period = 1 / min(run.rate for run in dataset.runs)
+    delays = delay_verdicts(problem, solution, delay_std, period) if delay_std.any() else (GOOD,) * len(joints)
+    notes = (
+        *unlike_legs(dataset, system, solution.theta, uncertainty.covariance),
+        *ripple_notes(findings.ripple, joints, solution),
+        *_small_refutations(fit, findings, accuracy),
     )
+    return Diagnosis(tuple(verdicts), tuple(delays), payloads, notes, accuracy)
+
+
+def _given_verdicts(fit: Fit, findings: Findings) -> tuple[Verdict, ...]:
+    """Verdicts on gains that are given, or 1 for torques: contradictory where the model does not explain the joint."""
+    misfit = fit.solution.sigma / fit.system.problem.signal
+    kind = fit.dataset.runs[0].kind
+    found = [GIVEN] * len(misfit)
+    for j, share in enumerate(misfit):
+        swapped = [each for each in findings.swapped if j in each.joints]
+        if swapped:
+            found[j] = Verdict(Outcome.CONTRADICTORY, swapped[0].why, swapped[0].advice)
+        elif share > MISFIT_GIVEN:
+            found[j] = Verdict(
+                Outcome.CONTRADICTORY,
+                f"the model leaves {100 * share:.0f} % of this joint's {kind} unexplained",
+                f"check its position and {kind} columns, their signs and units, the clock of the log and its "
+                "'preparation'",
+            )
+    return tuple(found)
+
+
+def _small_refutations(fit: Fit, findings: Findings, accuracy: float) -> list[str]:
+    """What the data refute of the description where no gain moves by more than the accuracy."""
+    if not fit.free_gains:
+        return []
+    return [
+        f"{100 * each.share:.0f} % of the residual variance would go with {each.subject}, which would move no gain by "
+        f"more than {100 * float(np.abs(each.moves).max()):.2g} %: {each.advice}"
+        for each in findings.refuted
+        if np.abs(each.moves).max() <= accuracy
+    ]

@@ -15,27 +15,29 @@ import numpy as np
 
 from gtau.estimation.diagnostics.linearisation import LinearisedWindow
 from gtau.estimation.diagnostics.score_test import score_tests
-from gtau.estimation.estimators.newton import jacobian, modelled, residuals
+from gtau.estimation.estimators.newton import jacobian, modelled, residuals, to_gains
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds import DOMINANT
 
 
-@dataclass(frozen=True)
-class Difference:
+@dataclass(frozen=True, eq=False)
+class GainChange:
     """By what share of itself a joint's current is larger in some ``runs`` than in the others; how significant.
 
-    ``share`` of the variance of all joints' errors goes where each has such a difference in these runs.
+    ``share`` of the residual variance of all joints goes where each has such a change in these runs; ``moves`` (n,) is
+    by what share of itself each gain moves when this joint's change is modelled.
     """
 
     runs: tuple[int, ...]
     change: float
     t: float
     share: float
+    moves: np.ndarray
 
 
-def worst_differences(problem: Problem, solution: Solution, block_positions: np.ndarray) -> tuple[Difference, ...]:
-    """The most significant difference of every joint between one run, or the loaded ones, and the others.
+def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarray) -> tuple[GainChange, ...]:
+    """Find the most significant change of every joint between one run, or the loaded ones, and the others.
 
     The current of the model is offered once more in these runs alone, see :func:`score_tests`.
 
@@ -44,35 +46,40 @@ def worst_differences(problem: Problem, solution: Solution, block_positions: np.
     problem, solution : Problem, Solution
         What was solved, with gains that were estimated.
     block_positions : ndarray
-        Of the units, (U, 2): number of the run, and time from its beginning (0) to its end (1).
+        Of the jackknife blocks, (U, 2): number of the run, and time from its beginning (0) to its end (1).
     """
-    n, (runs, of_unit) = len(problem.joints), np.unique(block_positions[:, 0].astype(int), return_inverse=True)
+    n, (runs, of_block) = len(problem.joints), np.unique(block_positions[:, 0].astype(int), return_inverse=True)
     loaded = np.zeros(len(runs), dtype=bool)
-    np.logical_or.at(loaded, of_unit, np.any(problem.blocks[..., problem.n_theta], axis=(1, 2)))
+    np.logical_or.at(loaded, of_block, np.any(problem.blocks[..., problem.n_theta], axis=(1, 2)))
     groups = np.unique(np.vstack([np.eye(len(runs), dtype=bool), loaded]), axis=0)
     groups = groups[~groups.all(axis=1) & groups.any(axis=1)]
-    nothing = Difference((), 0.0, 0.0, 0.0)
     if not len(groups):
-        return (nothing,) * n
-
-    found = score_tests(lambda: _pieces(problem, solution), groups[:, of_unit])
-    shares = found.share.sum(axis=1)
+        return (GainChange((), 0.0, 0.0, 0.0, np.zeros(n)),) * n
+    found = score_tests(lambda: _windows(problem, solution, groups[:, of_block]))
+    shares, gains = found.share.sum(axis=1), slice(problem.n_theta, problem.n_theta + n)
     worst = np.argmax(np.abs(found.t), axis=0)
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = np.argmax(shares)
+    T = to_gains(solution.iterate, problem.n_theta, True)
     return tuple(
-        Difference(tuple(runs[groups[k]].tolist()), float(found.size[k, j]), float(found.t[k, j]), float(shares[k]))
+        GainChange(
+            tuple(runs[groups[k]].tolist()),
+            float(found.size[k, j]),
+            float(found.t[k, j]),
+            float(shares[k]),
+            (T @ found.slopes[k, j])[gains] * found.size[k, j] / solution.gains,
+        )
         for j, k in enumerate(worst)
     )
 
 
-def _pieces(problem: Problem, solution: Solution) -> Iterator[LinearisedWindow]:
-    """The units, each joint offered the current of its model once more."""
+def _windows(problem: Problem, solution: Solution, members: np.ndarray) -> Iterator[LinearisedWindow]:
+    """The jackknife blocks, each joint offered the current of its model once more in each group (groups, U)."""
     state = solution.iterate
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    for block in problem.blocks:
+    for block, mine in zip(problem.blocks, members.T, strict=True):
         e, J = residuals(block, state, problem.n_theta), jacobian(block, state, problem, True)
         current = modelled(block, state.theta) * state.b[:, None]
         yield LinearisedWindow(
-            e * weights[:, None], J * weights[:, None, None], -(current * weights[:, None])[..., None]
+            e * weights[:, None], J * weights[:, None, None], -(current * weights[:, None])[..., None] * mine
         )

@@ -1,153 +1,138 @@
 """Verdicts on drive gains.
 
-A cross-validated torque says nothing about a wrong gain, as both sides of the equation carry it. What
-does show one is a large deviation under the block jackknife, an estimate that moves when another
-estimator uses the same data, and joints whose equations hold alone but not together.
+A cross-validated torque says nothing about a wrong gain, as both sides of the equation carry it. What the user must
+know of a gain is how far it may be off: its interval, with a random part and one from what the model may lack. It is
+good where the whole interval lies within the accuracy asked for, and contradictory only where the data refute the
+description of robot and logs and the gain would move by more than that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from gtau.estimation.diagnostics.drift import worst_drifts
-from gtau.estimation.diagnostics.gain_change import worst_differences
+from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.findings import TWO_STAGE, Findings
+from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
-from gtau.estimation.estimators.solution import Solution, jackknife
-from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds import ALONE, APART, DOMINANT, DRIFT, DRIFTING, LOST_GAIN, MISFIT, SCALED, WEAK_GAIN
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.thresholds import APART_REFUTED, LOST_GAIN, MISFIT, NAMED_SHARE
+
+NORMAL = 1.96  # standard deviations in half a 95 % interval
 
 
-def gain_verdicts(
-    problem: Problem,
-    solution: Solution,
-    std: np.ndarray,
-    block_positions: np.ndarray,
-    runs: Sequence[str],
-    repeating: bool = False,
-) -> tuple[Verdict, ...]:
-    """Verdict on every drive gain.
+def gain_verdicts(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: float) -> tuple[Verdict, ...]:
+    """Judge every drive gain that was estimated.
 
     Parameters
     ----------
-    problem, solution : Problem, Solution
-        What was solved, and how.
-    std : ndarray
-        Standard deviations of the gains (n,).
-    block_positions, runs : ndarray, sequence of str
-        Where the problem's units stand (U, 2), and the names of the runs.
-    repeating : bool
-        Whether errors repeat at the same positions. A joint's own equations then take up more of them than all
-        together do, and each run takes up its own, which is no sign of a wrong description or of other gains.
+    fit, findings, uncertainty : Fit, Findings, Uncertainty
+        What was estimated, what the data say against it, and how well it is known.
+    accuracy : float
+        Half the relative width of the 95 % interval up to which a gain is good.
     """
-    misfit, alone = solution.sigma / problem.signal, problem.own_sigma / solution.sigma
-    if repeating:
-        alone = np.ones_like(alone)
-    # on the same delays: where motions are slow, a joint's own equations hardly tell its delay
-    other, gains = two_stage(problem, solution.delays), slice(problem.n_theta, problem.n_theta + len(problem.joints))
-    between = np.sqrt(np.diag(jackknife((solution.replicates() - other.replicates())[:, gains])))
-    apart = np.abs(solution.gains - other.gains) / np.maximum(std, between)
-    blocks = np.sqrt(np.diag(solution.jackknife))[gains]
-    relative = np.maximum(std, blocks) / np.abs(solution.gains)  # formulas take errors for independent
-    drifts, differences = (
-        worst_drifts(problem, solution, block_positions),
-        worst_differences(problem, solution, block_positions),
-    )
-    reversed_ = solution.gains < 0
-    found = [
-        _gain_verdict(misfit[j], alone[j], apart[j], relative[j], bool(np.all(reversed_)), solution.settled)
-        for j in range(len(problem.joints))
-    ]
-    for j, (drift, difference) in enumerate(zip(drifts, differences, strict=True)):
-        differs = abs(difference.t) > DRIFTING and abs(difference.change) > DRIFT
-        # out of scale, not reversed or in another unit, which other verdicts tell better
-        scaled = differs and difference.share > DOMINANT and abs(difference.change) < SCALED
-        if found[j].outcome not in (Outcome.GOOD, Outcome.WEAK) and not scaled:
-            continue
-        if abs(drift.t) > DRIFTING and abs(drift.change) > DRIFT:
-            found[j] = Verdict(
-                Outcome.CONTRADICTORY,
-                f"in the course of run '{runs[drift.run]}' the current changes by {100 * drift.change:.2g} % against "
-                "the model",
-                "let the robot warm up before the runs, and divide long runs into shorter ones, each with its own "
-                "friction",
-            )
-        elif differs and not repeating:
-            named = "run " + " and ".join(f"'{runs[k]}'" for k in difference.runs)
-            found[j] = Verdict(
-                Outcome.CONTRADICTORY,
-                f"in {named} its current is {100 * abs(difference.change):.2g} % "
-                f"{'larger' if difference.change > 0 else 'smaller'} than the other runs tell",
-                "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and make "
-                "loaded and unloaded runs in turn, as a motor's torque constant falls while it gets warmer",
-            )
-        elif found[j] == GOOD and reversed_[j]:
-            found[j] = Verdict(
-                Outcome.GOOD,
-                "it is negative",
-                "its current counts against its motion: reverse the sign of one of the two if that is not meant",
-            )
-    return tuple(found)
+    return tuple(_verdict(fit, findings, uncertainty, accuracy, j) for j in range(len(fit.solution.gains)))
 
 
-def lack_of_fit(problem: Problem, solution: Solution) -> float:
-    """Deviations by the jackknife over those that independent errors would give, the median over the parameters.
+def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
+    """Half the relative widths of the gains' 95 % intervals, (n,)."""
+    from scipy.special import ndtri, stdtrit
 
-    Near 1 where the errors are noise; well above where they hang together in time, as the model lacks something.
-    """
-    known = np.diag(solution.covariance)[: problem.n_theta]
-    ratio = np.diag(solution.jackknife)[: problem.n_theta][known > 0] / known[known > 0]
-    return float(np.sqrt(np.median(ratio))) if ratio.size else 1.0
+    n_theta, n = fit.system.problem.n_theta, len(fit.solution.gains)
+    gains = slice(n_theta, n_theta + n)
+    std = np.sqrt(np.diag(uncertainty.covariance)[gains]) / np.abs(fit.solution.gains)
+    freedom = uncertainty.effective_freedom
+    return np.asarray(std * (ndtri(0.975) if freedom is None else stdtrit(freedom[gains], 0.975)))
 
 
-def _gain_verdict(
-    misfit: float, alone: float, apart: float, relative: float, all_negative: bool, settled: bool
-) -> Verdict:
-    if all_negative:
+def _verdict(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: float, j: int) -> Verdict:
+    problem, solution = fit.system.problem, fit.solution
+    if np.all(solution.gains < 0):
         return Verdict(
             Outcome.CONTRADICTORY,
             "all drive gains are negative",
             "check the sign of the currents and positions, gravity, which runs carry the payload, and on which body",
         )
+    misfit = float(solution.sigma[j] / problem.signal[j])
+    swapped = [each for each in findings.swapped if j in each.joints]
+    if swapped:
+        return Verdict(Outcome.CONTRADICTORY, swapped[0].why, swapped[0].advice)
+    refuted = [each for each in findings.refuted if abs(each.moves[j]) > accuracy]
+    if refuted:
+        return Verdict(Outcome.CONTRADICTORY, _why(refuted[0], j), refuted[0].advice)
     if misfit > MISFIT:
         return Verdict(
             Outcome.CONTRADICTORY,
             f"the model leaves {100 * misfit:.0f} % of this joint's current unexplained",
             "check that its position and current columns belong together, in all runs, and their signs and units",
         )
-    if alone < ALONE:
-        return Verdict(
-            Outcome.CONTRADICTORY,
-            f"this joint's equations alone are met {1 / alone:.1f} times better than together with the other joints'",
-            "check the order and signs of the joints, the direction of gravity and the robot's geometry",
-        )
-    if not settled:
+    if not solution.settled:
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
-            "the iteration did not settle, so the data do not fix it",
-            "see to the contradictory joints first",
+            "the iteration did not settle, so the data do not determine it",
+            "resolve the contradictory joints first",
         )
-    if relative > LOST_GAIN:
+    half = float(half_widths(fit, uncertainty)[j])
+    std = np.sqrt(np.diag(uncertainty.random)[problem.n_theta + j]) / abs(solution.gains[j])
+    if std > LOST_GAIN:
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
-            f"its standard deviation is {100 * relative:.0f} % of it",
+            f"its standard deviation is {100 * std:.0f} % of it",
             "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
             "gravity, which runs carry the payload, and on which body",
         )
-    if apart > APART:
+    apart = [
+        each
+        for each in findings.alternatives
+        if each.hypothesis == TWO_STAGE and abs(each.moves[j]) > accuracy and abs(each.t) > APART_REFUTED
+    ]
+    if apart:
+        move = 100 * apart[0].moves[j]
         return Verdict(
             Outcome.CONTRADICTORY,
-            f"two estimators differ by {apart:.1f} standard deviations on the same data",
-            "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as "
-            "friction that grows with the load looks alike",
+            f"another estimator (2SLS) finds it {abs(move):.2g} % {'larger' if move > 0 else 'smaller'} from the same "
+            f"data, a difference of {abs(apart[0].t):.0f} standard deviations",
+            apart[0].advice,
         )
-    if relative > WEAK_GAIN:
+    if half > accuracy:
+        return _weak(findings, uncertainty, problem.n_theta + j, half, NORMAL * std > accuracy)
+    if solution.gains[j] < 0:
+        return Verdict(
+            Outcome.GOOD,
+            "it is negative",
+            "its current counts against its motion: reverse the sign of one of the two if that is not meant",
+        )
+    return GOOD
+
+
+def _why(found: Alternative, j: int) -> str:
+    size = f" ({found.size:.2g} {found.unit})" if found.unit else ""
+    size = f" ({100 * found.size:.2g} % of itself)" if found.unit == "of itself" else size
+    return (
+        f"{100 * found.share:.0f} % of the residual variance would go with {found.subject}{size}, which would move "
+        f"this gain by {100 * found.moves[j]:+.2g} %"
+    )
+
+
+def _weak(findings: Findings, uncertainty: Uncertainty, row: int, half: float, random_alone: bool) -> Verdict:
+    random, model = uncertainty.random[row, row], uncertainty.model[row, row]
+    why = f"its 95 % interval is +-{100 * half:.2g} %"
+    if random_alone or model < NAMED_SHARE * (random + model):
         return Verdict(
             Outcome.WEAK,
-            f"its standard deviation is {100 * relative:.1f} %",
+            why,
             "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; "
             "if other joints are weak too, check which runs carry the payload, on which body, and gravity",
         )
-    return GOOD
+    worst = max(findings.alternatives, key=lambda each: each.mean_square * each.slopes[row] ** 2, default=None)
+    ripple = findings.ripple.moves[row] ** 2
+    if worst is None or ripple > worst.mean_square * worst.slopes[row] ** 2:
+        return Verdict(
+            Outcome.WEAK,
+            f"{why}, as residuals repeat at the same positions (ripple of the motors, cables or springs)",
+            "use other paths in the loaded and unloaded runs, or a heavier payload",
+        )
+    return Verdict(
+        Outcome.WEAK,
+        f"{why}, as the data cannot exclude {worst.subject}",
+        worst.advice,
+    )

@@ -1,4 +1,4 @@
-"""The errors of a solution along pieces of the runs, beside what may explain them: more columns than the model has."""
+"""Residuals of a fit along windows of the runs, linearised, beside candidate columns that the model lacks."""
 
 from __future__ import annotations
 
@@ -7,29 +7,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian, residuals
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS, EXTRA
 from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.preparation import InMemoryRun
 
-SAMPLES = 40_000  # that are looked at, of all runs together
-RANK = 1e-6  # of the largest singular value: less is not told
+SAMPLES = 40_000  # of all windows together, which bounds the time of the tests for long logs
+RANK = 1e-6  # of the largest singular value: directions below it are left out
 
-CandidateColumns = Callable[[InMemoryRun, np.ndarray, Iterator[Rows]], Iterator[tuple[Rows, np.ndarray]]]
-"""Gives each block of a piece's rows its torques offered (n, K, m), from the values of the base columns (n_b,)."""
+CandidateColumns = Callable[[Rows], np.ndarray]
+"""Gives torques (n, K, m) in N m or N at each block of a window's decimated rows, in order."""
+
+Offer = Callable[[InMemoryRun, np.ndarray], CandidateColumns]
+"""Makes the candidate columns along a window, from the values (n_b,) of the base columns in its run."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedWindow:
-    """Rows of a piece reduced to triangles, in standard deviations of the current.
+    """Rows of a window reduced to triangles, in standard deviations of the current.
 
     ``errors`` (n, p), their ``jacobian`` (n, p, k) by the unknowns of
-    :func:`gtau.estimation.estimators.newton.jacobian`, and by the m torques ``offered`` (n, p, m).
+    :func:`gtau.estimation.estimators.newton.jacobian`, and by the m candidate torques ``offered`` (n, p, m).
     """
 
     errors: np.ndarray
@@ -38,9 +40,9 @@ class LinearisedWindow:
 
 
 def central_windows(dataset: Dataset, pieces: int = 1) -> list[tuple[int, InMemoryRun]]:
-    """The middle of every run, at most ``SAMPLES`` of all together, in so many ``pieces``, each with its run's number.
+    """Cut the middle of every run into ``pieces`` windows, each with its run's number.
 
-    Runs too short for a row of each piece are left out.
+    All windows together have at most ``SAMPLES`` samples; runs too short for a row of each window are left out.
     """
     found = []
     for run, whole in enumerate(dataset.prepared):
@@ -54,23 +56,30 @@ def central_windows(dataset: Dataset, pieces: int = 1) -> list[tuple[int, InMemo
 
 
 def linearise(
-    dataset: Dataset,
-    system: System,
-    solution: Solution,
-    free_gains: bool,
-    offer: CandidateColumns,
-    pieces: Iterable[tuple[int, InMemoryRun]],
+    fit: Fit,
+    offer: Offer | None,
+    windows: Iterable[tuple[int, InMemoryRun]],
     model: InverseDynamics | None = None,
 ) -> list[LinearisedWindow]:
-    """Errors along ``pieces`` of the runs, their Jacobian, and what is offered to explain them.
+    """Linearise the residuals of a fit along windows of its runs.
 
-    Those of another ``model`` of the robot, where one is given.
+    Parameters
+    ----------
+    fit : Fit
+        What was estimated.
+    offer : callable, optional
+        Makes candidate columns.
+    windows : iterable
+        From :func:`central_windows`.
+    model : InverseDynamics, optional
+        Another model of the robot, with the same base columns.
 
     Raises
     ------
     GtauError
-        Where what is offered cannot be computed along a run.
+        Where the model refuses a sample.
     """
+    dataset, system, solution = fit.dataset, fit.system, fit.solution
     problem, n = system.problem, len(dataset.model.actuated)
     model = dataset.model if model is None else model
     regressor = model.columns(dataset.base.standard)
@@ -81,11 +90,14 @@ def linearise(
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     with_load = any(term.startswith("fl_") for term in system.friction.terms)
     found = []
-    for run, piece in pieces:
+    for run, window in windows:
         load = system.load(run, solution.theta) if with_load else None
-        rows = stream_rows(model, regressor, piece, dataset.preparation.at(piece.run.rate).decimator, load)
+        candidates = None if offer is None else offer(window, system.motion(run, solution.theta))
         waiting: list[list[np.ndarray]] = [[] for _ in range(n)]
-        for part, torques in offer(piece, system.motion(run, solution.theta), rows):
+        m = 0
+        decimator = dataset.preparation.at(window.run.rate).decimator
+        for part in stream_rows(model, regressor, window, decimator, load):
+            torques = np.zeros((n, len(part.time), 0)) if candidates is None else candidates(part)
             m = torques.shape[-1]
             A = np.zeros((n, len(part.time), p + m))
             A[regressor.rows, :, regressor.columns] = part.entries
@@ -99,28 +111,43 @@ def linearise(
             T = triangle(*waiting[j])
             blocks[j, : len(T)] = (T[:, :p] @ system.maps[run, j])[:, columns]
             offered[j, : len(T)] = -state.b[j] * weights[j] * T[:, p:]
-        e, J = residuals(blocks, state, problem.n_theta), jacobian(blocks, state, problem, free_gains)
+        e, J = residuals(blocks, state, problem.n_theta), jacobian(blocks, state, problem, fit.free_gains)
         found.append(LinearisedWindow(e * weights[:, None], J * weights[:, None, None], offered))
     return found
 
 
-def nothing(piece: InMemoryRun, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
-    """No torques are offered."""
-    for part in rows:
-        yield part, np.zeros((*part.keep.shape, 0))
-
-
-def stack(pieces: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors (.,), Jacobian (., k) and what is offered (., m) of all joints in all pieces."""
+def stack(windows: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Stack errors (.,), Jacobian (., k) and candidate columns (., m) of all joints in all windows."""
     return (
-        np.concatenate([each.errors.ravel() for each in pieces]),
-        np.concatenate([of_joint for each in pieces for of_joint in each.jacobian]),
-        np.concatenate([of_joint for each in pieces for of_joint in each.offered]),
+        np.concatenate([each.errors.ravel() for each in windows]),
+        np.concatenate([of_joint for each in windows for of_joint in each.jacobian]),
+        np.concatenate([of_joint for each in windows for of_joint in each.offered]),
     )
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """The steps (k, ...) that make ``e + J step`` least, in the directions that the pieces tell."""
+    """Solve for the steps (k, ...) that minimise ``e + J step``, in the directions that are excited."""
     scale = np.linalg.norm(J, axis=0)
     scale[scale == 0] = 1.0
     return np.asarray((np.linalg.lstsq(J / scale, -e, rcond=RANK)[0].T / scale).T)
+
+
+def at_full_rate(window: InMemoryRun, dataset: Dataset, torques: np.ndarray) -> CandidateColumns:
+    """Decimate torques (m, n, M), made at every sample of a window, into candidate columns."""
+    decimated = dataset.preparation.at(window.run.rate).decimator.apply(torques)  # (m, n, outputs)
+    return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
+
+
+def side_by_side(offers: Sequence[Offer]) -> Offer:
+    """Offer the columns of several hypotheses at once, in one pass of the windows."""
+
+    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+        each = [make(window, values) for make in offers]
+        return lambda rows: np.concatenate([columns(rows) for columns in each], axis=-1)
+
+    return offer
+
+
+def alongside(stream: Iterator[np.ndarray]) -> CandidateColumns:
+    """Make candidate columns from a stream that gives them block by block."""
+    return lambda rows: next(stream)

@@ -9,27 +9,25 @@ are uncertain.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.gain_change import worst_differences
-from gtau.estimation.diagnostics.gain_verdicts import lack_of_fit
 from gtau.estimation.diagnostics.linearisation import (
+    CandidateColumns,
     LinearisedWindow,
+    at_full_rate,
     central_windows,
     least_squares_step,
     linearise,
     stack,
 )
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.estimators.solution import Solution
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.rows import Rows
-from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.thresholds import DOMINANT, LACKING, RIPPLE_SHARE
+from gtau.estimation.thresholds import RIPPLE_SHARE
 from gtau.signals.preparation import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
@@ -48,6 +46,11 @@ class PositionRipple:
     shares: np.ndarray
     moves: np.ndarray
 
+    @staticmethod
+    def none(fit: Fit) -> PositionRipple:
+        """Nothing that repeats."""
+        return PositionRipple(np.zeros(len(fit.solution.gains)), np.zeros(len(fit.solution.stacked)))
+
     @property
     def found(self) -> bool:
         """Whether anything repeats."""
@@ -59,39 +62,30 @@ class PositionRipple:
         return np.outer(self.moves, self.moves)
 
 
-def position_ripple(dataset: Dataset, system: System, solution: Solution, free_gains: bool) -> PositionRipple:
-    """What of the errors repeats at the same positions; looked for where there is a lack of fit.
+def position_ripple(fit: Fit) -> PositionRipple:
+    """Find what of the residuals repeats at the same positions.
 
     Parameters
     ----------
-    dataset, assembly, solution : Dataset, Assembly, Solution
-        What was identified.
-    free_gains : bool
-        Whether the gains are estimated, or given.
+    fit : Fit
+        What was estimated.
     """
-    n = len(dataset.model.actuated)
-    nothing = PositionRipple(np.zeros(n), np.zeros(len(solution.stacked)))
-    if lack_of_fit(system.problem, solution) < LACKING:
-        return nothing
-    differences = worst_differences(system.problem, solution, system.block_positions) if free_gains else ()
-    if any(each.share > DOMINANT for each in differences):
-        return nothing  # currents out of scale in a run leave errors that look like functions of the position
+    dataset, problem, solution = fit.dataset, fit.system.problem, fit.solution
+    nothing = PositionRipple.none(fit)
     pieces = central_windows(dataset, pieces=2)
     low = np.min([piece.all.q.min(axis=0) for _, piece in pieces], axis=0)
     high = np.max([piece.all.q.max(axis=0) for _, piece in pieces], axis=0)
     knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
     width = np.maximum(knots[1] - knots[0], 1e-300)
 
-    def offer(piece: InMemoryRun, values: np.ndarray, rows: Iterator[Rows]) -> Iterator[tuple[Rows, np.ndarray]]:
-        q = piece.samples().q.T
+    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+        q = window.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
-        hats = dataset.preparation.at(piece.run.rate).decimator.apply(hats)  # (n, KNOTS, outputs)
-        for part in rows:
-            yield part, hats[:, :, part.outputs].transpose(0, 2, 1)
+        return at_full_rate(window, dataset, hats.swapaxes(0, 1))
 
-    found = linearise(dataset, system, solution, free_gains, offer, pieces)
+    found = linearise(fit, offer, pieces)
     first, second = found[0::2], found[1::2]
-    sigma = np.maximum(solution.sigma, system.problem.smallest_sigma)
+    sigma = np.maximum(solution.sigma, problem.smallest_sigma)
     heights = 1 / (LARGEST * np.abs(solution.gains) * sigma)
     again = [
         LinearisedWindow(each.errors + np.einsum("jpk,jk->jp", each.offered, torque), each.jacobian, each.offered)
@@ -104,7 +98,7 @@ def position_ripple(dataset: Dataset, system: System, solution: Solution, free_g
         return PositionRipple(shares, nothing.moves)
     moved, _ = _fit([first, second], heights)
     state = solution.iterate
-    return PositionRipple(shares, to_gains(state, system.problem.n_theta, free_gains) @ (moved - step))
+    return PositionRipple(shares, to_gains(state, problem.n_theta, fit.free_gains) @ (moved - step))
 
 
 def _fit(halves: Sequence[Sequence[LinearisedWindow]], heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.diagnostics.verdict import Refutation
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.thresholds import SWAPPED
@@ -39,17 +38,18 @@ def unexplained(dataset: Dataset) -> np.ndarray:
     return left
 
 
-def check_swapped(verdicts: Sequence[Verdict], dataset: Dataset) -> tuple[Verdict, ...]:
-    """Verdicts on the gains where the currents of two joints look swapped."""
-    left, found, joints = unexplained(dataset), list(verdicts), dataset.model.actuated
+def swapped_channels(dataset: Dataset) -> tuple[Refutation, ...]:
+    """Find the pairs of joints whose currents (or torques) look swapped."""
+    left, joints = unexplained(dataset), dataset.model.actuated
     columns = "torques" if dataset.runs[0].kind == "torque" else "currents"
-    for j, k in combinations(range(len(joints)), 2):
-        if left[j, k] < SWAPPED * left[j, j] and left[k, j] < SWAPPED * left[k, k]:
-            found[j] = found[k] = Verdict(
-                Outcome.CONTRADICTORY,
-                f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: "
-                f"{100 * max(left[j, k], left[k, j]):.2g} % of them would stay unexplained if they were exchanged, "
-                f"{100 * min(left[j, j], left[k, k]):.2g} % as they are",
-                f"check that position and {columns[:-1]} columns belong together, in all runs",
-            )
-    return tuple(found)
+    return tuple(
+        Refutation(
+            (j, k),
+            f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: "
+            f"{100 * max(left[j, k], left[k, j]):.2g} % of them would stay unexplained if they were exchanged, "
+            f"{100 * min(left[j, j], left[k, k]):.2g} % as they are",
+            f"check that position and {columns[:-1]} columns belong together, in all runs",
+        )
+        for j, k in combinations(range(len(joints)), 2)
+        if left[j, k] < SWAPPED * left[j, j] and left[k, j] < SWAPPED * left[k, k]
+    )

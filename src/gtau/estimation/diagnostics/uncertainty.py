@@ -1,4 +1,4 @@
-"""The uncertainty of the estimates, and what it is made of."""
+"""The uncertainty of the estimates: a random part, and one from what the model may lack."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
+from gtau.estimation.diagnostics.findings import Findings
 from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.mass_uncertainty import mass_uncertainty
@@ -14,29 +14,42 @@ from gtau.estimation.estimators.mass_uncertainty import mass_uncertainty
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariance (k, k) of (theta, gains, delays), and the degrees of freedom (k,) behind its diagonal.
+    """Covariances (k, k) of (theta, gains, delays): a ``random`` part, the masses' included, and a ``model`` part.
 
-    ``freedom`` is None for very many, ``ripple`` where ripple was not looked for.
+    ``freedom`` (k,) are the degrees of freedom behind the random part, None for very many.
     """
 
-    covariance: np.ndarray
+    random: np.ndarray
+    model: np.ndarray
     freedom: np.ndarray | None
-    ripple: PositionRipple | None
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Both parts together."""
+        return self.random + self.model
+
+    @property
+    def effective_freedom(self) -> np.ndarray | None:
+        """Degrees of freedom of both parts together (k,): the model part counts as known (Satterthwaite)."""
+        if self.freedom is None:
+            return None
+        random, total = np.diag(self.random), np.diag(self.covariance)
+        share = np.divide(total, random, out=np.ones_like(total), where=random > 0)
+        return np.asarray(self.freedom * share**2)
 
 
-def uncertainty_of(fit: Fit, correlated: bool) -> Uncertainty:
+def uncertainty_of(fit: Fit, findings: Findings, correlated: bool) -> Uncertainty:
     """Find the uncertainty of a fit.
 
     Parameters
     ----------
-    fit : Fit
-        What was estimated.
+    fit, findings : Fit, Findings
+        What was estimated, and what the model may lack.
     correlated : bool
-        By the block jackknife, with what ripple does, or by the method's formula.
+        By the block jackknife and with the model part, or by the method's formula alone, as the paper does.
     """
     of_masses = mass_uncertainty(fit.dataset, fit.system, fit.unrefined, fit.solve)
     if not correlated:
-        return Uncertainty(fit.solution.covariance + of_masses, None, None)
-    ripple = position_ripple(fit.dataset, fit.system, fit.solution, fit.free_gains)
-    covariance = fit.solution.jackknife + of_masses + ripple.covariance
-    return Uncertainty(covariance, degrees_of_freedom(fit.system.problem, fit.solution, fit.free_gains), ripple)
+        return Uncertainty(fit.solution.covariance + of_masses, np.zeros_like(of_masses), None)
+    freedom = degrees_of_freedom(fit.system.problem, fit.solution, fit.free_gains)
+    return Uncertainty(fit.solution.jackknife + of_masses, findings.covariance, freedom)

@@ -33,6 +33,15 @@ class Verdict:
         return self.outcome.value + (f": {self.why}; {self.advice}" if self.why else "")
 
 
+@dataclass(frozen=True)
+class Refutation:
+    """What the data refute of the description of robot and logs: for which joints (by number), why, and what to do."""
+
+    joints: tuple[int, ...]
+    why: str
+    advice: str
+
+
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 
 

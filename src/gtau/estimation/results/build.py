@@ -6,13 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
+from gtau.estimation.diagnostics.findings import Findings
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
-from gtau.estimation.diagnostics.verdict import (
-    GOOD,
-    Verdict,
-    parameter_verdict,
-)
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, parameter_verdict
 from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.homogeneous import total_rows_of
@@ -22,7 +20,7 @@ from gtau.estimation.regression.friction import UNITS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System, known_values
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, TorqueError
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.robot import INERTIAL, Robot
@@ -32,6 +30,7 @@ from gtau.robots.units import torque_unit, unit_of
 def build_result(
     fit: Fit,
     estimator: Estimator,
+    findings: Findings,
     uncertainty: Uncertainty,
     essential: Essential,
     diagnosis: Diagnosis,
@@ -43,8 +42,10 @@ def build_result(
     ----------
     fit, estimator : Fit, Estimator
         The estimates with all base parameters, and what made them.
+    findings : Findings
+        What the data say against the model.
     uncertainty : Uncertainty
-        Covariance of (theta, gains, delays), and the degrees of freedom behind it.
+        Covariances of (theta, gains, delays), and the degrees of freedom behind them.
     essential : Essential
         The essential parameters.
     diagnosis : Diagnosis
@@ -53,10 +54,10 @@ def build_result(
         Physically consistent standard parameters.
     """
     dataset, system, solution = fit.dataset, fit.system, fit.solution
-    covariance, freedom = uncertainty.covariance, uncertainty.freedom
+    covariance, freedom = uncertainty.covariance, uncertainty.effective_freedom
     robot, problem, joints, base = dataset.robot, system.problem, dataset.model.actuated, dataset.base
     n_theta, n = problem.n_theta, len(joints)
-    std = np.sqrt(np.diag(covariance))
+    std, model_std = (np.sqrt(np.diag(each)) for each in (covariance, uncertainty.model))
     gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
     units = [torque_unit(robot, joint) for joint in joints]
     of_current = dataset.runs[0].kind == "current"
@@ -67,6 +68,7 @@ def build_result(
     ]
     found, free = _named(problem, solution.theta, std), _freedoms(problem, freedom)
     spread = _spread(system, solution.theta)
+    model_part = {name: min(float(model_std[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
     chosen = {
         name: (float(value), float(deviation))
         for name, value, deviation in zip(
@@ -78,7 +80,10 @@ def build_result(
         name, (kind, body) = base.names[k], base.standard[k].split("_", 1)
         value, deviation = values.get(name, (None, None))
         unit, verdict = unit_of(kind, robot, body), parameter_verdict(value, deviation)
-        return Estimate(name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, free.get(name))
+        model = None if deviation is None else model_part.get(name)
+        return Estimate(
+            name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, free.get(name), model
+        )
 
     return Result(
         robot=robot,
@@ -92,6 +97,7 @@ def build_result(
                 f"{units[k]}/A" if of_current else "1",
                 verdict=diagnosis.gains[k],
                 freedom=None if freedom is None else float(freedom[n_theta + k]),
+                model_std=float(model_std[n_theta + k]) if gain_std.any() else None,
             )
             for k, joint in enumerate(joints)
         },
@@ -99,7 +105,7 @@ def build_result(
             joint: Estimate(
                 joint,
                 float(solution.delays[k]),
-                float(delay_std[k]) or None if diagnosis.delays[k] == GOOD else None,
+                _known(delay_std[k], diagnosis.delays[k]),
                 "s",
                 verdict=diagnosis.delays[k],
                 freedom=None if freedom is None else float(freedom[n_theta + n + k]),
@@ -129,11 +135,13 @@ def build_result(
         statistics={
             **solution.statistics,
             "reduction_loss": essential.loss,
-            "lack_of_fit": diagnosis.lack_of_fit,
+            "lack_of_fit": findings.lack_of_fit,
+            "accuracy": diagnosis.accuracy,
         },
         runs=tuple(run.name for run in dataset.runs),
         notes=(*dataset.notes, *diagnosis.notes),
         consistency=consistency,
+        alternatives=tuple(_moves(each, joints) for each in findings.alternatives),
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
         data=dataset.runs,
@@ -184,6 +192,24 @@ def payload_estimates(
         name, run = each.payload.name, dataset.runs[each.run].name
         payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
     return tuple(payloads)
+
+
+def _known(std: float, verdict: Verdict) -> float | None:
+    """A standard deviation, None where the value is not identifiable or given."""
+    return None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std) or None
+
+
+def _moves(each: Alternative, joints: tuple[str, ...]) -> AlternativeMoves:
+    return AlternativeMoves(
+        each.hypothesis,
+        each.subject,
+        each.size,
+        each.std if np.isfinite(each.std) else None,
+        each.unit,
+        each.probability,
+        each.share,
+        {joint: 100 * float(move) for joint, move in zip(joints, each.moves, strict=True)},
+    )
 
 
 def _named(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tuple[float, float]]:

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 class Estimate:
     """A number with its unit and standard deviation.
 
-    ``value`` is None where the data cannot tell, ``std`` None where the value is known. ``spread`` is the
+    ``value`` is None where it is not identifiable, ``std`` None where the value is known. ``spread`` is the
     standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
     says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
+    ``model_std`` is the part of ``std`` that comes from what the model may lack; the rest is random.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Estimate:
     spread: float | None = None
     verdict: Verdict = GOOD
     freedom: float | None = None
+    model_std: float | None = None
 
     def __str__(self) -> str:
         """Value, standard deviation and unit."""
@@ -58,6 +60,19 @@ class Estimate:
         tail = (1 + level) / 2
         half = self.std * float(ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail))
         return self.value - half, self.value + half
+
+    @property
+    def half_width(self) -> float | None:
+        """Half the width of the 95 % interval, per cent of the value."""
+        interval = self.interval()
+        return None if interval is None or not self.value else 50 * (interval[1] - interval[0]) / abs(self.value)
+
+    @property
+    def random_std(self) -> float | None:
+        """The random part of ``std``."""
+        if self.std is None or self.model_std is None:
+            return self.std
+        return float(np.sqrt(max(self.std**2 - self.model_std**2, 0.0)))
 
     @property
     def rel_std(self) -> float | None:
@@ -91,6 +106,24 @@ class PayloadEstimate:
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)
         return html
+
+
+@dataclass(frozen=True)
+class AlternativeMoves:
+    """The model with one unknown more: what that is, its size, and by how much the gains would move.
+
+    ``std`` is that of ``size``, None where the data say nothing of it; ``probability`` that it holds, given the data;
+    ``share`` of the residual variance that goes with it; ``moves`` of each joint's gain, per cent.
+    """
+
+    hypothesis: str
+    subject: str
+    size: float
+    std: float | None
+    unit: str
+    probability: float
+    share: float
+    moves: Mapping[str, float]
 
 
 @dataclass(frozen=True)

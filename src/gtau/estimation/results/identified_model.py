@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
-from gtau.estimation.results.estimate import Estimate, Named, PayloadEstimate, TorqueError
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate, Named, PayloadEstimate, TorqueError
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
@@ -51,6 +51,8 @@ class IdentifiedModel:
         What was repaired, left out, or is not to be trusted.
     consistency : Consistency, optional
         Standard parameters that rigid bodies can have, where they were asked for.
+    alternatives : tuple of AlternativeMoves
+        What the model may lack, and by how much that would move the gains.
     singularities : tuple of NearestPose
         Where each run comes nearest to singularities of either type.
     distances : tuple of Distances
@@ -79,6 +81,7 @@ class IdentifiedModel:
     runs: tuple[str, ...]
     notes: tuple[str, ...]
     consistency: Consistency | None = None
+    alternatives: tuple[AlternativeMoves, ...] = ()
     singularities: tuple[NearestPose, ...] = ()
     distances: tuple[Distances, ...] = ()
     data: tuple[Run, ...] = ()

@@ -15,7 +15,7 @@ from gtau.documents.kinds import MODEL, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
-from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.readers.native import parse_native
@@ -55,6 +55,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
             "given": list(preparation.given),
         },
         "statistics": dict(result.statistics),
+        "alternatives": [asdict(each) for each in result.alternatives],
         "singularities": [asdict(each) for each in result.singularities],
         "notes": list(result.notes),
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
@@ -123,6 +124,7 @@ def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
         "rel_std": estimate.rel_std,
         "interval": estimate.interval(),
         "freedom": None if estimate.std is None else estimate.freedom,
+        "model_std": estimate.model_std,
         "unit": estimate.unit,
         **_verdict(estimate.verdict),
     }
@@ -251,6 +253,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
         runs=tuple(document["runs"]),
         notes=tuple(document["notes"]),
         consistency=None if document["standard"] is None else _read_standard(document["standard"]),
+        alternatives=tuple(AlternativeMoves(**each) for each in document["alternatives"]),
         singularities=tuple(NearestPose(**each) for each in document["singularities"]),
     )
 
@@ -270,6 +273,7 @@ def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
         entry.get("spread"),
         _read_verdict(entry),
         entry["freedom"],
+        entry["model_std"],
     )
 
 

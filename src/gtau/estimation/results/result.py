@@ -15,7 +15,7 @@ from gtau.estimation.results.frames import result_frame
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_file import load, save
 from gtau.estimation.results.prediction import predict, torque_errors, torques
-from gtau.estimation.results.summary import summary
+from gtau.estimation.results.summary import short_summary, summary
 from gtau.signals.experiment import Payload, as_payload
 from gtau.signals.run import Run
 
@@ -32,9 +32,9 @@ class Result(IdentifiedModel):
     See :class:`gtau.estimation.results.identified_model.IdentifiedModel` for its attributes.
     """
 
-    def summary(self) -> str:
-        """The result as a table to print."""
-        return summary(self)
+    def summary(self, verbose: bool = True) -> str:
+        """Describe the result as text: all of it, or where not ``verbose`` what can be believed, on one screen."""
+        return summary(self) if verbose else short_summary(self)
 
     def torques(
         self,

@@ -11,16 +11,18 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate
+from gtau.estimation.results.headline import headline
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.estimation.thresholds import INFLATED
 
-WIDTH = 96
+WIDTH = 80
+NOTES = 5  # that the short summary shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
 UNTOLD = 1000.0  # per cent: of a larger deviation the value says nothing
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
-ONLY_IN_SUMS = "  * known only in sums with others: the torques need it, but its own value cannot be told"
+ONLY_IN_SUMS = "  * known only in sums with others: the torques need it, but its own value is not identifiable"
 TYPES = {1: "serial", 2: "parallel"}
 OF_TORQUES = " (the logs hold torques, whose gain is 1)"
 
@@ -31,6 +33,8 @@ def summary(result: IdentifiedModel) -> str:
     low_pass = "none" if preparation.cutoff is None else f"{preparation.cutoff:.3g} Hz"
     lines = [
         "=" * WIDTH,
+        *textwrap.wrap(headline(result), WIDTH),
+        "=" * WIDTH,
         f"Robot     {result.robot.name}",
         f"Method    {ESTIMATORS[result.method].description}{OF_TORQUES if result.kind == 'torque' else ''}",
         *textwrap.wrap(f"Runs      {', '.join(result.runs)}", WIDTH, subsequent_indent=" " * 10),
@@ -39,15 +43,7 @@ def summary(result: IdentifiedModel) -> str:
         f"decimation {preparation.decimator.factor} ({preparation.decimator.kind})",
         "=" * WIDTH,
     ]
-    lines += [
-        f"{'Drive gains':<26}{'value':>12}{'std':>10}{'std %':>8}   {'unit':<9}{'delay, ms':>11}{'std':>8}   verdict"
-    ]
-    for joint, gain in result.drive_gains.items():
-        value, std = result.delays[joint].value, result.delays[joint].std
-        told = result.delays[joint].verdict.outcome == Outcome.GOOD
-        shown = f"{1e3 * (value or 0.0):.3f}" if told else "cannot tell"
-        delay = f"{shown:>11}{'' if std is None else f'{1e3 * std:.2g}':>8}"
-        lines.append(f"{_row(joint, gain)}   {gain.unit:<9}{delay}   {gain.verdict.outcome}")
+    lines += gain_lines(result)
     for payload in result.payloads:
         lines += ["-" * WIDTH, *payload_lines(payload)] if set(payload.parameters) - payload.known else []
     if result.friction:
@@ -81,11 +77,64 @@ def summary(result: IdentifiedModel) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def payload_lines(payload: PayloadEstimate) -> list[str]:
-    """One payload as lines of a table."""
+def short_summary(result: IdentifiedModel) -> str:
+    """What can be believed, drive gains, payloads and fit, and the notes that matter most: one screen of text."""
+    lines = ["=" * WIDTH, *textwrap.wrap(headline(result), WIDTH), "=" * WIDTH, *gain_lines(result)]
+    for payload in result.payloads:
+        lines += [*payload_lines(payload, only=("m",))] if "m" in set(payload.parameters) - payload.known else []
+    if result.residuals:
+        best, worst = (chosen(result.residuals, key=lambda each: each.relative) for chosen in (min, max))
+        lines += [
+            "-" * WIDTH,
+            f"Torque residuals: {best.relative:.2g} to {worst.relative:.2g} % rms, the largest at '{worst.joint}'.",
+        ]
+    notes = [*remarks(result), *result.notes]
+    lines += ["=" * WIDTH, *_notes(notes[:NOTES])]
+    more = len(notes) - NOTES
+    lines.append(
+        (f"{more} more notes, all" if more > 0 else "All")
+        + " parameters and the fit of each joint: --verbose, or model.json."
+    )
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def gain_lines(result: IdentifiedModel) -> list[str]:
+    """Drive gains as lines of a table: value, 95 % interval with its random and model part, delay and verdict."""
+    if all(gain.std is None for gain in result.drive_gains.values()):
+        return [
+            f"{'Drive gains (given)':<24}{'value':>10}   unit",
+            *(
+                f"  {joint:<22}{gain.value or 0.0:>10.5g}   {gain.unit:<8} {gain.verdict.outcome}"
+                for joint, gain in result.drive_gains.items()
+            ),
+        ]
+    lines = [f"{'Drive gains':<22}{'value':>8} {'unit':<6}{'+-95 %':>8}{'random':>8}{'model':>8}{'delay':>9} verdict"]
+    for joint, gain in result.drive_gains.items():
+        delay = result.delays[joint]
+        shown = (
+            f"{1e3 * delay.value:.1f} ms" if delay.verdict.outcome == Outcome.GOOD and delay.value is not None else "-"
+        )
+        parts = (gain.half_width, _relative(gain, gain.random_std), _relative(gain, gain.model_std))
+        half, random, model = ("" if part is None else f"{part:.2f} %" for part in parts)
+        lines.append(
+            f"  {joint[:20]:<20}{gain.value or 0.0:>8.5g} {gain.unit:<6}{half:>8}{random:>8}{model:>8}{shown:>9} "
+            f"{gain.verdict.outcome}"
+        )
+    lines.append("  +-95 %: half the interval; random, model: standard deviations, % of the gain")
+    return lines
+
+
+def _relative(gain: Estimate, std: float | None) -> float | None:
+    return None if std is None or not gain.value else 100 * std / abs(gain.value)
+
+
+def payload_lines(payload: PayloadEstimate, only: Sequence[str] = ()) -> list[str]:
+    """One payload as lines of a table; with ``only`` some kinds of parameters."""
     head = f"Payload '{payload.name}' of {payload.run}"
     lines = [head, f"{'':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
     for kind, each in payload.parameters.items():
+        if only and kind not in only:
+            continue
         known = "known" if kind in payload.known else each.regrouping if each.regrouping != kind else ""
         lines.append(f"{_row(kind, each)}   {each.unit:<10}{known}".rstrip())
     return lines
@@ -120,7 +169,7 @@ def _consistency_lines(found: Consistency) -> list[str]:
 
 
 def _row(name: str, estimate: Estimate) -> str:
-    value = "cannot tell" if estimate.value is None else f"{estimate.value:.5g}"
+    value = "none" if estimate.value is None else f"{estimate.value:.5g}"
     std = "" if estimate.std is None else f"{estimate.std:.2g}"
     percent = estimate.rel_std
     relative = "" if percent is None else f"{percent:.2f}" if percent < UNTOLD else f"> {UNTOLD:g}"
@@ -137,42 +186,22 @@ def _growth(loss: float) -> str:
 
 
 def remarks(result: IdentifiedModel) -> list[str]:
-    """What is not good, and what to do about it; one sentence for all joints that share it."""
-    shared: dict[str, list[str]] = {}
-    for joint, gain in result.drive_gains.items():
-        if gain.verdict.why:
-            shared.setdefault(gain.verdict.sentence, []).append(f"'{joint}'")
-    sentences = [f"drive gain of {', '.join(joints)} {sentence}" for sentence, joints in shared.items()]
+    """What is not good beside the gains, and what to do about it."""
+    sentences = []
     for payload in {each.name: each for each in result.payloads}.values():
         if payload.verdict.outcome != Outcome.GOOD:
             sentences.append(f"payload '{payload.name}' {payload.verdict.sentence}")
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
         sentences.append(
-            f"the errors hang together in time (by that alone deviations are {lack:.1f} times those of noise), so the "
-            "model lacks something: friction of another kind, ripple of the motors, cables, elasticity. What does the "
-            "same in all runs may shift the estimates by more than their deviations"
-        )
-    masses = {each.name for each in result.payloads if "m" in each.known}
-    estimated = any(gain.std is not None for gain in result.drive_gains.values())
-    if len(masses) == 1 and estimated:
-        sentences.append(
-            f"all gains scale with the mass given for payload '{masses.pop()}': a wrong one cannot be noticed "
-            "with a single known "
-            "payload, only with a second one of another mass"
-        )
-    turning = any(result.robot.joint(joint).kind == "revolute" for joint in result.drive_gains)
-    if estimated and turning and not result.robot.closures:
-        sentences.append(
-            "the gains of an arm scale with its lengths too, up to twice as much, and its data seldom show a wrong "
-            "one: measure the lengths of the robot file"
+            f"residuals are autocorrelated: standard errors are {lack:.1f} times those of white noise, so the model "
+            "lacks something, such as friction of another kind, ripple of the motors, cables or elasticity"
         )
     lost = [name for name, each in result.parameters.items() if each.value is None]
     if lost:
         sentences.append(
-            f"these motions cannot tell {', '.join(lost)} from the parameters listed before them: no value is "
-            "given; add runs that "
-            "move all joints in other ways"
+            f"these motions cannot separate {', '.join(lost)} from the parameters listed before: no value is given; "
+            "add runs that move all joints in other ways"
         )
     return sentences
 

@@ -1,0 +1,224 @@
+"""How far the estimates may be off because the model lacks something: alternatives, weighted by the data.
+
+Each alternative has one unknown more, of size s. The data find s and its standard deviation; experience allows sizes
+up to a plausible standard deviation. The Bayes factor between the model with it and without it (s = 0) says how well
+the data support it, and what they leave of s moves the estimates by so much (Bayesian model averaging, to first
+order):
+
+    E[s^2] = p (m^2 + v),    p the probability of the alternative, m and v mean and variance of s under it.
+
+Where the data refute an alternative it adds nothing, where they say nothing it adds what is plausible, and where they
+ask for it its whole move counts. Alternatives that would explain the residuals of the same joint compete for p.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
+from gtau.estimation.diagnostics.hypotheses.registry import HYPOTHESES
+from gtau.estimation.diagnostics.linearisation import (
+    LinearisedWindow,
+    central_windows,
+    least_squares_step,
+    linearise,
+    side_by_side,
+    stack,
+)
+from gtau.estimation.diagnostics.score_test import score_tests
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import to_gains
+from gtau.estimation.thresholds import ALTERNATIVE_PRIOR, REFUTED_STD, TOGETHER_SHARE
+
+WINDOWS = 10  # of a run, within which residuals may be autocorrelated
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """The model with one unknown more.
+
+    Attributes
+    ----------
+    hypothesis, subject : str
+        What it is, in words, and the name of its hypothesis.
+    size, std, unit : float, float, str
+        The unknown as the data find it; ``std`` is infinite where the other unknowns explain as much.
+    plausible : float
+        Standard deviation of the sizes that experience allows.
+    group : str
+        Alternatives of one group compete: they would explain the same residuals.
+    log_factor, second_moment : float
+        See :func:`support`.
+    probability : float
+        That it holds, given the data; see :func:`compete`.
+    share : float
+        Share of the residual variance that goes with it.
+    slopes : ndarray
+        By how much (theta, gains, delays) move for a unit of it, (k,).
+    moves : ndarray
+        By what share of itself each gain moves at that size, (n,).
+    advice : str
+        What to do about it.
+    description : bool
+        Whether it contradicts what the user states of robot and logs.
+    """
+
+    hypothesis: str
+    subject: str
+    size: float
+    std: float
+    unit: str
+    plausible: float
+    group: str
+    log_factor: float
+    second_moment: float
+    share: float
+    slopes: np.ndarray
+    moves: np.ndarray
+    advice: str
+    description: bool
+    probability: float = 0.0
+
+    @property
+    def t(self) -> float:
+        """Size in standard deviations."""
+        return self.size / self.std if 0 < self.std < np.inf else 0.0
+
+    @property
+    def mean_square(self) -> float:
+        """What remains of its size squared, given the data."""
+        return self.probability * self.second_moment
+
+
+def support(size: float, std: float, plausible: float) -> tuple[float, float]:
+    """Logarithm of the Bayes factor of an alternative over none, and the second moment of its size under it.
+
+    Parameters
+    ----------
+    size, std : float
+        The size as the data find it; ``std`` is infinite where they say nothing of it.
+    plausible : float
+        Standard deviation of the sizes that experience allows.
+    """
+    if not np.isfinite(std):
+        return 0.0, plausible**2
+    ratio = plausible**2 / (plausible**2 + std**2)
+    factor = 0.5 * np.log1p(-min(ratio, 1 - 1e-16)) + 0.5 * ratio * (size / std) ** 2
+    return float(factor), float((ratio * size) ** 2 + ratio * std**2)
+
+
+def compete(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
+    """Give the alternatives of each group their probabilities: one of them holds, or none."""
+    groups: dict[str, list[Alternative]] = {}
+    for each in alternatives:
+        groups.setdefault(each.group, []).append(each)
+    found: list[Alternative] = []
+    for members in groups.values():
+        prior = ALTERNATIVE_PRIOR / len(members) / (1 - ALTERNATIVE_PRIOR)
+        odds = prior * np.exp(np.minimum([each.log_factor for each in members], 600.0))  # no overflow
+        found += [replace(each, probability=float(p)) for each, p in zip(members, odds / (1 + odds.sum()), strict=True)]
+    return tuple(found)
+
+
+def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -> tuple[Alternative, ...]:
+    """Try all hypotheses on a fit, in one pass over windows of its runs.
+
+    Parameters
+    ----------
+    fit : Fit
+        What was estimated.
+    hypotheses : sequence of Hypothesis
+        What is tried.
+    """
+    tried = [(each, made) for each in hypotheses if (made := each.candidates(fit)) is not None]
+    windows = central_windows(fit.dataset, WINDOWS)
+    if not windows:
+        return ()
+    linear = linearise(fit, side_by_side([candidates.offer for _, candidates in tried]), windows)
+    found: list[Alternative] = []
+    ends = np.cumsum([0, *(len(candidates.names) for _, candidates in tried)])
+    for k, (hypothesis, candidates) in enumerate(tried):
+        mine = [
+            LinearisedWindow(each.errors, each.jacobian, each.offered[..., ends[k] : ends[k + 1]]) for each in linear
+        ]
+        found += _alternatives(fit, hypothesis, candidates, mine)
+    return tuple(found)
+
+
+def _alternatives(
+    fit: Fit, hypothesis: Hypothesis, candidates: Candidates, windows: Sequence[LinearisedWindow]
+) -> list[Alternative]:
+    problem, joints = fit.system.problem, fit.dataset.model.actuated
+    tests = score_tests(lambda: windows, hypothesis.shared)
+    T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
+    gains = slice(problem.n_theta, problem.n_theta + len(joints))
+    found = []
+    for m, (name, unit) in enumerate(zip(candidates.names, candidates.units, strict=True)):
+        for j in range(tests.size.shape[1]):
+            slopes = T @ tests.slopes[m, j]
+            size, std = float(tests.size[m, j]), float(tests.std[m, j])
+            plausible = float(candidates.plausible[m, j])
+            found.append(
+                Alternative(
+                    hypothesis.name,
+                    name.format(subject=f"'{joints[j]}'"),
+                    size,
+                    std,
+                    unit,
+                    plausible,
+                    name if hypothesis.shared else joints[j],
+                    *support(size, std, plausible),
+                    float(tests.share[m, j]),
+                    slopes,
+                    slopes[gains] * size / fit.solution.gains,
+                    hypothesis.advice,
+                    hypothesis.description,
+                )
+            )
+    if candidates.describe is not None:
+        found += _together(fit, hypothesis, candidates.describe, windows)
+    return found
+
+
+def _together(
+    fit: Fit,
+    hypothesis: Hypothesis,
+    describe: Callable[[np.ndarray, np.ndarray], tuple[str, str]],
+    windows: Sequence[LinearisedWindow],
+) -> list[Alternative]:
+    """All candidates of a hypothesis at once, where they explain much: each alone may explain little."""
+    e, J, columns = stack(windows)
+
+    def fitted(more: np.ndarray) -> tuple[np.ndarray, float]:
+        wide = np.hstack([J, more])
+        step = least_squares_step(wide, e)
+        return step, float(np.sum((e + wide @ step) ** 2))
+
+    (before, rest), (step, left) = fitted(columns[:, :0]), fitted(columns)
+    share = 1 - left / rest
+    if share < TOGETHER_SHARE:
+        return []
+    alone = np.array([1 - fitted(columns[:, [k]])[1] / rest for k in range(columns.shape[1])])
+    T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains)
+    slopes = T @ (step[: J.shape[1]] - before)
+    subject, advice = describe(step[J.shape[1] :], alone / share)
+    n_theta, gains = fit.system.problem.n_theta, fit.solution.gains
+    moves = slopes[n_theta : n_theta + len(gains)] / gains
+    # a share of the residual variance as large as this is significant by far
+    return [
+        Alternative(
+            hypothesis.name, subject, 1.0, 1 / (2 * REFUTED_STD), "", 1.0, subject, np.inf, 1.0, share, slopes, moves,
+            advice, hypothesis.description,
+        )
+    ]  # fmt: skip
+
+
+def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarray:
+    """What all alternatives together add to the covariance of (theta, gains, delays), (k, k)."""
+    total = np.zeros((size, size))
+    for each in alternatives:
+        total += each.mean_square * np.outer(each.slopes, each.slopes)
+    return total

@@ -1,0 +1,166 @@
+"""What the data say against a fit: all alternatives tried, and what they refute."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, model_covariance, support
+from gtau.estimation.diagnostics.gain_change import gain_changes
+from gtau.estimation.diagnostics.lack_of_fit import lack_of_fit
+from gtau.estimation.diagnostics.lengths import other_length
+from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
+from gtau.estimation.diagnostics.swapped_channels import swapped_channels
+from gtau.estimation.diagnostics.verdict import Refutation
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.solution import jackknife
+from gtau.estimation.estimators.two_stage import two_stage
+from gtau.estimation.thresholds import (
+    APART,
+    DOMINANT,
+    LACKING,
+    PLAUSIBLE_GAIN_CHANGE,
+    REFUTED_SHARE,
+    REFUTED_STD,
+    SCALED,
+)
+from gtau.progress import Progress, silent
+
+TWO_STAGE = "two-stage least squares"
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What the data say against a fit.
+
+    Attributes
+    ----------
+    lack_of_fit : float
+        Standard deviations by the jackknife over those for independent residuals.
+    alternatives : tuple of Alternative
+        All that were tried.
+    ripple : PositionRipple
+        What of the residuals repeats at the same positions.
+    swapped : tuple of Refutation
+        Pairs of joints whose channels look swapped.
+    """
+
+    lack_of_fit: float
+    alternatives: tuple[Alternative, ...]
+    ripple: PositionRipple
+    swapped: tuple[Refutation, ...]
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """What the model's deficits may add to the covariance of (theta, gains, delays), (k, k)."""
+        return self.ripple.covariance + model_covariance(self.alternatives, len(self.ripple.moves))
+
+    @property
+    def refuted(self) -> tuple[Alternative, ...]:
+        """Alternatives that contradict the description and that the data ask for, the best supported first."""
+        found = [
+            each
+            for each in self.alternatives
+            if each.description and abs(each.t) > REFUTED_STD and each.share > REFUTED_SHARE
+        ]
+        return tuple(sorted(found, key=lambda each: -each.share))
+
+
+def examine(fit: Fit, progress: Progress = silent) -> Findings:
+    """Try all hypotheses on a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        What was estimated.
+    progress : callable
+        Called as the work goes on.
+    """
+    lack = lack_of_fit(fit.system.problem, fit.solution)
+    alternatives = list(find_alternatives(fit))
+    scaled = False
+    if fit.free_gains:
+        alternatives += _of_two_stage(fit)
+        changes = _of_gain_changes(fit)
+        scaled = any(each.share > DOMINANT for each in changes)
+        alternatives += changes
+    if lack > LACKING:
+        alternatives += _of_lengths(fit, progress)
+    ripple = PositionRipple.none(fit) if scaled or lack < LACKING else position_ripple(fit)
+    return Findings(lack, compete(alternatives), ripple, swapped_channels(fit.dataset) if lack > LACKING else ())
+
+
+RUNS_ADVICE = (
+    "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and make loaded and "
+    "unloaded runs in turn, as a motor's torque constant falls while it gets warmer"
+)
+APART_ADVICE = (
+    "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction that "
+    "grows with the load looks alike"
+)
+
+
+def _certain(fit: Fit, hypothesis: str, subject: str, size: float, std: float, moves: np.ndarray) -> Alternative:
+    """An alternative that was found significant by a test of its own; ``moves`` (n,) are those of the gains."""
+    slopes, n_theta = np.zeros(len(fit.solution.stacked)), fit.system.problem.n_theta
+    slopes[n_theta : n_theta + len(moves)] = moves * fit.solution.gains / size
+    return Alternative(
+        hypothesis=hypothesis,
+        subject=subject,
+        size=size,
+        std=std,
+        unit="of itself",
+        plausible=abs(size),
+        group=subject,
+        log_factor=np.inf,
+        second_moment=size**2,
+        share=0.0,
+        slopes=slopes,
+        moves=moves,
+        advice="",
+        description=True,
+    )
+
+
+def _of_lengths(fit: Fit, progress: Progress) -> list[Alternative]:
+    found = other_length(fit, progress)
+    if found is None:
+        return []
+    subject = f"another length, such as {found.what}"
+    # a share of the residual variance as large as this is significant by far
+    certain = _certain(fit, "lengths", subject, found.change, abs(found.change) / (2 * REFUTED_STD), found.moves)
+    return [replace(certain, share=found.share, advice="check the robot's geometry")]
+
+
+def _of_gain_changes(fit: Fit) -> list[Alternative]:
+    problem, names = fit.system.problem, [run.name for run in fit.dataset.runs]
+    changes, found = gain_changes(problem, fit.solution, fit.system.block_positions), []
+    for joint, each in zip(problem.joints, changes, strict=True):
+        if not each.t or abs(each.change) > SCALED:
+            continue  # reversed, or in another unit: other checks name these better
+        std = abs(each.change / each.t)
+        runs, way = " and ".join(f"'{names[k]}'" for k in each.runs), "larger" if each.change > 0 else "smaller"
+        subject = f"the current of '{joint}' being {way} in run {runs} than the other runs say"
+        factor, moment = support(each.change, std, PLAUSIBLE_GAIN_CHANGE)
+        certain = _certain(fit, "gain change", subject, each.change, std, each.moves)
+        weighed = replace(certain, plausible=PLAUSIBLE_GAIN_CHANGE, log_factor=factor, second_moment=moment)
+        found.append(replace(weighed, share=each.share, advice=RUNS_ADVICE))
+    return found
+
+
+def _of_two_stage(fit: Fit) -> list[Alternative]:
+    """By how much 2SLS, which uses the same equations differently, finds other gains."""
+    problem, solution = fit.system.problem, fit.solution
+    gains = slice(problem.n_theta, problem.n_theta + len(problem.joints))
+    # with the same delays: where motions are slow, a joint's own equations hardly determine its delay
+    other = two_stage(problem, solution.delays)
+    std = np.sqrt(np.diag(jackknife((solution.replicates() - other.replicates())[:, gains])))
+    std = np.maximum(std, np.sqrt(np.diag(solution.jackknife)[gains])) / np.abs(solution.gains)
+    moves, found = other.gains / solution.gains - 1, []
+    for j in np.flatnonzero(np.abs(moves) > APART * std):
+        of_joint = np.where(np.arange(len(moves)) == j, moves, 0.0)
+        subject = f"2SLS as the estimator of '{problem.joints[j]}'"
+        certain = _certain(fit, TWO_STAGE, subject, float(moves[j]), float(std[j]), of_joint)
+        found.append(replace(certain, description=False, advice=APART_ADVICE))
+    return found

@@ -1,0 +1,1 @@
+"""Hypotheses about what the model lacks, one file each."""

@@ -1,0 +1,85 @@
+"""What a hypothesis is: candidate torques, and how large they may plausibly be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.estimation.diagnostics.linearisation import Offer
+from gtau.estimation.estimators.estimator import Fit
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Candidate torques of a hypothesis.
+
+    Attributes
+    ----------
+    names : sequence of str
+        What each of the m columns is, with ``{subject}`` for the joint in whose equations it is tried.
+    units : sequence of str
+        Of their sizes.
+    plausible : ndarray
+        Standard deviation of the size that experience allows before the data, (m, n), or (m, 1) of columns that act on
+        all joints.
+    offer : callable
+        Makes the columns.
+    describe : callable, optional
+        Names what sizes (m,) of all columns together mean, and what to do, where they are to be tried together too; its
+        second argument are the shares (m,) of what they explain together that each column explains alone.
+    """
+
+    names: Sequence[str]
+    units: Sequence[str]
+    plausible: np.ndarray
+    offer: Offer
+    describe: Callable[[np.ndarray, np.ndarray], tuple[str, str]] | None = None
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One way in which the model may be wrong.
+
+    Attributes
+    ----------
+    name : str
+        In ``model.json``.
+    shared : bool
+        Whether a candidate acts on all joints with one size, or on each joint with a size of its own.
+    candidates : callable
+        From a fit to its candidates; None where the hypothesis has nothing to say of this robot.
+    advice : str
+        What to do where the data ask for it.
+    description : bool
+        Whether it contradicts what the user states of robot and logs; otherwise it is physics that the model lacks,
+        which widens the intervals.
+    """
+
+    name: str
+    shared: bool
+    candidates: Callable[[Fit], Candidates | None]
+    advice: str
+    description: bool = False
+
+
+def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Viscous coefficients and Coulomb torques of the actuated joints, (n,) each, SI units; 0 where not estimated."""
+    values = dict(zip(fit.system.problem.parameters, fit.solution.theta, strict=True))
+
+    def of(kind: str) -> np.ndarray:
+        joints = fit.dataset.model.actuated
+        return np.array([abs(values.get(f"{kind}_{j}", values.get(f"{kind}_{j}R", 0.0))) for j in joints])
+
+    return of("fv"), of("fs")
+
+
+def rms_torques(fit: Fit) -> np.ndarray:
+    """Rms torques of the joints, (n,), N m or N."""
+    return np.asarray(np.abs(fit.solution.gains) * fit.system.problem.signal)
+
+
+def rms_speeds(fit: Fit) -> np.ndarray:
+    """Largest rms speed of each joint in a run, (n,), rad/s or m/s."""
+    return np.sqrt(np.max([np.diag(run.speeds) for run in fit.dataset.prepared], axis=0))

@@ -1,0 +1,127 @@
+"""Whether another length of the robot explains the residuals.
+
+A wrong length leaves residuals that depend on the motion, as unmodelled friction does; their size does not separate
+the two, their shape does. The robot is fitted again with each length a little longer and a little shorter: a parabola
+through the three sums of squares gives the length that fits best, and the share of the residual variance that goes
+with it. (All parameters are fitted anew each time: with a wrong length they are wrong too, so that torques computed
+with them do not have the shape of the residuals.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step, linearise, stack
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.thresholds import LENGTH_CHANGE, LENGTH_SHARE
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import Progress, silent
+from gtau.robots.robot import Attachment, Mdh, Placement, Robot
+
+STEP = 0.01  # relative change of a length
+SHORT = 0.02  # lengths below this share of the longest are not tried
+SAME = 1e-6  # relative difference of lengths that are meant to be the same
+NEARLY = 0.8  # of the largest share: lengths that explain as much are equally likely
+MOST = 12  # lengths that are tried, the longest first
+
+
+@dataclass(frozen=True, eq=False)
+class OtherLength:
+    """A length that fits better: its relative ``change``, the ``share`` of the residual variance that goes with it.
+
+    ``moves`` (n,) is by what share of itself each gain moves.
+    """
+
+    what: str
+    change: float
+    share: float
+    moves: np.ndarray
+
+
+def other_length(fit: Fit, progress: Progress = silent) -> OtherLength | None:
+    """Find the length that explains most of the residuals, of several the one that is least wrong; None without one."""
+    found = [each for each in _tried(fit, progress) if each.share > LENGTH_SHARE and abs(each.change) > LENGTH_CHANGE]
+    most = max((each.share for each in found), default=0.0)
+    likely = (each for each in found if each.share > NEARLY * most)
+    return min(likely, key=lambda each: abs(each.change), default=None)
+
+
+def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
+    robot = fit.dataset.robot
+    before, _ = _left(fit, fit.dataset.model)
+    lengths = list(zip(_longer(robot, STEP), _longer(robot, -STEP), strict=True))
+    for k, ((what, longer), (_, shorter)) in enumerate(lengths):
+        progress("other lengths", k, len(lengths))
+        try:
+            (above, gains_above), (below, gains_below) = (
+                _left(fit, InverseDynamics(each)) for each in (longer, shorter)
+            )
+        except GtauError:
+            continue  # the robot cannot be assembled or follow its motion with another length
+        slope, curvature = (above - below) / 2, (above + below) / 2 - before
+        if curvature <= 0:
+            continue
+        change = -STEP * slope / (2 * curvature)
+        moves = (gains_above - gains_below) / (2 * STEP) * change / fit.solution.gains
+        yield OtherLength(what, change, slope**2 / (4 * curvature * before), moves)
+    progress("other lengths", len(lengths), len(lengths))
+
+
+def _left(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
+    """Squares of the residuals that a fit of another ``model`` leaves, and its gains (n,), to first order."""
+    e, J, _ = stack(linearise(fit, None, central_windows(fit.dataset), model))
+    step = least_squares_step(J, e)
+    n_theta, gains = fit.system.problem.n_theta, fit.solution.gains
+    change = step[n_theta : n_theta + len(gains)] if fit.free_gains else np.zeros(len(gains))
+    return float(np.sum((e + J @ step) ** 2)), gains - gains**2 * change
+
+
+def _longer(robot: Robot, step: float) -> Iterator[tuple[str, Robot]]:
+    """The robot with each of its lengths longer by a share ``step``, those that are the same together."""
+    places = [(joint.name, joint.placement) for joint in robot.joints]
+    sides = [(end.body, end.placement) for closure in robot.closures for end in (closure.a, closure.b)]
+    lengths: dict[float, list[str]] = {}
+    for name, placement in places + sides:
+        for length in _lengths(placement):
+            same = next((known for known in lengths if abs(known - length) < SAME * known), length)
+            if name not in lengths.setdefault(same, []):
+                lengths[same].append(name)
+    longest = sorted((length for length in lengths if length > SHORT * max(lengths)), reverse=True)[:MOST]
+    for length in longest:
+        joints = tuple(replace(joint, placement=_scaled(joint.placement, length, step)) for joint in robot.joints)
+        closures = tuple(
+            replace(closure, a=_moved(closure.a, length, step), b=_moved(closure.b, length, step))
+            for closure in robot.closures
+        )
+        names = ", ".join(f"'{name}'" for name in lengths[length])
+        yield f"the length of {1e3 * length:.4g} mm at {names}", replace(robot, joints=joints, closures=closures)
+
+
+def _lengths(placement: Placement) -> list[float]:
+    found = (
+        [abs(placement.d), abs(placement.r), abs(placement.b)]
+        if isinstance(placement, Mdh)
+        else [float(np.linalg.norm(placement.xyz))]
+    )
+    return [length for length in found if length > 0]
+
+
+def _moved(end: Attachment, length: float, step: float) -> Attachment:
+    return replace(end, placement=_scaled(end.placement, length, step))
+
+
+def _scaled(placement: Placement, length: float, step: float) -> Placement:
+    """The placement with its lengths of this size longer by a share ``step``."""
+    if isinstance(placement, Mdh):
+        values = {name: getattr(placement, name) for name in ("d", "r", "b")}
+        return replace(
+            placement, **{k: v * (1 + step) for k, v in values.items() if abs(abs(v) - length) < SAME * length}
+        )
+    if abs(float(np.linalg.norm(placement.xyz)) - length) < SAME * length:
+        x, y, z = placement.xyz
+        return replace(placement, xyz=(x * (1 + step), y * (1 + step), z * (1 + step)))
+    return placement

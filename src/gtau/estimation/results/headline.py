@@ -1,0 +1,77 @@
+"""What can be believed of a result, in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.identified_model import IdentifiedModel
+
+NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+
+
+def headline(result: IdentifiedModel) -> str:
+    """Say what can be believed of the drive gains: how many are known how well, and what is wrong with the others."""
+    gains = list(result.drive_gains.values())
+    if all(gain.verdict.outcome == Outcome.GIVEN for gain in gains):
+        return (
+            "The logs hold torques, so no drive gains were identified."
+            if result.kind == "torque"
+            else "The drive gains were given, not identified."
+        )
+    estimated = any(gain.std is not None for gain in gains)
+    sentences = [_good(gains, result.statistics.get("accuracy", 0.0))] if estimated else []
+    for outcome in (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE):
+        reasons: dict[tuple[str, str], list[Estimate]] = {}
+        for gain in gains:
+            if gain.verdict.outcome == outcome:
+                reasons.setdefault((gain.verdict.why, gain.verdict.advice), []).append(gain)
+        sentences += [_sentence(outcome, members, why, advice) for (why, advice), members in reasons.items()]
+    sentences += _weak([gain for gain in gains if gain.verdict.outcome == Outcome.WEAK])
+    remarks = [
+        f"Joint '{gain.name}': {gain.verdict.why}; {gain.verdict.advice}."
+        for gain in gains
+        if gain.verdict.outcome == Outcome.GOOD and gain.verdict.why
+    ]
+    return " ".join([*sentences, *remarks])
+
+
+def _good(gains: Sequence[Estimate], accuracy: float) -> str:
+    good = [gain for gain in gains if gain.verdict.outcome == Outcome.GOOD]
+    total = _number(len(gains))
+    if len(good) == len(gains):
+        widest = max(gain.half_width or 0.0 for gain in good)
+        which = "The drive gain is" if len(gains) == 1 else f"All {total} drive gains are"
+        return f"{which} known to {widest:.2g} % or better (95 % intervals)."
+    if not good:
+        return f"No drive gain is known to {100 * accuracy:g} %."
+    verb = "is" if len(good) == 1 else "are"
+    known = f"{_number(len(good))} of {total} drive gains {verb} known to {100 * accuracy:g} % (95 % intervals)."
+    return known[0].upper() + known[1:]
+
+
+def _weak(gains: Sequence[Estimate]) -> list[str]:
+    """How well the weak gains are known, and what makes the worst of them uncertain."""
+    if not gains:
+        return []
+    widths = [(gain.half_width or 0.0, gain) for gain in gains]
+    known = [f"'{gain.name}' to {width:.2g} %" for width, gain in widths]
+    known[0] = known[0].replace(" to ", " is known to ", 1)
+    listed = known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]
+    worst = max(widths, key=lambda pair: pair[0])[1]
+    return [f"{listed}. Joint '{worst.name}': {worst.verdict.why}; {worst.verdict.advice}."]
+
+
+def _sentence(outcome: Outcome, gains: Sequence[Estimate], why: str, advice: str) -> str:
+    names = " and ".join(", ".join(f"'{gain.name}'" for gain in gains).rsplit(", ", 1))
+    subject = f"Joint {names}" if len(gains) == 1 else f"Joints {names}"
+    said = {
+        Outcome.CONTRADICTORY: "contradicts the description" if len(gains) == 1 else "contradict the description",
+        Outcome.NOT_IDENTIFIABLE: "has no identifiable gain" if len(gains) == 1 else "have no identifiable gains",
+    }[outcome]
+    return f"{subject} {said}: {why}; {advice}."
+
+
+def _number(count: int) -> str:
+    return NUMBERS[count] if count < len(NUMBERS) else str(count)

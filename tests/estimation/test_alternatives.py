@@ -1,0 +1,136 @@
+"""Alternatives to the model: their sizes, their support by the data, and what they do to gains and intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+
+from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, support
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.maximum_likelihood import ML
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.friction import Friction
+from gtau.estimation.thresholds import ALTERNATIVE_PRIOR
+from gtau.model.home import load_robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
+
+ROBOT = load_robot("five-bar")
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    plant, known = Plant(noise=0.01), Payload(name="steel", mass=STEEL["m"])
+    free, loaded = plant.run("free", 10.0, seed=1), plant.run("loaded", 10.0, STEEL, seed=2)
+    return [free, replace(loaded, payload=known)]
+
+
+def fit_of(runs: list[Run]) -> Fit:
+    dataset = reduce_runs(ROBOT, runs)
+    return ML.fit(dataset, dataset.system(Friction((), per_run=True)), Given())
+
+
+def found(runs: list[Run], hypothesis: str, subject: str) -> Alternative:
+    return next(
+        each for each in find_alternatives(fit_of(runs)) if each.hypothesis == hypothesis and subject in each.subject
+    )
+
+
+def currents(runs: list[Run], change: Callable[[Run], np.ndarray]) -> list[Run]:
+    return [replace(run, command=change(run)) for run in runs]
+
+
+def test_a_torque_constant_that_falls_has_its_size_and_moves_its_gain(runs: list[Run]) -> None:
+    rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
+    fall = 0.02  # up to twice the rms current
+    faulty = currents(runs, lambda run: run.command * (1 + fall * np.abs(run.command) / (2 * rms) * [1.0, 0.0]))
+    each = found(faulty, "saturation", "'left'")
+    assert each.size == pytest.approx(fall, rel=0.25)
+    assert each.t > 6
+    # taking it into account brings the gain to the truth, to first order
+    gain = fit_of(faulty).solution.gains[0]
+    assert abs(gain * (1 + each.moves[0]) / GAINS[0] - 1) < 0.4 * abs(gain / GAINS[0] - 1)
+
+
+def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run]) -> None:
+    def warmer(run: Run) -> np.ndarray:
+        along = np.linspace(-0.5, 0.5, len(run.time))[:, None]
+        return run.command * (1 + 0.02 * along * [1.0, 0.0])
+
+    faulty = currents(runs, warmer)
+    assert found(faulty, "gain drift", "'left'").size == pytest.approx(0.02, rel=0.2)
+    assert abs(found(faulty, "gain drift", "'right'").t) < 5
+
+
+def test_an_encoder_zero_has_its_size(runs: list[Run]) -> None:
+    shifted = [replace(run, position=run.position + np.array([np.radians(1.0), 0.0])) for run in runs]
+    each = found(shifted, "encoder zeros", "'left'")
+    # the position is too large by a degree, so taking a degree off it gives the right torques
+    assert each.size == pytest.approx(-1.0, abs=max(0.3, 3 * each.std))
+
+
+def test_clean_logs_support_no_alternative(runs: list[Run]) -> None:
+    alternatives = compete(find_alternatives(fit_of(runs)))
+    assert alternatives
+    assert max(each.share for each in alternatives) < 0.02
+    assert all(np.isfinite(each.slopes).all() for each in alternatives)
+
+
+def test_support_by_the_data() -> None:
+    assert support(0.0, np.inf, 0.1) == (0.0, pytest.approx(0.01))  # nothing said: what is plausible remains
+    factor, moment = support(0.0, 1e-4, 0.1)
+    assert factor < -5  # refuted
+    assert moment < 2e-8
+    factor, moment = support(0.05, 1e-3, 0.1)
+    assert factor > 500  # asked for
+    assert moment == pytest.approx(0.05**2, rel=0.01)
+
+
+def test_alternatives_of_a_group_compete() -> None:
+    def alternative(group: str, factor: float) -> Alternative:
+        zero = np.zeros(1)
+        return Alternative("h", "s", 1.0, 0.1, "", 1.0, group, factor, 1.0, 0.0, zero, zero, "", False)
+
+    pair = compete([alternative("a", 0.0), alternative("a", 0.0)])
+    assert [each.probability for each in pair] == [pytest.approx(ALTERNATIVE_PRIOR / 2)] * 2
+    strong = compete([alternative("a", 50.0), alternative("a", 5.0), alternative("b", -10.0)])
+    assert [each.probability for each in strong] == [
+        pytest.approx(1.0),
+        pytest.approx(0.0, abs=1e-6),
+        pytest.approx(0.0, abs=1e-4),
+    ]
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_friction_that_falls_along_a_run_widens_intervals_and_contradicts_nothing(share: float) -> None:
+    plant, known = Plant(noise=0.01), Payload(name="steel", mass=STEEL["m"])
+    logged = []
+    for name, payload, seed in (("free", None, 1), ("loaded", STEEL, 2)):
+        cold, warm = (
+            replace(plant, chi={k: v * (factor if k[:2] in ("fv", "fs") else 1) for k, v in plant.chi.items()}).run(
+                name, 10.0, payload, seed=seed
+            )
+            for factor in (1 + share / 2, 1 - share / 2)
+        )
+        along = np.linspace(0.0, 1.0, len(cold.time))[:, None]
+        logged.append(replace(cold, command=(1 - along) * cold.command + along * warm.command))
+    result = identify(ROBOT, [logged[0], replace(logged[1], payload=known)])
+    for joint, truth in zip(JOINTS, GAINS, strict=True):
+        gain = result.drive_gains[joint]
+        assert gain.verdict.outcome in (Outcome.GOOD, Outcome.WEAK), gain.verdict.sentence
+        low, high = gain.interval() or (0.0, 0.0)
+        assert low < truth < high
+
+
+def test_intervals_hold_a_random_and_a_model_part(runs: list[Run]) -> None:
+    result = identify(ROBOT, runs)
+    for gain in result.drive_gains.values():
+        assert gain.std == pytest.approx(np.hypot(gain.random_std or 0.0, gain.model_std or 0.0))
+    assert {each.hypothesis for each in result.alternatives} >= {"friction shape", "saturation", "encoder zeros"}
+    assert all(set(each.moves) == set(JOINTS) for each in result.alternatives)

@@ -1,0 +1,104 @@
+"""`compare` and `identify` are one pipeline: the same gains, standard deviations and verdicts from every estimator."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
+
+import gtau.estimation
+from gtau.errors import GtauError
+from gtau.estimation import thresholds
+from gtau.estimation.compare import EstimatorComparison, compare
+from gtau.estimation.diagnostics.verdict import worst
+from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.identify import identify
+
+SOURCE = Path(gtau.estimation.__file__).parent
+
+
+@pytest.fixture(scope="module")
+def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Logs whose torque constants fall by 8 % up to the largest currents."""
+    folder, plant = tmp_path_factory.mktemp("saturating"), Plant(noise=0.02)
+    for name, payload, seed in (("free", None, 1), ("loaded", STEEL, 2), ("check", STEEL, 3)):
+        run = plant.run(name, 8.0, payload, seed=seed)
+        share = np.abs(run.command) / np.abs(run.command).max(axis=0)
+        write_log(folder / f"{name}.csv", replace(run, command=run.command * (1 + 0.08 * share)))
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    return folder / "experiment.yaml"
+
+
+@pytest.fixture(scope="module")
+def comparison(experiment: Path) -> EstimatorComparison:
+    return compare(experiment)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "ml",
+        "tls",
+        "wls",
+        *(pytest.param(m, marks=pytest.mark.slow) for m in ("huber", "ridge", "iv", "didim", "2sls", "mixed", "ols")),
+    ],
+)
+def test_compare_says_what_identify_says(method: str, experiment: Path, comparison: EstimatorComparison) -> None:
+    row = next(row for row in comparison.rows if row.method == method)
+    if row.refusal:
+        with pytest.raises(GtauError, match=re.escape(row.refusal)):
+            identify(experiment, method=method)
+        return
+    result = identify(experiment, method=method)
+    gains = list(result.drive_gains.values())
+    np.testing.assert_allclose(row.gains, [gain.value for gain in gains], rtol=1e-12)
+    if row.std is not None:
+        np.testing.assert_allclose(row.std, [gain.std for gain in gains], rtol=1e-9)
+        assert row.outcome == worst([gain.verdict for gain in gains])
+        assert row.outcome != "good"
+
+
+def test_every_estimator_is_compared(comparison: EstimatorComparison) -> None:
+    assert [row.method for row in comparison.rows] == list(ESTIMATORS)
+
+
+def test_every_threshold_says_what_it_rests_on() -> None:
+    found = {name: value for name, value in vars(thresholds).items() if name.isupper() and name != "NONE"}
+    assert len(found) > 30
+    for name, value in found.items():
+        assert isinstance(value, thresholds.Threshold), name
+        assert value.statistic, name
+        assert value.evidence, name
+
+
+def test_no_threshold_stands_outside_the_table() -> None:
+    """Where outcomes are decided no number is compared with, but 0 and 1, and no constant that is not imported."""
+    decide = [
+        SOURCE / "diagnostics" / name for name in ("gain_verdicts.py", "diagnose.py", "findings.py", "verdict.py")
+    ]
+    decide += [SOURCE / "diagnostics" / name for name in ("delays.py", "prior_checks.py", "payload_checks.py")]
+    for path in decide:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        own = {
+            target.id
+            for node in tree.body
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)
+            for target in node.targets
+            if isinstance(target, ast.Name) and isinstance(node.value.value, (int, float))
+        }
+        allowed = {"NORMAL", "THOUSAND"}  # the normal distribution, and the factor between A and mA
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Compare):
+                continue
+            for part in ast.walk(node):
+                if isinstance(part, ast.Constant) and isinstance(part.value, (int, float)):
+                    assert part.value in (0, 1, 2, 1000, 0.001), f"{path.name}:{part.lineno} compares with {part.value}"
+                if isinstance(part, ast.Name):
+                    assert part.id not in own - allowed, (
+                        f"{path.name}:{part.lineno}: {part.id} belongs into thresholds.py"
+                    )
