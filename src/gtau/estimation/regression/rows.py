@@ -41,6 +41,7 @@ def stream_rows(
     decimator: Decimator,
     load: np.ndarray | None = None,
     outputs: range | None = None,
+    fast: int = FAST_SAMPLES,
 ) -> Iterator[Rows]:
     """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (eqs. 19 and 20).
 
@@ -55,6 +56,8 @@ def stream_rows(
         that depends on them; without it the command stands in for the torque, up to the drive gain.
     outputs : range, optional
         The rows wanted, by their numbers in the run; all if left out.
+    fast : int
+        Samples of a block before decimation.
 
     Raises
     ------
@@ -62,7 +65,7 @@ def stream_rows(
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
     n = len(prepared)
-    size = max(FAST_SAMPLES, 8 * decimator.warm_up) // decimator.factor
+    size = max(fast, 8 * decimator.warm_up) // decimator.factor
     outputs = range(decimator.outputs(n)) if outputs is None else outputs
     for block, of, c in _along(idm, prepared, decimator.blocks(n, size, outputs), decimator.reach(n, outputs).stop):
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
