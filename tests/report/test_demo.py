@@ -214,7 +214,8 @@ def test_the_examples_of_the_readme_run_in_the_demo(
     assert {each["joint"]: each["value"] for each in mine["drive_gains"]} == pytest.approx(
         found
     )  # std differs: mass_std
-    assert Path("result/torques_validation_loaded.png").read_bytes().startswith(b"\x89PNG")
+    assert Path("check/torques_validation_loaded.png").read_bytes().startswith(b"\x89PNG")
+    assert all(Path(folder, "report.html").exists() for folder in ("result", "check"))
     names: dict[str, Any] = {}
     exec(snippet, names)
     assert names["tau"].shape == (5, 3)

@@ -109,7 +109,7 @@ def _platforms(page: _Page) -> None:
 
 def _joints(page: _Page) -> None:
     robot, found = page.scene.robot, page.scene.found
-    for joint in page.scene.joints:
+    for joint in sorted(page.scene.joints, key=lambda joint: joint.name in robot.driven):  # driven ones on top
         R, p = found[joint.name]
         driven = joint.name in robot.driven
         size = 5.5 if driven else 3.8
@@ -171,7 +171,7 @@ def _furniture(page: _Page) -> None:
         f'<text x="{22 + length * page.scale:.1f}" y="{bottom + 4:.1f}">{words}</text>'
     )
     axes = scene.view @ scene.upright
-    x, y = WIDTH - 62, bottom - 14
+    x, y = WIDTH - 62, bottom - 22
     for k, name in enumerate("xyz"):
         a, b = x + 22 * axes[0, k], y - 22 * axes[1, k]
         page.marks.append(
