@@ -12,6 +12,7 @@ import scipy.stats
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.physical_plausibility import cannot_be_negative, judge_parameter
 from gtau.estimation.diagnostics.verdict import Outcome, known_verdict, parameter_verdict, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.factors import STRETCHES
@@ -111,6 +112,26 @@ def test_verdicts_of_parameters() -> None:
     assert parameter_verdict(1.0, 0.6).outcome == Outcome.NOT_IDENTIFIABLE
 
 
+@pytest.mark.parametrize(
+    ("regrouping", "nonnegative"),
+    [
+        ("fv_2", True),
+        ("fv_21 + fv_51", True),
+        ("ia_1 + zz_1 + 0.16 m_2", True),
+        ("m_1 - 3.2258 mx_3 + m_3", False),
+        ("xx_3 - yy_3", False),
+        ("off_1", False),
+        ("mx_2", False),
+    ],
+)
+def test_parameters_that_cannot_be_negative(regrouping: str, nonnegative: bool) -> None:
+    assert cannot_be_negative(regrouping) == nonnegative
+    outcome = judge_parameter(-0.0022, 0.0002, regrouping).outcome
+    assert outcome == (Outcome.CONTRADICTORY if nonnegative else Outcome.GOOD)
+    assert judge_parameter(-0.0022, 0.0015, regrouping).outcome != Outcome.CONTRADICTORY
+    assert judge_parameter(0.0022, 0.0002, regrouping).outcome == Outcome.GOOD
+
+
 def test_verdicts_of_masses() -> None:
     assert known_verdict("m", 2.0, 2.02, 0.01, "kg").outcome == Outcome.GOOD
     wrong = known_verdict("m", 2.0, 2.05, 0.01, "kg")
@@ -131,7 +152,7 @@ def test_every_number_has_a_verdict_and_good_ones_say_nothing(result: Result) ->
         assert gain.verdict.outcome == Outcome.GOOD
         assert gain.verdict.sentence == "good"
     for each in result.parameters.values():
-        assert each.verdict == parameter_verdict(each.value, each.std)
+        assert each.verdict == judge_parameter(each.value, each.std, each.regrouping)
         assert bool(each.verdict.advice) == (each.verdict.outcome != Outcome.GOOD)
 
 

@@ -36,6 +36,13 @@ ACCURACY = Threshold(
 )
 LOST_GAIN = Threshold(0.5, "relative random standard deviation of a gain", "below 0.05 (UR10e pairs)", NONE, "a choice")
 WEAK_PARAMETER = Threshold(0.2, "relative standard deviation of a parameter", NONE, NONE, "a choice")
+NEGATIVE_STD = Threshold(
+    4.0,
+    "standard deviations below zero of a parameter that cannot be negative",
+    NONE,
+    "11 (an armature of -0.0022 +- 0.0002 kg m2 from a log filtered wrongly)",
+    "a level: one in 30,000 by chance",
+)
 NAMED_SHARE = Threshold(
     0.5,
     "share of the model part in a gain's variance from which its cause is named",

@@ -9,6 +9,7 @@ import numpy as np
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.findings import Findings
+from gtau.estimation.diagnostics.physical_plausibility import judge_parameter
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, parameter_verdict
 from gtau.estimation.estimators.essential_parameters import Essential
@@ -79,7 +80,8 @@ def build_result(
     def parameter(k: int, values: Mapping[str, tuple[float, float]]) -> Estimate:
         name, (kind, body) = base.names[k], base.standard[k].split("_", 1)
         value, deviation = values.get(name, (None, None))
-        unit, verdict = unit_of(kind, robot, body), parameter_verdict(value, deviation)
+        unit = unit_of(kind, robot, body)
+        verdict = judge_parameter(value, deviation, base.regroupings[name])
         model = None if deviation is None else model_part.get(name)
         return Estimate(
             name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, free.get(name), model

@@ -197,6 +197,11 @@ def remarks(result: IdentifiedModel) -> list[str]:
             f"residuals are autocorrelated: standard errors are {lack:.1f} times those of white noise, so the model "
             "lacks something, such as friction of another kind, ripple of the motors, cables or elasticity"
         )
+    absurd = [each for each in result.parameters.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
+    if absurd:
+        listed = ", ".join(f"{each.name} = {each.value:.3g} {each.unit}" for each in absurd[:3])
+        more = f" and {len(absurd) - 3} more" if len(absurd) > 3 else ""
+        sentences.append(f"parameters that no robot can have: {listed}{more}; {absurd[0].verdict.advice}")
     lost = [name for name, each in result.parameters.items() if each.value is None]
     if lost:
         sentences.append(
