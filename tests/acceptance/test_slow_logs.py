@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from orthoglide_logs import orthoglide
 
-from gtau.estimation.diagnostics.gain_verdicts import lack_of_fit
+from gtau.estimation.diagnostics.lack_of_fit import lack_of_fit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import FLATTEST, curved
