@@ -87,6 +87,13 @@ def test_a_urdf_keeps_all_but_inertias_and_friction(tmp_path: Path, rng: np.rand
     assert text.startswith('<?xml version="1.0"?>\n<!-- the arm of the tests -->\n<robot name="arm">')
     assert text.endswith("</robot>\n<!-- the end -->\n")
     assert "<!-- without inertia -->" in text
+    assert (
+        '<link name="base"><visual><geometry><mesh filename="package://arm/base.stl"/></geometry></visual></link>'
+        in text
+    )
+    for line in URDF.splitlines():
+        if not any(tag in line for tag in ("inertia", "mass", "dynamics", '<origin xyz="0.1 0 0"', "lower", "elbow")):
+            assert line in text.splitlines()
     ignored = ("inertial", "origin", "mass", "inertia", "dynamics")
     one, other = (without_numbers(ElementTree.fromstring(each), ignored) for each in (URDF, text))
     assert one == other
@@ -113,6 +120,9 @@ def test_an_mjcf_keeps_all_but_inertias_friction_and_gears(tmp_path: Path, rng: 
     exported = gtau.export_model(result, "mjcf", tmp_path / "out", into=source)
     text = exported.files[0].read_text()
     assert "<!-- the arm of the tests -->" in text
+    for line in MJCF.splitlines():
+        if not any(tag in line for tag in ("<body", "<joint", "<motor", "<compiler")):
+            assert line in text.splitlines()
     assert 'file="part.stl"' in text
     assert 'ref="0.3"' in text
     notes = " ".join(exported.notes)

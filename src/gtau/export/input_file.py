@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+from xml.parsers.expat import ParserCreate
 
 import numpy as np
 
@@ -19,14 +19,75 @@ from gtau.robots.robot import Robot
 SAME = 1e-6  # m, and entries of rotations: readers round
 
 
+@dataclass(frozen=True)
+class Span:
+    """Where an element stands in the bytes of its file: from ``start`` to ``stop``, its start tag up to ``inner``."""
+
+    start: int
+    inner: int
+    stop: int
+
+    @property
+    def empty(self) -> bool:
+        """Whether it is one tag, ``<a/>``."""
+        return self.inner == self.stop
+
+
 @dataclass(frozen=True, eq=False)
 class InputFile:
-    """An XML file: its ``root`` with comments, and the text ``before`` and ``after`` it."""
+    """An XML file as it stands, its elements and where they stand, and the ``edits`` to be made: span, new bytes."""
 
     path: Path
-    before: str
+    content: bytes
     root: Element
-    after: str
+    spans: dict[Element, Span]
+    edits: list[tuple[int, int, bytes]] = field(default_factory=list)
+
+    def set(self, element: Element, **attributes: str) -> None:
+        """Give an element attributes; those it has otherwise stay as they are written."""
+        span = self.spans[element]
+        tag = self.content[span.start : span.inner].decode("ascii", "surrogateescape")
+        for name, value in attributes.items():
+            tag, found = re.subn(rf"(\s{name}\s*=\s*)(\"[^\"]*\"|'[^']*')", rf'\g<1>"{value}"', tag, count=1)
+            if not found:
+                tag = re.sub(r"\s*(/?>)$", rf' {name}="{value}"\g<1>', tag)
+        self.edits.append((span.start, span.inner, tag.encode("ascii", "surrogateescape")))
+
+    def replace(self, element: Element, text: str) -> None:
+        """Put ``text`` in the place of an element."""
+        span = self.spans[element]
+        indented = text.replace("\n", "\n" + self._indent(span.start).decode())
+        self.edits.append((span.start, span.stop, indented.encode()))
+
+    def remove(self, element: Element) -> None:
+        """Take an element away, with the white space before it."""
+        span = self.spans[element]
+        start = len(self.content[: span.start].rstrip())
+        self.edits.append((start, span.stop, b""))
+
+    def insert(self, parent: Element, text: str) -> None:
+        """Put ``text`` before everything else in an element, on a line of its own."""
+        span = self.spans[parent]
+        indent = b"\n" + self._indent(span.start) + b"  "
+        new = indent + text.encode().replace(b"\n", indent)
+        if span.empty:
+            tag = self.content[span.start : span.inner].rstrip(b"/>").rstrip()
+            whole = tag + b">" + new + indent[:-2] + b"</" + parent.tag.encode() + b">"
+            self.edits.append((span.start, span.stop, whole))
+        else:
+            self.edits.append((span.inner, span.inner, new))
+
+    def _indent(self, at: int) -> bytes:
+        """White space at the beginning of the line of a place, if there is nothing else before it."""
+        line = self.content[self.content.rfind(b"\n", 0, at) + 1 : at]
+        return line if not line.strip() else b""
+
+    def text(self) -> bytes:
+        """The file with all edits made."""
+        made = self.content
+        for start, stop, new in sorted(self.edits, reverse=True):
+            made = made[:start] + new + made[stop:]
+        return made
 
     def save(self, out: Path, notes: list[str], figures: dict[str, float]) -> Exported:
         """Write the file under its own name into another folder ``out``.
@@ -38,12 +99,11 @@ class InputFile:
         """
         if (out / self.path.name).resolve() == self.path.resolve():
             raise GtauError(f"{self.path} would be overwritten; choose another folder for --out.")
-        text = self.before + ElementTree.tostring(self.root, encoding="unicode").rstrip() + self.after
-        return Exported(written(out, {self.path.name: text}), tuple(notes), figures)
+        return Exported(written(out, {self.path.name: self.text()}), tuple(notes), figures)
 
 
 def input_file(path: Path, robot: Robot) -> InputFile:
-    """Read the file of ``robot`` with its comments.
+    """Read the file of ``robot``, so that it can be written with edits.
 
     Raises
     ------
@@ -57,14 +117,37 @@ def input_file(path: Path, robot: Robot) -> InputFile:
         root = read_xml(path)  # safe: no entities, no document types
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
-    text = path.read_text(encoding="utf-8")
-    start, stop = re.search(rf"<{root.tag}\b", text), text.rfind(f"</{root.tag}>")
-    assert start is not None
-    end = stop + len(f"</{root.tag}>")
-    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    for prefix, uri in re.findall(r'xmlns:(\w+)="([^"]+)"', text):
-        ElementTree.register_namespace(prefix, uri)
-    return InputFile(path, text[: start.start()], ElementTree.fromstring(text[start.start() : end], parser), text[end:])
+    content = path.read_bytes()
+    return InputFile(path, content, root, dict(zip(root.iter(), _spans(content), strict=True)))
+
+
+def _spans(content: bytes) -> list[Span]:
+    """Spans of all elements, in the order in which they begin."""
+    parser = ParserCreate()
+    begun: list[int] = []
+    stops: dict[int, int] = {}
+    inside: list[int] = []
+
+    def start(name: str, attributes: object) -> None:
+        begun.append(parser.CurrentByteIndex)
+        inside.append(parser.CurrentByteIndex)
+
+    def end(name: str) -> None:
+        opened, at = inside.pop(), parser.CurrentByteIndex
+        # the end of an empty tag is reported where it begins, or after it
+        closes = content[at : at + 2] == b"</"
+        stops[opened] = content.index(b">", at) + 1 if closes else _tag_end(content, opened)
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.Parse(content, True)
+    return [Span(at, _tag_end(content, at), stops[at]) for at in begun]
+
+
+def _tag_end(content: bytes, start: int) -> int:
+    """Where a tag that begins at ``start`` ends; a > within quotes is none."""
+    found = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>").match(content, start)
+    assert found is not None
+    return found.end()
 
 
 def _difference(found: Robot, robot: Robot) -> str:

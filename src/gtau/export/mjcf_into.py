@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import casadi as ca
@@ -47,12 +46,12 @@ def export(result: Result, source: Path, out: Path) -> Exported:
         )
     inertias, lumped = _inertias(mujoco, model, compiled), []
     for number, element in enumerate(elements, start=1):
-        _put_inertial(element, inertias.get(number, NO_BODY))
+        _put_inertial(file, element, inertias.get(number, NO_BODY))
         if number not in inertias:
             lumped.append(element.get("name", f"body {number}"))
         for place, joint in enumerate(_joints(element)):
-            _put_friction(joint, model, _joint_name(compiled, int(compiled.body_jntadr[number]) + place))
-    said = [*_put_gears(file.root, model), *_allow_inertias(file.root)]
+            _put_friction(file, joint, model, _joint_name(compiled, int(compiled.body_jntadr[number]) + place))
+    said = [*_put_gears(file, model), *_allow_inertias(file)]
     _check(mujoco, file)
     expressed = {name: value for name, value in model.standard.items() if not name.startswith("off_")}
     found = differences(model, expressed, cubic=True)
@@ -115,35 +114,37 @@ def _single(mujoco: Any, compiled: Any, joint: str) -> bool:
     return int(compiled.joint(joint).type[0]) in [int(kind) for kind in kinds]
 
 
-def _put_inertial(element: Element, body: RigidBody) -> None:
-    old = element.find("inertial")
-    inertial = Element("inertial") if old is None else old
-    if old is None:
-        inertial.tail = element.text
-        element.insert(0, inertial)
-    inertial.attrib.clear()
+def _put_inertial(file: InputFile, element: Element, body: RigidBody) -> None:
     entries = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    inertia = {"fullinertia": digits(entries)} if body.mass else {"diaginertia": "0 0 0"}
-    inertial.attrib |= {"pos": digits(body.center), "mass": digits(body.mass), **inertia}
+    inertia = f'fullinertia="{digits(entries)}"' if body.mass else 'diaginertia="0 0 0"'
+    text = f'<inertial pos="{digits(body.center)}" mass="{digits(body.mass)}" {inertia}/>'
+    old = element.find("inertial")
+    if old is None:
+        file.insert(element, text)
+    else:
+        file.replace(old, text)
 
 
-def _put_friction(element: Element, model: ConsistentModel, joint: str) -> None:
+def _put_friction(file: InputFile, element: Element, model: ConsistentModel, joint: str) -> None:
+    attributes = {}
     if f"fv_{joint}" in model.standard:
-        cubic = model.cubic(joint)
-        element.set("armature", digits(model.of("ia", joint)))
-        element.set("damping", digits((model.of("fv", joint), 0.0, cubic) if cubic else model.of("fv", joint)))
-        element.set("frictionloss", digits(model.of("fs", joint)))
+        viscous, cubic = model.of("fv", joint), model.cubic(joint)
+        attributes["armature"] = digits(model.of("ia", joint))
+        attributes["damping"] = digits((viscous, 0.0, cubic) if cubic else viscous)
+        attributes["frictionloss"] = digits(model.of("fs", joint))
     if f"{STIFFNESS}_{joint}" in model.standard:
-        element.set("stiffness", digits(model.of(STIFFNESS, joint)))
+        attributes["stiffness"] = digits(model.of(STIFFNESS, joint))
+    if attributes:
+        file.set(element, **attributes)
 
 
-def _put_gears(root: Element, model: ConsistentModel) -> list[str]:
+def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
     """Drive gains as gears of motors, and what to mind."""
     put, left = [], []
-    for actuator in (each for section in root.findall("actuator") for each in section if each.get("joint")):
+    for actuator in (each for section in file.root.findall("actuator") for each in section if each.get("joint")):
         joint = actuator.get("joint", "")
         if actuator.tag == "motor" and joint in model.gains:
-            actuator.set("gear", digits(model.gains[joint]))
+            file.set(actuator, gear=digits(model.gains[joint]))
             put.append(joint)
         elif joint in model.gains:
             left.append(joint)
@@ -155,21 +156,23 @@ def _put_gears(root: Element, model: ConsistentModel) -> list[str]:
     return notes
 
 
-def _allow_inertias(root: Element) -> list[str]:
+def _allow_inertias(file: InputFile) -> list[str]:
     """Let MuJoCo take the inertias of the file rather than those of the shapes."""
     notes = []
-    for compiler in root.findall("compiler"):
+    for compiler in file.root.findall("compiler"):
         if compiler.get("inertiafromgeom") == "true":
-            compiler.set("inertiafromgeom", "auto")
+            file.set(compiler, inertiafromgeom="auto")
             notes.append("inertiafromgeom is now 'auto', so that the identified inertias count")
         if float(compiler.get("settotalmass", "-1")) > 0:
-            raise GtauError("the file rescales all masses (settotalmass); remove that attribute of <compiler> first.")
+            raise GtauError(
+                f"{file.path} rescales all masses (settotalmass); remove that attribute of <compiler> first."
+            )
     return notes
 
 
 def _check(mujoco: Any, file: InputFile) -> None:
     try:
-        spec = mujoco.MjSpec.from_string(ElementTree.tostring(file.root, encoding="unicode"))
+        spec = mujoco.MjSpec.from_string(file.text().decode())
         for kind in SHAPES:
             for each in list(getattr(spec, kind)):
                 spec.delete(each)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
@@ -32,19 +33,28 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     carrier = _carriers(file, {joint.name for joint in result.robot.joints})
     lumped = []
     for element in file.root.findall("link"):
-        name = element.get("name", "")
+        name, inertial = element.get("name", ""), element.find("inertial")
         body, moves = carrier.get(name, (GROUND, False))
         if moves:
-            _put_inertial(element, inertial_element(rigid_body(model.standard, body)))
-        elif body != GROUND and (inertial := element.find("inertial")) is not None:
-            element.remove(inertial)
+            new = inertial_element(rigid_body(model.standard, body))
+            ElementTree.indent(new)
+            text = ElementTree.tostring(new, encoding="unicode")
+            if inertial is None:
+                file.insert(element, text)
+            else:
+                file.replace(inertial, text)
+        elif body != GROUND and inertial is not None:
+            file.remove(inertial)
             lumped.append(name)
     for joint in file.root.findall("joint"):
-        if joint.get("name") in {each.name for each in result.robot.joints}:
+        name = joint.get("name", "")
+        if name in {each.name for each in result.robot.joints}:
+            friction = {"damping": repr(model.of("fv", name)), "friction": repr(model.of("fs", name))}
             dynamics = joint.find("dynamics")
-            dynamics = SubElement(joint, "dynamics") if dynamics is None else dynamics
-            for attribute, kind in (("damping", "fv"), ("friction", "fs")):
-                dynamics.set(attribute, repr(model.of(kind, joint.get("name", ""))))
+            if dynamics is None:
+                file.insert(joint, ElementTree.tostring(Element("dynamics", friction), encoding="unicode"))
+            else:
+                file.set(dynamics, **friction)
     found = differences(model, model.standard, cubic=True)
     said = [difference_note(found), *notes(model, identifier(result.robot.name))]
     if lumped:
@@ -74,19 +84,3 @@ def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
                 break
             at, direct = parent_name, False
     return found
-
-
-def _put_inertial(link: Element, inertial: Element) -> None:
-    """Put ``inertial`` in the place of the one that is there, indented alike."""
-    old = link.find("inertial")
-    if old is None:
-        inertial.tail = link.text
-        link.insert(0, inertial)
-        return
-    inertial.tail, inertial.text = old.tail, old.text
-    for child in inertial:
-        child.tail = old.text
-    if len(old):
-        inertial[-1].tail = old[-1].tail
-    link.insert(list(link).index(old), inertial)
-    link.remove(old)
