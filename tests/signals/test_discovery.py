@@ -216,3 +216,37 @@ def test_logs_of_several_makers(shared: Path, name: str) -> None:
     assert (draft.time[0] if draft.time else draft.rate) == time
     assert list(draft.position.values())[: len(positions)] == positions
     assert (draft.kind, list(draft.command.values())[: len(commands)]) == (kind, commands)
+
+
+def test_a_bag_with_commands_in_another_topic(tmp_path: Path) -> None:
+    """Joint states without efforts, and currents as an array with stamps of their own: drafted, then aligned."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    state, array = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+    layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        states = bag.add_connection("/arm/joint_states", state, typestore=store)
+        currents = bag.add_connection("/arm/motor_currents", array, typestore=store)
+        for time, q, v in zip(TIME, Q, V, strict=True):
+            stamp = round((100 + time) * 1e9)
+            header = kinds["std_msgs/msg/Header"](
+                stamp=kinds["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)), frame_id=""
+            )
+            none = np.empty(0)
+            message = kinds[state](header, ["left", "right"], q.copy(), none, none)
+            bag.write(states, stamp, store.serialize_cdr(message, state))
+            bag.write(currents, stamp + 10**6, store.serialize_cdr(kinds[array](layout, v.copy()), array))
+    robot = load_robot("five-bar")
+    draft = discover([tmp_path / "bag"], robot, "five-bar")
+    assert draft.time == ("/arm/joint_states/header/stamp",)
+    assert draft.command_time == ("/arm/motor_currents/received",)
+    assert draft.kind == "current"
+    (tmp_path / "e.yaml").write_text(draft_text(draft, tmp_path))
+    experiment = read_experiment(tmp_path / "e.yaml")
+    run = read_run(experiment.runs[0].log, experiment.signals, units=experiment.units)
+    assert "aligned the currents with the positions" in run.notes[0]
+    np.testing.assert_allclose(run.position, Q[1:], atol=1e-9)
+    np.testing.assert_allclose(run.command[:, 1], 0.75 * V[1:, 1] + 0.25 * V[:-1, 1], atol=1e-6)

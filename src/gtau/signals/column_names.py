@@ -66,7 +66,7 @@ def taken_apart(name: str, joints: Sequence[str] = ()) -> ColumnName:
             break
     if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
         words = ["timestamp"]  # of a topic of a bag
-    elif not label and bare.startswith("/") and bare.count("/") > 2:  # /joint_states/elbow/position
+    elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
         *topic, label, field = bare.split("/")
         stem = "/".join([*topic, "#", field])
         words = _words(field)

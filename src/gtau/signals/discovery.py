@@ -18,6 +18,7 @@ from gtau.signals.log_file import find_columns, read_log
 
 ROWS = 200_000  # of a log that are looked at
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
+COMMANDS = ("current", "torque", "command", "motor")  # kinds of columns, those preferred first
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LARGEST_CURRENT = 100.0  # A; commands of no known kind that reach further are taken for torques, to be checked
 TURNS = 20.0  # rad or m; joints that are said to move further are logged in deg or mm
@@ -32,6 +33,11 @@ class Group:
     columns: Mapping[str, str]
     reference: bool = False
     unit: str | None = None
+
+    @property
+    def first(self) -> str:
+        """Its first column."""
+        return next(iter(self.columns.values()))
 
     @property
     def listed(self) -> str:
@@ -81,22 +87,12 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     GtauError
         A log cannot be read, or no positions or no commands are found in it.
     """
-    runs: list[tuple[Path, ...]] = [(path,) for path in paths]
-    first = _Log.read(paths[0], robot)
-    if first.group("position") and first.command_group():
-        position_log = command_log = first
-    else:
-        half = len(paths) // 2
-        position_log, command_log = first, _Log.read(paths[half], robot) if half else first
-        if not position_log.group("position") and command_log.group("position"):
-            position_log, command_log = command_log, position_log
-            paths = [*paths[half:], *paths[:half]]
-        if half and not len(paths) % 2:
-            runs = list(zip(paths[:half], paths[half:], strict=True))
+    position_log, command_log, runs = _sources(paths, robot)
     positions, commands = position_log.group("position"), command_log.command_group()
     for group, what in ((positions, "positions"), (commands, "currents or torques")):
         if group is None:
-            listed = ", ".join(first.table.columns[:20]) + (", ..." if len(first.table.columns) > 20 else "")
+            names = position_log.table.columns
+            listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
             raise GtauError(
                 f"{paths[0]}: no columns of {what} are recognised among {listed}; write the experiment file by hand "
                 "(docs/experiment-file.md), or rename the columns, such as q1 and current1."
@@ -125,7 +121,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     if commands.unit in ("A", "mA", "N m", "N"):
         units[kind] = commands.unit
     command_time: tuple[str, ...] = ()
-    if command_log is not position_log and command_log.time and command_log.rows != position_log.rows:
+    apart = command_log.path == position_log.path or command_log.rows != position_log.rows
+    if command_log is not position_log and command_log.time and apart:
         command_time = command_log.time
     alike = {group.listed for group in (*position_log.groups, *command_log.groups) if group.kind != "other"}
     used = {positions.listed, commands.listed}
@@ -147,6 +144,22 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     return replace(draft, open=(*draft.open, "reference")) if commands.reference else draft
 
 
+def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[_Log, _Log, list[tuple[Path, ...]]]:
+    """The logs of the first run's positions and commands, often one, and the files of every run."""
+    runs: list[tuple[Path, ...]] = [(path,) for path in paths]
+    first, half = _Log.read(paths[0], robot), len(paths) // 2
+    if first.group("position") and first.command_group():
+        return first, first, runs
+    if first.group("position") and (other := first.of_another_topic(robot)) is not None:
+        return first, other, runs
+    if not half or len(paths) % 2:
+        return first, first, runs
+    second = _Log.read(paths[half], robot)
+    if not first.group("position") and second.group("position"):
+        return second, first, list(zip(paths[half:], paths[:half], strict=True))
+    return first, second, list(zip(paths[:half], paths[half:], strict=True))
+
+
 @dataclass(frozen=True)
 class _Log:
     """A log with its columns by kind, and the numbers of the first rows (N,) by column."""
@@ -159,22 +172,33 @@ class _Log:
     reasons: Mapping[str, str]
 
     @classmethod
-    def read(cls, path: Path, robot: Robot | None) -> _Log:
+    def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> _Log:
+        """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
         table = find_columns(path)
         joints = robot.actuated if robot else ()
         names = [taken_apart(name, joints) for name in table.columns if name and table.columns.count(name) == 1]
         if table.numbered:
             return _numbered(path, table, len(joints))
         groups = _grouped(names)
-        topics = {_topic(each.name) for each in names}
         wanted = [each for each in names if each.kind not in (None, "other")] or names
-        if len(topics) > 1:  # of a bag: the one with positions
-            main = next((_topic(next(iter(each.columns.values()))) for each in groups if each.kind == "position"), None)
-            wanted = [each for each in wanted if _topic(each.name) == main] or wanted[:1]
-            groups = [each for each in groups if _topic(next(iter(each.columns.values()))) == main]
+        topics = _topics(table)
+        if len(topics) > 1:
+            of_kind = (_topic(each.first, topics) for each in groups if each.kind in kinds)
+            main = next((each for each in of_kind if each != but), None)
+            wanted = [each for each in wanted if _topic(each.name, topics) == main] or wanted[:1]
+            groups = [each for each in groups if _topic(each.first, topics) == main]
         values = _values(path, [each.name for each in wanted])
         time = _time_columns(wanted, values)
         return cls(path, table, values, time, tuple(_told_apart(groups, values, path)), {})
+
+    def of_another_topic(self, robot: Robot | None) -> _Log | None:
+        """The commands of a bag whose positions are in this topic."""
+        topics = _topics(self.table)
+        positions = self.group("position")
+        if len(topics) < 2 or positions is None:
+            return None
+        other = _Log.read(self.path, robot, COMMANDS, but=_topic(positions.first, topics))
+        return other if other.command_group() else None
 
     @property
     def rows(self) -> int:
@@ -188,7 +212,7 @@ class _Log:
     def command_group(self) -> Group | None:
         """Currents before torques, and torques of joints before those of motors."""
         position = self.group("position")
-        found = [self.group(kind) for kind in ("current", "torque", "command", "motor")]
+        found = [self.group(kind) for kind in COMMANDS]
         groups = [each for each in found if each is not None]
         alike = [each for each in groups if position is None or len(each.columns) >= len(position.columns)]
         return next(iter(alike or groups), None)
@@ -228,8 +252,14 @@ class _Log:
         return rounded, f"no time column; {velocities.listed} are the derivatives of the positions at {rate:.4g} Hz"
 
 
-def _topic(name: str) -> str:
-    return name.split("/")[1] if name.startswith("/") else ""
+def _topics(table: Table) -> list[str]:
+    """Topics of a bag, each of which has its stamps; those within others first."""
+    found = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
+    return sorted(found, key=len, reverse=True)
+
+
+def _topic(name: str, topics: Sequence[str]) -> str:
+    return next((topic for topic in topics if name.startswith(f"{topic}/")), "")
 
 
 def _values(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
