@@ -15,7 +15,7 @@ from gtau.demo.run import demo
 from gtau.documents.files import write_atomically
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.summary import UNTOLD
+from gtau.estimation.results.summary import NOT_SHOWN
 from gtau.progress import silent
 from gtau.simulation.control_comparison import STRATEGIES
 
@@ -191,9 +191,9 @@ def _table_3(found: Mapping[str, Any], result: Result) -> list[Sequence[str]]:
         unit = (each or result.parameters[name]).unit
         published = (f"{paper[0]:g}", f"{paper[1]:.2f}") if paper else ("", "")
         sigma = None if each is None else each.rel_std
-        rel = "" if sigma is None else f"{sigma:.2f}" if sigma <= UNTOLD else f"> {UNTOLD:g}"
+        rel = "" if sigma is None else f"{sigma:.2f}" if sigma <= NOT_SHOWN else f"> {NOT_SHOWN:g}"
         value = "cancelled" if each is None or each.value is None else f"{each.value:.4g}"
-        value = "not told" if (sigma or 0.0) > UNTOLD else value
+        value = "not told" if (sigma or 0.0) > NOT_SHOWN else value
         rows.append((label, unit, *published, f"{true[name]:.4g}", value, rel))
     return rows
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 class Row:
     """What one estimator makes of the data.
 
-    ``gains`` and ``std`` (n,), N m/A or N/A, the deviations None where the gains are given. ``residuals`` (n,)
+    ``gains`` and ``std`` (n,), N m/A or N/A, the standard deviations None where the gains are given. ``residuals`` (n,)
     are those of the currents in per cent of them, ``seconds`` the time of the estimation alone. An estimator
     that refuses the data has nothing but its ``refusal``.
     """

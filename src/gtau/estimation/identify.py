@@ -59,8 +59,8 @@ def identify(
         The paper's r_sigma for the essential parameters; if left out, the Bayesian information criterion decides
         which base parameters are cancelled.
     as_paper : bool
-        Follow the paper step by step: its TLS (or WLS or OLS), its decimation filter, its friction, no delays, formula
-        deviations, and the essential parameters re-estimated together with the gains at ratio 10.
+        Follow the paper step by step: its TLS (or WLS or OLS), its decimation filter, its friction, no delays,
+        standard errors by formula, and the essential parameters re-estimated together with the gains at ratio 10.
         (Samples near reversals are left out all the same: with them TLS fails.)
     consistent : bool
         Also find standard parameters that rigid bodies can have (see

@@ -53,7 +53,7 @@ def weigh(
     Raises
     ------
     GtauError
-        Where a file is wrong or of another robot, or the runs cannot tell the payload.
+        Where a file is wrong or of another robot, or the runs cannot separate the payload from the robot.
     """
     described = experiment_of(model, experiment)
     robot = model.robot
@@ -79,7 +79,7 @@ def weigh(
     lost = [name for each in system.payloads for name in each.unknown if name in system.unexcited]
     if lost:
         raise GtauError(
-            f"{experiment}: the runs cannot tell the payload from the robot itself; add a run without payload, or "
+            f"{experiment}: the runs cannot separate the payload from the robot itself; add a run without payload, or "
             "with one of which all parameters are known."
         )
     solution = solve(system.problem)

@@ -2,7 +2,7 @@
 
 A delay is read off the current's rate of change. Where a joint moves slowly, that is mostly noise, which looks the
 same at any delay. What the expansion ``v - d v' + d^2/2 v''`` makes of the noise then places the minimum, and gives it
-a curvature of its own: the deviation means nothing.
+a curvature of its own: the standard deviation means nothing.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ class LegDifference:
     compared : tuple of str
         Names of its parameters that have counterparts of the same regrouping in all these legs.
     deviations : ndarray
-        (compared,): differences from the mean of the others, in standard deviations of the difference.
+        (compared,): differences from the mean of the others, in their standard deviations.
     relative : ndarray
         (compared,): the same differences in per cent of the mean of the others.
     distance : float

@@ -1,4 +1,4 @@
-"""What the data say of payloads that are known, and what the uncertainty of these makes of the estimates."""
+"""Whether the data agree with the known values of the payloads."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gtau.signals.experiment import Payload
 
 @dataclass(frozen=True)
 class Freed:
-    """A payload's value as all else tells it, with its deviation; what is left then, and how far the gains move."""
+    """A payload's value estimated from all else, its standard deviation, the residual and the gains' move."""
 
     value: float
     std: float
@@ -43,11 +43,11 @@ def weigh_known(fit: Fit, method: str) -> dict[str, Verdict]:
     for name, payload in known.items():
         tested = (*(("m",) if len(known) > 1 else ()), *payload.parameters)
         freed = {kind: _freed(fit, method, payload, kind) for kind in tested}
-        told = {kind: found for kind, found in freed.items() if found is not None}
-        if not told:
+        found_of_kind = {kind: found for kind, found in freed.items() if found is not None}
+        if not found_of_kind:
             continue
-        kind = min(told, key=lambda kind: told[kind].left)
-        found, unit = told[kind], unit_of(kind, dataset.robot, dataset.robot.tool)
+        kind = min(found_of_kind, key=lambda kind: found_of_kind[kind].left)
+        found, unit = found_of_kind[kind], unit_of(kind, dataset.robot, dataset.robot.tool)
         small = kind != "m" and found.moves < PAYLOAD_MOVES
         declared = known_values(payload)[kind]
         verdicts[name] = GOOD if small else known_verdict(kind, declared, found.value, found.std, unit)
@@ -55,7 +55,7 @@ def weigh_known(fit: Fit, method: str) -> dict[str, Verdict]:
 
 
 def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
-    """What all else tells of a payload's parameter, if it does."""
+    """Estimate a payload's parameter from all else; None where it is not identifiable."""
     dataset, system = fit.dataset, fit.system
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
@@ -75,7 +75,7 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
         if of == kind and np.count_nonzero(sums) == 1 and label in other.problem.parameters
     ]
     if not columns or not set(other.unexcited) <= set(system.unexcited):
-        return None  # or it cannot be told from what is not declared
+        return None  # or it cannot be separated from what is not declared
     best = min(columns, key=lambda k: float(std[k]))
     value = float(free.theta[best])
     of_mass = payload.mass_std if mass is None else value * payload.mass_std / mass

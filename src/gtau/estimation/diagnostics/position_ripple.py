@@ -1,7 +1,7 @@
-"""Errors that repeat at the same positions: ripple of the motors, cables, springs.
+"""Residuals that repeat at the same positions: ripple of the motors, cables, springs.
 
-They stand in every run alike, so leaving a stretch out tells nothing of what they do to the estimates. But they can
-be seen: each joint is offered a torque that is any function of its own position (piecewise linear, one for each run,
+They repeat in every run, so the jackknife cannot detect what they do to the estimates, but cross-validation can: each
+joint is offered a torque that is any function of its own position (piecewise linear, one for each run,
 as encoders may have been set to zero in between), found in the first half of each run and tried in the second, and the
 other way round. Where it takes errors away, the estimates move when the torque is offered in all runs; by so much they
 are uncertain.

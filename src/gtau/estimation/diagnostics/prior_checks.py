@@ -1,7 +1,7 @@
 """What contradicts gains from outside their own equations, and what the contradiction of one gain means for the others.
 
 An error of a unit scales all gains, or a payload, and is met by the data as well as the truth; only what is known
-beside the data tells it: gains from data sheets, and the limits of the joints' effort.
+beside the data reveals it: gains from data sheets, and the limits of the joints' effort.
 """
 
 from __future__ import annotations
@@ -79,6 +79,6 @@ def share_doubts(verdicts: Sequence[Verdict], joints: Sequence[str]) -> tuple[Ve
     if not wrong:
         return tuple(verdicts)
     doubt = Verdict(
-        Outcome.WEAK, f"joint '{wrong[0]}' contradicts the model that they share", "see to that joint first"
+        Outcome.WEAK, f"joint '{wrong[0]}' contradicts the model that they share", "resolve that joint first"
     )
     return tuple(doubt if each.outcome == Outcome.GOOD else each for each in verdicts)

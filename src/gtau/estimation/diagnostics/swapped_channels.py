@@ -1,4 +1,4 @@
-"""Whether the currents of two joints are swapped: each joint's motion then explains the other's current best."""
+"""Swapped channels: each of two joints' motions explains the other's current best."""
 
 from __future__ import annotations
 

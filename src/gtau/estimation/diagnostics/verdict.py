@@ -50,7 +50,7 @@ def parameter_verdict(value: float | None, std: float | None) -> Verdict:
     if value is None:
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
-            "these motions do not tell it from the parameters listed before it",
+            "these motions cannot separate it from the parameters listed before it",
             "add runs that move the joints in other ways",
         )
     if std is None:
@@ -59,7 +59,7 @@ def parameter_verdict(value: float | None, std: float | None) -> Verdict:
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
             "it is within two standard deviations of zero",
-            "take it for small, or move its joint faster and further",
+            "treat it as small, or move its joint faster and further",
         )
     if std > WEAK_PARAMETER * abs(value):
         return Verdict(Outcome.WEAK, f"its standard deviation is {100 * std / abs(value):.0f} %", "add longer runs")

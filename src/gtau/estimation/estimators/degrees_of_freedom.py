@@ -1,12 +1,12 @@
-"""Degrees of freedom of the jackknife's deviations, by which intervals follow the t distribution.
+"""Degrees of freedom of the jackknife standard deviations, for intervals by the t distribution.
 
-As many as there are units, less one, if all units say as much of a parameter. Often a few say nearly all: Coulomb
-friction of a passive joint shows where that joint turns round. Its deviation then rests on these few alone, and
-varies as much. How much each unit says follows from the motions (Satterthwaite's rule, as Bell and McCaffrey use it):
+As many as there are blocks, less one, if all blocks carry as much information on a parameter. Often a few carry nearly
+all: Coulomb friction of a passive joint shows where that joint reverses. Its standard deviation then rests on these
+few alone. The information of each block follows from the motions (Satterthwaite's rule, as Bell and McCaffrey use it):
 
     (sum s_u^2)^2 / sum s_u^4
 
-with s_u^2 the variance that leaving out unit u has, errors being independent.
+with s_u^2 the variance that leaving out block u contributes, for independent residuals.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gtau.estimation.regression.problem import Problem
 
 
 def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarray:
-    """Degrees of freedom of the deviations of (theta, gains, delays), (n_theta + 2 n,).
+    """Find the degrees of freedom of the standard deviations of (theta, gains, delays), (n_theta + 2 n,).
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
         left = np.eye(J.shape[1]) - J.T @ J
         try:
             of_rows = np.linalg.solve(left, J.T)
-        except np.linalg.LinAlgError:  # what only this unit tells
+        except np.linalg.LinAlgError:  # what only this block identifies
             of_rows = np.linalg.pinv(left, rcond=1e-10, hermitian=True) @ J.T
         variances.append(np.sum((named @ of_rows) ** 2, axis=1))
     total, squares = np.sum(variances, axis=0), np.sum(np.square(variances), axis=0)

@@ -61,7 +61,7 @@ def along_simulated_motion(
             return along, system
     raise GtauError(
         "simulation and estimate do not settle, so the parameters found do not make the motion that was measured; "
-        "use --method ml, or add runs that tell the parameters better."
+        "use --method ml, or add runs that excite the parameters better."
     )
 
 

@@ -1,4 +1,4 @@
-"""Essential parameters: the base parameters that the data say something about (paper, section 5.2)."""
+"""Essential parameters: the base parameters that are significant (paper, section 5.2)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def essential_parameters(
     ratio: float | None = None,
     correlated: bool = True,
 ) -> tuple[Problem, Solution, np.ndarray]:
-    """Cancel the parameter of largest relative deviation, again and again.
+    """Cancel the parameter of largest relative standard deviation, repeatedly.
 
     With a ``ratio`` until the paper's rule ``max(rel) / min(rel) < ratio`` holds over ``candidates``. As
     kept parameters absorb what the cancelled ones did, that over-prunes where the best parameter is
@@ -44,7 +44,7 @@ def essential_parameters(
     Problem, Solution
         Of the parameters that are left.
     std : ndarray
-        Their deviations (n_theta,) as the rule saw them, which take the cancelled ones for zero.
+        Their standard deviations (n_theta,) as the rule saw them, with the cancelled ones zero.
     """
     solution = solve(problem)
     formula = np.maximum(np.diag(solution.covariance), 1e-300)
@@ -66,7 +66,7 @@ def essential_parameters(
 
 @dataclass(frozen=True, eq=False)
 class Essential:
-    """The essential parameters: the problem they are left in, the solution, and their standard deviations (n_theta,).
+    """The essential parameters: the reduced problem, its solution, and their standard deviations (n_theta,).
 
     ``loss`` is by how much the residual of the worst joint grows without the cancelled ones, per cent.
     """
@@ -96,6 +96,6 @@ def reduce_fit(fit: Fit, covariance: np.ndarray, ratio: float | None, correlated
     solve = fit.solve if joint else fit.solve_fixed
     kept, reduced, std = essential_parameters(problem, candidates, solve, ratio, correlated)
     if ratio is None:
-        # a kept parameter absorbs what the cancelled ones did: only the deviation with all of them there holds
+        # a kept parameter absorbs what the cancelled ones did: only the standard deviation with all of them holds
         std = np.sqrt(np.diag(covariance))[[problem.parameters.index(name) for name in kept.parameters]]
     return Essential(kept, reduced, std, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1))

@@ -20,7 +20,7 @@ LOAD_SETTLED = 1e-4  # relative change of the gains that ends them
 def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple[Dataset, System]:
     """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
 
-    Terms that the joints' own equations ask for, but that all equations together do not tell, are left out again.
+    Terms that the joints' own equations ask for, but that all equations together do not identify, are left out.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
     joints, per_run = dataset.model.actuated, len(dataset.runs) > 1
@@ -71,7 +71,7 @@ def select_friction_terms(problem: Problem) -> tuple[str, ...]:
 
 
 def prune_friction_terms(problem: Problem, friction: Friction, solve: Solve) -> tuple[str, ...]:
-    """The terms whose deviations by the jackknife are less than a third of them, the worst left out first."""
+    """Keep the terms whose jackknife standard deviations are below a third of them, dropping the worst first."""
     terms = tuple(name for name in friction.terms if name in problem.parameters)
     while terms:
         solution = solve(problem)

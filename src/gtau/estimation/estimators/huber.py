@@ -23,7 +23,7 @@ from gtau.progress import Progress
 from gtau.signals.quantiles import medians
 from gtau.signals.storage import block, spans
 
-TUNING = 1.345  # standard deviations: 95 % efficient where nothing stands out
+TUNING = 1.345  # standard deviations: 95 % efficient without outliers
 PASSES = 10
 SETTLED = 1e-4  # relative change of the gains
 MAD = 1.4826  # median absolute deviation to standard deviation

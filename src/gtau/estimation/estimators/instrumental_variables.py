@@ -125,7 +125,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     else:
         raise GtauError(
             "the iteration with instrumental variables did not settle, as the motion simulated has little to do with "
-            "the one measured; use --method ml, or add runs that tell the parameters better."
+            "the one measured; use --method ml, or add runs that excite the parameters better."
         )
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - len(step) / n, 1))
     T, inverse = to_gains(state, n_theta, free_gains) @ back, np.linalg.inv(A)

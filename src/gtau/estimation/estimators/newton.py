@@ -16,10 +16,10 @@ from gtau.estimation.regression.triangle import triangle
 
 STEPS = 200
 SETTLED = 1e-9  # of a standard deviation: a smaller step ends the iteration
-ROUNDING = 1e-14  # of the terms that make up the residuals: no step can be told from rounding below this
+ROUNDING = 1e-14  # of the terms that make up the residuals: steps below this are rounding
 RANK = 1e-13  # of the largest singular value: less is rounding
 FLATTEST = 0.05  # least curvature that is believed, as a share of that of Gauss and Newton
-LARGEST_STEP = 1e8  # of leaving a unit out, in standard deviations: more, and only that unit tells
+LARGEST_STEP = 1e8  # of leaving a block out, in standard deviations: more, and only that block identifies it
 
 
 def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -142,8 +142,8 @@ def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     norms = np.linalg.norm(rows, axis=0)
     norms[norms == 0] = 1.0
     _, s, Vt = np.linalg.svd(triangle(rows / norms), full_matrices=False)
-    told = s > RANK * s[0]
-    back = Vt[told].T / s[told] / norms[:, None]
+    kept = s > RANK * s[0]
+    back = Vt[kept].T / s[kept] / norms[:, None]
     added = back[len(back) - len(curvature) :]
     values, vectors = np.linalg.eigh(np.eye(back.shape[1]) + (added.T * curvature) @ added)
     return np.asarray(back @ (vectors / np.sqrt(np.maximum(values, FLATTEST))))
@@ -156,8 +156,8 @@ def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
         return np.asarray(gauss + second)
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(gauss)
-        told = values > RANK * values[-1]
-        root, inverse = vectors[:, told] * np.sqrt(values[told]), vectors[:, told] / np.sqrt(values[told])
+        kept = values > RANK * values[-1]
+        root, inverse = vectors[:, kept] * np.sqrt(values[kept]), vectors[:, kept] / np.sqrt(values[kept])
         shares, axes = np.linalg.eigh(np.eye(root.shape[1]) + inverse.T @ second @ inverse)
         return np.asarray(root @ (axes * np.maximum(shares, FLATTEST)) @ axes.T @ root.T)
 
@@ -234,6 +234,6 @@ def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
             if np.abs(inverse).max() > LARGEST_STEP:
                 raise np.linalg.LinAlgError
             steps.append(inverse @ side)
-        except np.linalg.LinAlgError:  # what only this unit tells stays as it is
+        except np.linalg.LinAlgError:  # what only this block identifies stays as it is
             steps.append(np.linalg.lstsq(left, side, rcond=1e-10)[0])
     return np.array(steps)

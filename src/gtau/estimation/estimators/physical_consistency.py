@@ -44,7 +44,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Consistency:
-    """A robot that can exist.
+    """Physically consistent standard parameters.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Consistency:
     payloads : dict
         Label (``L3``) of each carried payload to its ten inertial parameters by kind.
     gains : dict
-        Joint to (drive gain, standard deviation) found together with them; the deviation is 0 where given.
+        Joint to (drive gain, standard deviation) found together with them; the latter is 0 where given.
     moves : tuple of Move
         Every base parameter and gain, the most moved first.
     eigenvalues : dict

@@ -95,7 +95,7 @@ def resimulated(
     else:
         raise GtauError(
             f"run '{run.name}': the robot simulated with the parameters estimated does not follow its motion; "
-            "use --method ml, or add runs that tell the parameters better."
+            "use --method ml, or add runs that excite the parameters better."
         )
     rest = {name: Store((n,), bool if name == "usable" else float) for name in MEASURED}
     for start, stop in spans(samples):
@@ -142,7 +142,7 @@ def _disturbance(
     if not lowest.min() > 0:
         raise GtauError(
             f"the inertia estimated is not positive ({here[int(lowest.argmin())]}), so the robot cannot be "
-            "simulated; use --method ml, or add runs that tell the parameters better."
+            "simulated; use --method ml, or add runs that excite the parameters better."
         )
     return np.linalg.solve(M, h.T[:, :, None])[:, :, 0], c[:, -1]
 

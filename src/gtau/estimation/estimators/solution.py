@@ -1,4 +1,4 @@
-"""What every estimator returns."""
+"""The estimates of one method, and their covariances."""
 
 from __future__ import annotations
 

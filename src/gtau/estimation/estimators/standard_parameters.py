@@ -20,7 +20,7 @@ from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import INERTIAL, STANDARD_GRAVITY, Robot
 from gtau.signals.experiment import Prior
 
-LOOSE = 10.0  # natural sizes: deviation of the prior on what nobody has stated
+LOOSE = 10.0  # natural sizes: standard deviation of the prior on what nobody has stated
 SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
 
 

@@ -58,7 +58,7 @@ class Problem:
 
     @cached_property
     def own_columns(self) -> tuple[list[int], ...]:
-        """For each joint, the columns of [W_theta | known] that its equations alone can tell apart."""
+        """For each joint, the columns of [W_theta | known] that are independent in its own equations."""
         return tuple(_told_apart(R, self.n_theta) for R in self.triangles)
 
     @cached_property
@@ -134,7 +134,7 @@ class Problem:
 
 
 def _told_apart(R: np.ndarray, n_theta: int) -> list[int]:
-    """Columns of [W_theta | known] that the equations with the triangle R can tell apart."""
+    """Columns of [W_theta | known] that are independent in the equations with the triangle R."""
     return independent_columns(R[:, : n_theta + 1])[0]
 
 

@@ -1,4 +1,4 @@
-"""From the factors of all runs to the estimation problem: payloads and what the motions can tell (eqs. 29 to 33)."""
+"""Assemble the estimation problem from the factors of all runs: payloads and identifiable columns (eqs. 29 to 33)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class CarriedPayload:
 class System:
     """The problem, and what its parameters are.
 
-    ``unexcited`` are base parameters that these motions cannot tell from those before them; they are
+    ``unexcited`` are base parameters that these motions cannot separate from those before them; they are
     not part of the problem, but of ``whole``. ``block_positions`` (U, 2) say where the problem's units stand: the
     number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, n, p, n_theta + 4) lead
     from the columns of the runs' factors to those of ``whole``.
@@ -144,7 +144,7 @@ def assemble_system(
                 M[:n_b, [position[name] for name in each.unknown]] = each.unknown_columns
                 M[:n_b, n_theta] = each.known_column
         for k in drifting if drifts else ():
-            # a run's deviation from the mean friction; those of all runs add up to zero
+            # a run's difference from the mean friction; those of all runs add up to zero
             for other in range(last):
                 M[k, position[drift_name(base.names[k], other)]] = (other == run) - (run == last)
         of_joints = []
@@ -175,7 +175,7 @@ def assemble_system(
 
 
 def drift_name(name: str, run: int) -> str:
-    """Name of the deviation of a friction parameter from its mean, in a run."""
+    """Name the difference of a friction parameter from its mean, in a run."""
     return f"{name}@{run + 1}"
 
 

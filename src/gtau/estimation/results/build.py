@@ -1,4 +1,4 @@
-"""What a solution means: estimates with names, units, deviations and verdicts."""
+"""Build a result: estimates with names, units, standard deviations and verdicts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def build_result(
     diagnosis: Diagnosis,
     consistency: Consistency | None = None,
 ) -> Result:
-    """Name what was found: estimates with units, standard deviations and verdicts.
+    """Build the result of an identification.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is said of a number: its value, unit, deviation and verdict; and what a result is made of."""
+"""Estimates with units, standard deviations and verdicts, and what else a result consists of."""
 
 from __future__ import annotations
 

@@ -34,9 +34,9 @@ class IdentifiedModel:
         Friction terms beyond the paper's that the data ask for; name to Estimate.
     parameters, essential : dict
         All base parameters, and those left by the reduction and re-estimated; name to Estimate. They differ for one
-        name: predict with ``parameters``, and read ``essential`` to see what these motions tell. The deviation of an
-        essential one is that with all parameters, as it absorbs what cancelled ones did; after the paper's ratio rule
-        it takes the cancelled ones for zero, as the rule does.
+        name: predict with ``parameters``, and read ``essential`` to see what these motions identify. The standard
+        deviation of an essential one is that with all parameters, as it absorbs what cancelled ones did; after the
+        paper's ratio rule it takes the cancelled ones for zero, as the rule does.
     payloads : tuple of PayloadEstimate
         One entry for each loaded run.
     residuals : tuple of TorqueError
@@ -111,7 +111,7 @@ class IdentifiedModel:
 
     @property
     def params(self) -> dict[str, float]:
-        """Values of ``parameters`` by name, as predictions take them; 0 for one that the data cannot tell."""
+        """Values of ``parameters`` by name, as predictions take them; 0 for one that is not identifiable."""
         return {name: estimate.value or 0.0 for name, estimate in self.parameters.items()}
 
     def payload(self, name: str) -> dict[str, float]:

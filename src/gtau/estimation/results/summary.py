@@ -20,7 +20,7 @@ WIDTH = 80
 NOTES = 5  # that the short summary shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
-UNTOLD = 1000.0  # per cent: of a larger deviation the value says nothing
+NOT_SHOWN = 1000.0  # per cent: with a larger standard deviation the value is not shown
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 ONLY_IN_SUMS = "  * known only in sums with others: the torques need it, but its own value is not identifiable"
 TYPES = {1: "serial", 2: "parallel"}
@@ -50,14 +50,18 @@ def summary(result: IdentifiedModel) -> str:
         lines += ["-" * WIDTH, f"{'Further friction (BIC)':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
         lines += [f"{_row(each.name, each)}   {each.unit}" for each in result.friction.values()]
     left_out = len(result.parameters) - len(result.essential)
-    listed = [each for each in result.essential.values() if (each.rel_std or 0.0) <= UNTOLD]
-    untold = len(result.essential) - len(listed)
+    listed = [each for each in result.essential.values() if (each.rel_std or 0.0) <= NOT_SHOWN]
+    hidden = len(result.essential) - len(listed)
     lines += [
         "-" * WIDTH,
         f"{'Essential parameters':<26}{'value':>12}{'std':>10}{'std %':>8}   unit",
         *(f"{_row(each.name, each)}   {each.unit}{_mark(each)}" for each in listed),
         *([ONLY_IN_SUMS] if any(map(_mark, listed)) else []),
-        *([f"  and {untold} more, known only in sums with others: deviations over {UNTOLD:g} %"] if untold else []),
+        *(
+            [f"  and {hidden} more, known only in sums with others: standard deviations over {NOT_SHOWN:g} %"]
+            if hidden
+            else []
+        ),
         f"  {left_out} of {len(result.parameters)} base parameters were cancelled, by which the worst joint's torque "
         f"errors {_growth(result.statistics['reduction_loss'])};",
         "  model.json has all, and what each one that ends in R regroups.",
@@ -172,7 +176,7 @@ def _row(name: str, estimate: Estimate) -> str:
     value = "none" if estimate.value is None else f"{estimate.value:.5g}"
     std = "" if estimate.std is None else f"{estimate.std:.2g}"
     percent = estimate.rel_std
-    relative = "" if percent is None else f"{percent:.2f}" if percent < UNTOLD else f"> {UNTOLD:g}"
+    relative = "" if percent is None else f"{percent:.2f}" if percent < NOT_SHOWN else f"> {NOT_SHOWN:g}"
     return f"  {name:<24}{value:>12}{std:>10}{relative:>8}"
 
 
