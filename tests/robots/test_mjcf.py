@@ -252,6 +252,7 @@ LEFT_OUT = [
      "1 joint held by an equality with a constant (rad, m): 'k' at 0.2"),
     ("fluid", "", '<option density="1000"/>', "drag of the fluid around the robot"),
     ("weightless", '<body name="w" gravcomp="1"/>', "", "gravity compensation (gravcomp) acts in the simulator"),
+    ("no gravity", "", '<option><flag gravity="disable"/></option>', "gravity is switched off in the file, and here"),
     ("sensor", "", '<sensor><jointpos joint="j"/></sensor>', ""),
 ]  # fmt: skip
 

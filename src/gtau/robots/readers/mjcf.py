@@ -130,6 +130,9 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
     driven, pulled = actuated_joints(file, tendons, notes)
     slaves = {coupling.joint for coupling in couplings}
     actuated = driven if file.actuators else {joint.name for joint in joints} - slaves
+    weightless = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    if weightless:
+        notes.append("gravity is switched off in the file, and here; where it acts, write it in a saved robot file")
     notes += _simulated_alone(model)
     if not joints:
         raise GtauError("it has no joints of a robot, but for those of free bodies; give the file of a robot.")
@@ -141,7 +144,7 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
         tuple(platform for platform in platforms if platform.name in tied),
         tuple(closures),
         tuple(couplings),
-        tuple(float(rounded(g)) for g in model.opt.gravity),  # type: ignore[arg-type]
+        (0.0, 0.0, 0.0) if weightless else tuple(float(rounded(g)) for g in model.opt.gravity),  # type: ignore[arg-type]
         path.name,
         tuple(notes),
         home_given=home_given,

@@ -1,0 +1,86 @@
+"""A test bench for one servo, and a spring across a joint, identified from logs that the model makes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gtau.estimation.identify import identify
+from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.readers.native import parse_native
+from gtau.robots.robot import Robot
+from gtau.signals.experiment import Payload
+from gtau.signals.run import Run
+
+RATE, NOISE = 500.0, 0.02
+LOAD = Payload(name="disc", mass=2.0, parameters={"mx": 0.5, "mz": 0.0, "yy": 0.13})
+
+
+def run(robot: Robot, chi: dict[str, float], gain: float, seed: int, payload: Payload | None = None) -> Run:
+    """Twenty seconds of five sines, with the payload's parameters on the joint's link."""
+    (joint,) = robot.actuated
+    time = np.arange(20 * RATE) / RATE
+    rng = np.random.default_rng(seed)
+    w, phase = 2 * np.pi * np.array([0.2, 0.5, 0.9, 1.4, 2.1]), rng.uniform(0, 2 * np.pi, 5)
+    angle, size = w * time[:, None] + phase, 0.9 / w
+    q, qd, qdd = ((each * factor).sum(axis=1)[:, None] for each, factor in (
+        (np.sin(angle), size), (np.cos(angle), size * w), (-np.sin(angle), size * w**2)
+    ))  # fmt: skip
+    loaded = dict(chi)
+    if payload is not None:
+        for kind, value in {"m": payload.mass, **payload.parameters}.items():
+            loaded[f"{kind}_{joint}"] = loaded.get(f"{kind}_{joint}", 0.0) + value
+    current = InverseDynamics(robot).torques(q, qd, qdd, loaded) / gain
+    current += NOISE * rng.normal(size=current.shape)
+    return Run(f"run {seed}", (joint,), time, q, current, payload=payload)
+
+
+def near(estimate: object, truth: float, share: float) -> bool:
+    """Within four standard deviations, which are a small share of it."""
+    value, std = estimate.value, estimate.std
+    return abs(value - truth) < 4 * std and std < share * abs(truth)
+
+
+def test_a_bench_separates_torque_constant_and_friction() -> None:
+    robot = load_robot("test-bench")
+    truth = {
+        "mx_arm": 0.12,
+        "mz_arm": 0.01,
+        "yy_arm": 0.03,
+        "ia_arm": 0.05,
+        "fv_arm": 0.4,
+        "fs_arm": 0.9,
+        "off_arm": 0.1,
+    }
+    found = identify(robot, [run(robot, truth, 3.2, 1), run(robot, truth, 3.2, 2, LOAD)])
+    assert near(found.drive_gains["arm"], 3.2, 0.01)
+    assert near(found.parameters["fs_arm"], 0.9, 0.02)
+    assert near(found.parameters["fv_arm"], 0.4, 0.05)
+    assert near(found.parameters["mx_arm"], 0.12, 0.1)
+    assert near(found.parameters["yy_armR"], 0.08, 0.05)
+
+
+def test_a_spring_is_identified_beside_gravity_and_friction() -> None:
+    text = """robot: sprung
+joints: {arm: {antecedent: ground, rpy: [0, pi/2, 0], axis: [0, 1, 0], type: revolute, stiffness: true, springref: 0.3}}
+"""
+    robot = parse_native(text, "sprung.yaml")
+    truth = {"mx_arm": 0.3, "yy_arm": 0.08, "fv_arm": 0.4, "fs_arm": 0.5, "k_arm": 6.0, "off_arm": 0.2}
+    found = identify(robot, [run(robot, truth, 2.5, 1), run(robot, truth, 2.5, 2, LOAD)])
+    assert near(found.drive_gains["arm"], 2.5, 0.01)
+    assert near(found.parameters["k_arm"], 6.0, 0.02)
+    assert near(found.parameters["off_arm"], 0.2, 0.3)
+    (line,) = (line for line in found.summary().splitlines() if "k_arm" in line)
+    assert line.endswith(" N m/rad")
+
+
+@pytest.mark.parametrize("reference", [0.0, 0.4])
+def test_a_springs_reference_goes_into_the_offset(reference: float) -> None:
+    """What a wrong reference leaves is a constant."""
+    text = "robot: s\njoints: {j: {antecedent: ground, theta: q, stiffness: true, springref: %g}}\n" % reference  # noqa: UP031
+    model = InverseDynamics(parse_native(text, "s.yaml"))
+    q, still = np.linspace(-1, 1, 5)[:, None], np.zeros((5, 1))
+    expected = 7.0 * (q - 0.4)
+    found = model.torques(q, still, still, {"k_j": 7.0, "off_j": 7.0 * (reference - 0.4)})
+    np.testing.assert_allclose(found, expected, atol=1e-12)
