@@ -116,7 +116,7 @@ def _why(found: Alternative, j: int) -> str:
 def _weak(findings: Findings, uncertainty: Uncertainty, row: int, half: float, random_alone: bool) -> Verdict:
     random, model = uncertainty.random[row, row], uncertainty.model[row, row]
     why = f"its 95 % interval is +-{100 * half:.2g} %"
-    if random_alone or model < NAMED_SHARE * (random + model):
+    if model < NAMED_SHARE * (random + model):
         return Verdict(
             Outcome.WEAK,
             why,
@@ -124,15 +124,16 @@ def _weak(findings: Findings, uncertainty: Uncertainty, row: int, half: float, r
             "if other joints are weak too, check which runs carry the payload, on which body, and gravity",
         )
     worst = max(findings.alternatives, key=lambda each: each.mean_square * each.slopes[row] ** 2, default=None)
+    more = "; use a heavier payload and longer runs, too" if random_alone else ""
     ripple = findings.ripple.moves[row] ** 2
     if worst is None or ripple > worst.mean_square * worst.slopes[row] ** 2:
         return Verdict(
             Outcome.WEAK,
             f"{why}, as residuals repeat at the same positions (ripple of the motors, cables or springs)",
-            "use other paths in the loaded and unloaded runs, or a heavier payload",
+            f"use other paths in the loaded and unloaded runs{more}",
         )
     return Verdict(
         Outcome.WEAK,
         f"{why}, as the data cannot exclude {worst.subject}",
-        worst.advice,
+        worst.advice + more,
     )
