@@ -25,12 +25,13 @@ from robots_for_tests import (
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.model.coordinates import coordinates
 from gtau.model.home import close_home, load_robot, loop_errors
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import CONDITION, advance, follow
 from gtau.model.random_states import random_motion
-from gtau.robots.robot import Coupling, Pose, Robot
+from gtau.robots.robot import Coupling, Limits, Pose, Robot
 
 every_robot = pytest.mark.parametrize("robot", CLOSED, ids=lambda robot: robot.name)
 winding = pytest.mark.parametrize("robot", [four_bar(), slider_crank(), two_platforms()], ids=lambda robot: robot.name)
@@ -450,6 +451,19 @@ def test_random_states_that_are_nearly_singular_are_drawn_anew(rng):
         W[idm.full.rows, :, idm.full.columns] = idm.full(idm.layout, motion)
         assert np.linalg.matrix_rank(W.reshape(600, -1), tol=1e-9) == 25  # as many as base parameters
     assert "even close to home" in refusal(random_motion, idm, 7, rng, 2.0)
+
+
+def test_random_states_leave_home(rng):
+    """Within wide limits hardly a pose of a hexapod can be reached: what stays at home counts for nothing."""
+    robot = load_robot("gough-stewart")
+    wide = Limits(position=(-3.0, 4.0))
+    joints = (replace(joint, limits=wide) if joint.actuated else joint for joint in robot.joints)
+    far = replace(robot, joints=tuple(joints))
+    idm = InverseDynamics(far)
+    motion = random_motion(idm, 100, rng)
+    start = idm.loops.home[idm.layout.actuated]
+    assert np.linalg.norm(motion.c[idm.layout.actuated].T - start, axis=1).min() > 1e-3
+    assert base_parameters(idm).count == base_parameters(InverseDynamics(robot)).count == 148
 
 
 def test_limits_without_a_workspace_leave_no_random_states(rng):

@@ -700,3 +700,12 @@ def test_angles_in_degrees_are_refused(key: str, tmp_path: Path) -> None:
     keys = key if "theta" in key else f"{key}, theta: q"
     with pytest.raises(GtauError, match=r"line \d+, joints.j.*write deg\(...\) where these are degrees, such as deg\("):
         read(f"robot: r\njoints:\n  j: {{antecedent: ground, {keys}}}\n", tmp_path)
+
+
+def test_prefixes_that_are_declared_nowhere_do_no_harm(tmp_path: Path) -> None:
+    plugin = "<gazebo><controller:camera name='c'/></gazebo></robot>"
+    (tmp_path / "arm.urdf").write_text(arm(HINGE.format("")).replace("</robot>", plugin))
+    assert load_robot(tmp_path / "arm.urdf").actuated == ("j",)
+    (tmp_path / "arm.urdf").write_text(arm(HINGE.format("")).replace("</robot>", "<xacro:arm/></robot>"))
+    with pytest.raises(GtauError, match="holds xacro macros; expand it"):
+        load_robot(tmp_path / "arm.urdf")

@@ -18,7 +18,7 @@ from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.readers.read import read_robot
-from gtau.robots.robot import Attachment, Closure, Joint, Mdh, Pose, Robot
+from gtau.robots.robot import Attachment, Closure, Joint, Limits, Mdh, Pose, Robot
 
 MODELS = ("5bar_linkage", "robot_delta")
 
@@ -302,3 +302,37 @@ def test_assembly_avoids_flat_parallelograms() -> None:
     assert abs(np.sin(found.joints[0].home)) > 0.05
     assert InverseDynamics(found).loops is not None
     assert abs(found.joints[0].home) < pi
+
+
+def arm_with_a_loop(position: float) -> Robot:
+    """A four-bar on the ground, beside an arm in no loop whose home and limits do not agree by a little or by much."""
+    bars = (
+        Joint("1", "ground", "revolute", home=1.0),
+        Joint("2", "1", "revolute", Mdh(d=0.3), actuated=False, home=-1.0),
+        Joint("3", "ground", "revolute", Mdh(d=0.5), actuated=False, home=1.0),
+        Joint("arm", "1", "revolute", Mdh(alpha=pi / 2), home=position, limits=Limits(position=(0.0, 1.0))),
+    )
+    ends = Attachment("2", Mdh(d=0.5)), Attachment("3", Mdh(d=0.3))
+    return Robot("mixed", bars, closures=(Closure("connect", *ends),))
+
+
+def test_joints_in_no_loop_are_not_moved_to_close_one() -> None:
+    rounded = arm_with_a_loop(-1e-5)  # as files round
+    assert close_home(rounded) == rounded
+    assert close_home(rounded).notes == ()
+    moved = close_home(arm_with_a_loop(-0.2))
+    assert [joint.home for joint in moved.joints] == pytest.approx([1.0, -1.0, 1.0, 0.0])
+    assert moved.notes == (
+        "home lay outside the position limits and was moved to the nearest one: joint 'arm' from -0.2 to 0 rad",
+    )
+
+
+def test_a_rough_home_is_solved_and_said_by_how_much() -> None:
+    robot = arm_with_a_loop(0.5)
+    joints = (replace(joint, home=joint.home + 0.2 * (joint.name == "3")) for joint in robot.joints)
+    rough = replace(robot, joints=tuple(joints))
+    found = close_home(rough)
+    assert gap(found) < CLOSED
+    assert found.joint("1").home == 1.0  # motors stay
+    (note,) = found.notes
+    assert note.startswith("home was solved so that the loops close: joint '3' from 1.2 to 1 rad")

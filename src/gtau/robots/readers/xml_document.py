@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import ParseError
+from xml.parsers.expat import errors
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 1 << 24
 MAX_DEPTH = 200
+PREFIX = re.compile(rb"(</?)([A-Za-z_][\w.-]*):")
+"""The prefix of an element. Plugins of simulators have some that are declared nowhere; no reader looks at these."""
 
 
 def read_xml(path: Path) -> Element:
@@ -32,7 +36,12 @@ def read_xml(path: Path) -> Element:
     larger = "the file is larger than 16 MiB; a robot is text without meshes, so check the path."
     content = read_at_most(MAX_BYTES, path, larger)
     try:
-        root: Element = fromstring(content, forbid_dtd=True)
+        try:
+            root: Element = fromstring(content, forbid_dtd=True)
+        except ParseError as error:
+            if error.code != errors.codes[errors.XML_ERROR_UNBOUND_PREFIX]:
+                raise
+            root = fromstring(PREFIX.sub(rb"\1\2.", content), forbid_dtd=True)
     except DefusedXmlException:
         raise GtauError("the file declares entities or a document type; write their values out.") from None
     except (ParseError, ValueError, LookupError) as error:
