@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -153,29 +152,10 @@ def _beginning(run: Run) -> Run:
 def interval_parts(gain: Estimate) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
     """The 95 % interval of an estimate, and its random part alone where a model part is known too."""
     whole = gain.interval()
-    model = getattr(gain, "model_std", None)
-    if whole is None or not model or gain.value is None or not gain.std:
+    if whole is None or not gain.model_std or gain.value is None or not gain.std:
         return whole, None
-    share = float(np.sqrt(max(1.0 - (model / gain.std) ** 2, 0.0)))
-    half = share * (whole[1] - whole[0]) / 2
+    half = (whole[1] - whole[0]) / 2 * (gain.random_std or 0.0) / gain.std
     return whole, (gain.value - half, gain.value + half)
-
-
-def alternatives(result: Result) -> Sequence[Any]:
-    """Other models of the same data, where the result lists them."""
-    return tuple(getattr(result, "alternatives", ()))
-
-
-def singular_values(result: Result) -> np.ndarray | None:
-    """Singular values of the estimator's matrix in falling order, where the result has them."""
-    values = getattr(result, "singular_values", None)
-    return None if values is None or not len(values) else np.asarray(values, dtype=float)
-
-
-def error_over_all(error: TorqueError) -> float | None:
-    """Torque error over all samples, masked ones too, in per cent of the signal, where it is known."""
-    found = getattr(error, "relative_all", None)
-    return None if found is None else float(found)
 
 
 def body_path(result: Result, run: Run) -> tuple[np.ndarray, np.ndarray]:

@@ -5,21 +5,19 @@ from __future__ import annotations
 import json
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.results.estimate import Estimate, PayloadEstimate
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate
+from gtau.estimation.results.headline import headline
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.summary import remarks
 from gtau.report.evidence import (
     GOOD_OUTCOMES,
     Evidence,
-    alternatives,
-    error_over_all,
     interval_parts,
-    singular_values,
 )
 from gtau.report.html.document import Section
 from gtau.report.html.drawings import Interval, Panel, interval_rows, panel_figure
@@ -60,11 +58,11 @@ def verdict_section(evidence: Evidence) -> Section:
             "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
         }
     )
-    return Section("verdict", "Verdict", verdict(grade, headline(result), remarks(result)) + shown)
+    return Section("verdict", "Verdict", verdict(grade, counts(result), [headline(result), *remarks(result)]) + shown)
 
 
-def headline(result: Result) -> str:
-    """The verdict on the drive gains in one sentence."""
+def counts(result: Result) -> str:
+    """The verdicts on the drive gains, counted, in one sentence."""
     gains = result.drive_gains
     outcomes = [gain.verdict.outcome for gain in gains.values()]
     if all(each == Outcome.GIVEN for each in outcomes):
@@ -72,8 +70,8 @@ def headline(result: Result) -> str:
         return f"{what}; {len(result.parameters)} base parameters were identified."
     counted = Counter(outcomes)
     if counted[Outcome.GOOD] == len(gains):
-        largest = max((gain.rel_std or 0.0) for gain in gains.values())
-        return f"All {len(gains)} drive gains are identified, with standard deviations of {largest:.2g} % or less."
+        widest = max((gain.half_width or 0.0) for gain in gains.values())
+        return f"All {len(gains)} drive gains are identified, to ±{widest:.2g} % or better (95 % intervals)."
     (first, count), *others = counted.most_common()
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
     return f"{count} of {len(gains)} drive gains {'is' if count == 1 else 'are'} {first.value}{more}."
@@ -88,7 +86,7 @@ def _worst_errors(evidence: Evidence) -> dict[str, str]:
     unused = [error for run in evidence.runs if not run.used for error in run.errors]
     if unused:
         worst = max(unused, key=lambda each: each.relative)
-        whole = error_over_all(worst)
+        whole = worst.relative_all
         more = "" if whole is None else f", {whole:.2g} % with reversals"
         found["largest torque error of validation"] = f"{worst.relative:.2g} %{more} ({worst.joint})"
     return found
@@ -313,8 +311,8 @@ def correlation_section(evidence: Evidence) -> Section | None:
 
 def singular_values_section(evidence: Evidence) -> Section | None:
     """Singular values in falling order with the gap before the smallest; None where the result has none."""
-    values = singular_values(evidence.result)
-    if values is None or len(values) < 2 or values[-1] <= 0:
+    values = np.array(evidence.result.singular_values)
+    if len(values) < 2 or values[-1] <= 0:
         return None
     gap = float(values[-2] / values[-1])
     order = np.arange(1, len(values) + 1)
@@ -345,28 +343,51 @@ def singular_values_section(evidence: Evidence) -> Section | None:
 
 def alternatives_section(evidence: Evidence) -> Section | None:
     """Other models of the same data, and by how much each moves the gains; None where the result lists none."""
-    listed = alternatives(evidence.result)
+    listed = evidence.result.alternatives
     if not listed:
         return None
-    joints = evidence.joints
-    rows = []
-    for each in listed:
-        moves: Mapping[str, float] = getattr(each, "moves", {})
-        rows.append(
-            [
-                text(getattr(each, "name", each)),
-                *(
-                    Cell("–", True)
-                    if joint not in moves
-                    else Cell(f"{escape(plain(moves[joint], 2))} %", True, moves[joint])
-                    for joint in joints
-                ),
-                text(getattr(each, "why", "")),
-            ]
-        )
-    columns = [Column("alternative"), *(Column(joint_label(joint), True) for joint in joints), Column("remark")]
-    words = "Each alternative explains the same data; the table shows by how much it moves each drive gain."
-    return Section("alternatives", "Alternatives", paragraph(words) + table(columns, rows))
+    weighed = sorted(listed, key=lambda each: -each.probability * max(map(abs, each.moves.values()), default=0.0))
+    rows = [
+        [
+            text(each.subject),
+            Cell(_share(each.probability), True, each.probability),
+            *(_move_cell(each.moves.get(joint)) for joint in evidence.joints),
+            _size_cell(each),
+            text(each.unit),
+            Cell(_share(each.share), True, each.share),
+        ]
+        for each in weighed
+    ]
+    columns = [
+        Column("alternative"),
+        Column("probability, %", True),
+        *(Column(f"moves {joint_label(joint)} by, %", True) for joint in evidence.joints),
+        Column("size", True),
+        Column("unit"),
+        Column("share of the residual, %", True),
+    ]
+    words = (
+        "Each alternative has one unknown more than the model. Its size is what the data find, its probability how "
+        "well they support it; what they leave open of it widens the intervals of the gains. The alternatives that "
+        "matter most come first: probable ones that would move a gain."
+    )
+    return Section(
+        "alternatives", "Alternatives", paragraph(words) + table(columns, rows, sortable="alternatives-table")
+    )
+
+
+def _size_cell(each: AlternativeMoves) -> Cell:
+    if each.std is None:
+        return Cell("not identifiable", True)
+    return Cell(f"{escape(plain(each.size, 2))} ± {escape(plain(each.std, 2))}", True, each.size)
+
+
+def _move_cell(move: float | None) -> Cell:
+    return Cell("–", True) if move is None else Cell(f"{move:.2f}".replace("-", "\N{MINUS SIGN}"), True, move)
+
+
+def _share(part: float) -> str:
+    return "&lt; 0.1" if 0 < part < 0.001 else f"{100 * part:.1f}"
 
 
 def notes_section(notes: Sequence[str], title: str = "Repairs and notes") -> Section:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
-from gtau.report.evidence import Evidence, RunEvidence, body_path, error_over_all
+from gtau.report.evidence import Evidence, RunEvidence, body_path
 from gtau.report.html.document import Section
 from gtau.report.html.drawings import Panel, panel_figure
 from gtau.report.html.elements import Cell, Column, escape, folded, number, paragraph, plain, table, text
@@ -37,10 +37,10 @@ SERIES_A_JOINT = 3  # measured, predicted, residual
 def errors_table(runs: Sequence[RunEvidence]) -> str:
     """Torque errors of each joint on each run, away from reversals and over all samples."""
     rows = []
-    whole = any(error_over_all(error) is not None for run in runs for error in run.errors)
+    whole = any(error.relative_all is not None for run in runs for error in run.errors)
     for run in runs:
         for error in run.errors:
-            over_all = error_over_all(error)
+            over_all = error.relative_all
             rows.append(
                 [
                     text(run.run.name),
@@ -76,7 +76,7 @@ def joint_errors_table(evidence: Evidence) -> str:
         cells = []
         for _, runs in groups:
             errors = [error for run in runs for error in run.errors if error.joint == joint]
-            whole = [value for value in map(error_over_all, errors) if value is not None]
+            whole = [error.relative_all for error in errors if error.relative_all is not None]
             cells += [_largest([error.relative for error in errors]), _largest(whole)]
         rows.append([text(joint_label(joint), "unit"), *cells])
     columns = [Column("largest torque error, %")]
@@ -142,7 +142,7 @@ def _torque_charts(evidence: Evidence, run: RunEvidence, group: str, buckets: in
         error = errors.get(joint)
         words = joint_label(joint)
         if error is not None:
-            whole = error_over_all(error)
+            whole = error.relative_all
             words += f": residual {error.relative:.2f} %" + (
                 "" if whole is None else f" away from reversals, {whole:.2f} % over all samples"
             )

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from gtau.estimation.results.result import Result
 from gtau.report import provenance
-from gtau.report.evidence import Evidence, RunEvidence, error_over_all
+from gtau.report.evidence import Evidence, RunEvidence
 from gtau.report.html.document import Section
 from gtau.report.html.elements import verdict
 from gtau.report.html.series import Arrays
@@ -50,5 +50,5 @@ def headline(evidence: Evidence) -> str:
         f"The predicted torques differ from the measured ones by {min(error.relative for error in errors):.2g} to "
         f"{worst.relative:.2g} % away from reversals, most at {worst.joint}"
     )
-    whole = [value for value in map(error_over_all, errors) if value is not None]
+    whole = [error.relative_all for error in errors if error.relative_all is not None]
     return words + (f"; over all samples by {min(whole):.2g} to {max(whole):.2g} %." if whole else ".")
