@@ -49,6 +49,8 @@ def verdict_section(evidence: Evidence) -> Section:
     grade = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
     if outcomes[Outcome.CONTRADICTORY] or outcomes[Outcome.NOT_IDENTIFIABLE]:
         grade = "bad"
+    said = remarks(result)
+    words = (headline(result), said) if grade == "good" else (counts(result), [headline(result), *said])
     shown = facts(
         {
             "robot": result.robot.name,
@@ -58,23 +60,15 @@ def verdict_section(evidence: Evidence) -> Section:
             "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
         }
     )
-    return Section("verdict", "Verdict", verdict(grade, counts(result), [headline(result), *remarks(result)]) + shown)
+    return Section("verdict", "Verdict", verdict(grade, *words) + shown)
 
 
 def counts(result: Result) -> str:
     """The verdicts on the drive gains, counted, in one sentence."""
-    gains = result.drive_gains
-    outcomes = [gain.verdict.outcome for gain in gains.values()]
-    if all(each == Outcome.GIVEN for each in outcomes):
-        what = "Torques were logged" if result.kind == "torque" else "The drive gains were given"
-        return f"{what}; {len(result.parameters)} base parameters were identified."
-    counted = Counter(outcomes)
-    if counted[Outcome.GOOD] == len(gains):
-        widest = max((gain.half_width or 0.0) for gain in gains.values())
-        return f"All {len(gains)} drive gains are identified, to ±{widest:.2g} % or better (95 % intervals)."
-    (first, count), *others = counted.most_common()
+    outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
+    (first, count), *others = outcomes.most_common()
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
-    return f"{count} of {len(gains)} drive gains {'is' if count == 1 else 'are'} {first.value}{more}."
+    return f"{count} of {len(result.drive_gains)} drive gains {'is' if count == 1 else 'are'} {first.value}{more}."
 
 
 def _worst_errors(evidence: Evidence) -> dict[str, str]:
