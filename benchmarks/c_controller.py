@@ -175,7 +175,7 @@ def draw(shown: dict[str, tuple[Reference, np.ndarray, np.ndarray]], joints: tup
                 axis.set_ylabel(f"joint {joint}, µm")
         axes[0, column].set_title(name.replace("_", " "))
         axes[-1, column].set_xlabel("time, s")
-    axes[0, -1].legend(loc="upper right")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     figure.suptitle("Tracking errors of computed torque control at 1 kHz, simulated in MuJoCo")
     save_figure(figure, path)
 
