@@ -205,7 +205,8 @@ def test_the_examples_of_the_readme_run_in_the_demo(
     monkeypatch.chdir(tmp_path)
     Path("mine.yaml").write_text(example)
     lines = [line.split("#")[0].split() for line in commands.splitlines()]
-    assert {words[1] for words in lines} == {"robot", "check", "identify", "validate", "payload", "compare"}
+    commands_shown = {"robot", "check", "identify", "validate", "payload", "compare", "export", "use"}
+    assert {words[1] for words in lines} == commands_shown
     for words in lines:
         done = CliRunner().invoke(app, words[1:], catch_exceptions=False)
         assert (words[0], done.exit_code) == ("gtau", 0), done.output
