@@ -25,6 +25,7 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import exact_angle
+from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import Robot
 
 SAME = 1e-9  # share of the largest torque
@@ -101,7 +102,7 @@ def pinocchio_torques(path: Path, robot: Robot, rng: np.random.Generator) -> Tor
     """Torques of the file's own masses by Pinocchio, with angles written short written out, as the reader does."""
     import pinocchio as pin
 
-    tree = ElementTree.parse(path)
+    tree = ElementTree.ElementTree(read_xml(path))  # which forgives prefixes that are declared nowhere
     for origin in tree.getroot().findall("joint/origin"):
         if "rpy" in origin.attrib:
             origin.set("rpy", " ".join(repr(exact_angle(float(each))) for each in origin.get("rpy", "").split()))

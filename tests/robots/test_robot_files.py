@@ -616,7 +616,7 @@ BAD_URDFS: list[tuple[str, str, str]] = [
     (
         "mimic of nothing",
         arm(HINGE.format('<mimic joint="k"/>')),
-        ": robot 'r': coupling 1 names 'k', which is no joint.",
+        ": joint 'j' mimics 'k', which is no joint that moves; correct its <mimic>",
     ),
     ("mimic of itself", arm(HINGE.format('<mimic joint="j"/>')), ": robot 'r': coupling 1 must give 'j' from one or"),
     ("mimic unnamed", arm(HINGE.format("<mimic/>")), ": <mimic> of joint 'j' has no joint; write joint="),

@@ -107,6 +107,13 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], fix_base: bool = False)
         ordered = _depth_first(links, edges)
         joints, frames = _moving(ordered, types)
         couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
+        moving = {joint.name for joint in joints}
+        for coupling in couplings:
+            if (master := coupling.ratios[0][0]) not in moving:
+                raise GtauError(
+                    f"joint '{coupling.joint}' mimics '{master}', which is no joint that moves; correct its <mimic>, "
+                    "or remove it where the joint has a motor of its own."
+                )
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
         notes = (*_odd_masses(root), *_limit_notes(ordered))

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 1 << 24
 MAX_DEPTH = 200
-PREFIX = re.compile(rb"(</?)([A-Za-z_][\w.-]*):")
-"""The prefix of an element. Plugins of simulators have some that are declared nowhere; no reader looks at these."""
+PREFIX = re.compile(rb"(</?|\s)(?!xmlns:)([A-Za-z_][\w.-]*):(?=[\w.-]+(?:[\s/>]|\s*=\s*[\"']))")
+"""The prefix of an element or attribute. Simulators' have some that are declared nowhere; no reader looks at these."""
 
 
 def read_xml(path: Path) -> Element:
