@@ -260,16 +260,14 @@ def upv(data: Path, folder: Path) -> str:
 
 
 def aliengo(data: Path, folder: Path) -> str:
-    """A quadruped hung up; its free joint and key frame are taken out of the MJCF."""
-    text = (data / "aliengo" / "aliengo.xml").read_text(encoding="utf-8")
-    text = re.sub(r"<freejoint[^>]*/>|<keyframe>.*?</keyframe>", "", text, flags=re.DOTALL)
-    (folder / "aliengo.xml").write_text(text, encoding="utf-8")
+    """A quadruped hung up: its floating base is fixed."""
     joints = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
     signals, log = (
         (numbered("q", joints, 0), ("torque", numbered("tau_pd", joints, 0))),
         data / "aliengo" / "aliengo.csv",
     )
-    return experiment_file(str(folder / "aliengo.xml"), "t", *signals, [(log, "")], [])
+    text = experiment_file("ROBOT", "t", *signals, [(log, "")], [])
+    return text.replace("robot: 'ROBOT'", f"robot: {{file: '{data / 'aliengo' / 'aliengo.xml'}', base: fixed}}")
 
 
 G105, G205 = ", payload: {name: 105 g%s}", ", payload: {name: 205 g%s}"

@@ -40,7 +40,8 @@ def summary(result: IdentifiedModel) -> str:
         *textwrap.wrap(f"Runs      {', '.join(result.runs)}", WIDTH, subsequent_indent=" " * 10),
         *([f"Payload   on '{result.robot.tool}'"] if result.payloads else []),
         f"Signals   bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, "
-        f"decimation {preparation.decimator.factor} ({preparation.decimator.kind})",
+        f"decimation {preparation.decimator.factor} ({preparation.decimator.kind})"
+        + (f"; by hand: {', '.join(preparation.given)}" if preparation.given else ""),
         "=" * WIDTH,
     ]
     lines += gain_lines(result)
