@@ -67,6 +67,7 @@ def test_rules_of_thumb() -> None:
     assert cutoff_frequency(7.0, 20.0, 1000.0) == 25.0  # noise takes over at 20 Hz
     assert cutoff_frequency(7.0, 7.0, 1000.0) == 17.5  # and here within the motion
     assert cutoff_frequency(4.0, 36.0, 95.0) is None
+    assert cutoff_frequency(13.7, 25.0, 100.0) is None  # not a little below the Nyquist frequency
     assert [decimation_factor(1000, f) for f in (0.1, 12, 100, 400)] == [20, 16, 2, 1]
     assert decimation_factor(1000, 0.5, 400) == 400
 

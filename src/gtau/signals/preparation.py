@@ -23,8 +23,10 @@ from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
 
 SPEED_FRACTION = 0.05  # of a joint's rms speed
-# Decimation widens what is left out around a reversal by three rows. On the shared logs the estimates do not change
-# while four fifths of the samples are kept; the Panda's torque errors fall until then (5.5 % at 50 Hz, 3.9 % at 20 Hz).
+# Decimation widens what is left out around a reversal by three rows. Keeping nine tenths of the samples instead trebles
+# the standard deviations of the Orthoglide's gains (1.5 to 4.6 N/A) and doubles those of the UR10e's, and raises the
+# Panda's torque errors from 4 to 5.5 %; gains from encoders of 12 bits get better by it, from 0.11 to 0.07 % at 100 Hz
+# (benchmarks/preparation_study.py).
 KEPT = 0.8
 FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves where there are so many
 STRETCHES = 8  # parts of a long run that are looked at for that
