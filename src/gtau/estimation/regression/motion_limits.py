@@ -48,8 +48,9 @@ def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
 
 def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -> None:
     """Refuse motions that no robot of this size makes, and name the unit or clock behind them; (n,) rad or m, s."""
+    geared = {name for coupling in robot.couplings for name, _ in coupling.ratios}  # motors turn as often as they like
     for kind, (basic, other) in UNITS.items():
-        joints = [j for j, name in enumerate(run.joints) if robot.joint(name).kind == kind]
+        joints = [j for j, name in enumerate(run.joints) if robot.joint(name).kind == kind and name not in geared]
         if not joints:
             continue
         widest = max(joints, key=lambda j: span[j])
