@@ -31,7 +31,7 @@ def test_preparation_of_a_run() -> None:
     run = run_with_rest()
     preparation = choose_preparation([run])
     assert 1.2 <= preparation.bandwidth < 3
-    assert preparation.cutoff == pytest.approx(10 * preparation.bandwidth)
+    assert 2.5 * preparation.bandwidth < preparation.cutoff < 10 * preparation.bandwidth  # the encoders' noise counts
     assert preparation.decimator.factor > 20
     prepared = prepare(run, preparation).samples()
     assert prepare(run, preparation).notes == ("joint 'c' hardly moves: its rows are left out",)

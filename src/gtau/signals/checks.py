@@ -223,7 +223,8 @@ def _refuse_slips(samples: Samples, instants: np.ndarray) -> None:
         at = np.argmax(change, axis=0)
         for j, k in enumerate(at):
             if change[k, j] > largest[j]:
-                largest[j], places[j], jumps[j] = change[k, j], begin + k + 4, three[1, k, j] * step[k + 3]
+                jump = speed[k + 3, j] - (speed[k + 2, j] + speed[k + 4, j]) / 2
+                largest[j], places[j], jumps[j] = change[k, j], begin + k + 4, jump * step[k + 3]
     speeds = fast.quantile(0.999)
     for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
         raise GtauError(

@@ -16,7 +16,7 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float) -> float | None:
     """Cut-off of the position filter, Hz; None, no filter, where that is not below 0.8 of the Nyquist frequency.
 
     Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where noise takes over below that, 1.25
-    times the ``end`` of the signal, but 2.5 times the bandwidth at least: the gain at the bandwidth is then 1 - 7e-4. Not
+    times the ``end`` of the signal, but 2.5 times the bandwidth at least: the gain there is then 1 - 7e-4. Not
     above half the Nyquist frequency, where little noise is left to be filtered, and rows are not decimated: the torques
     would keep what the positions lose (on the UPV robot at 100 Hz, 34 Hz raise a leg's torque error from 11 to 15 %).
     """

@@ -275,8 +275,7 @@ def _factors(most: int) -> Iterator[int]:
 
 def _usable_stretches(run: Run, preparation: Preparation) -> list[np.ndarray]:
     """For each joint, lengths of stretches of valid samples in which it is fast enough; of a long run of some parts."""
-    size = 1 << 17
-    parts = list(spans(len(run.time), size))
+    parts = list(spans(len(run.time), 1 << 15))
     parts = [parts[k] for k in sorted({round(k) for k in np.linspace(0, len(parts) - 1, STRETCHES)})]
     speeds = [np.abs(position_filter(run.position, run.rate, preparation.cutoff, *part)[1]) for part in parts]
     limit = preparation.speed_fraction * np.sqrt(np.mean([np.mean(speed**2, axis=0) for speed in speeds], axis=0))
