@@ -426,6 +426,118 @@ def test_interrupted_as_a_program(here: Path, module: str, function: str) -> Non
     assert not (here / "out").exists()
 
 
+MOMENTS = {
+    "robot": ((0.3, 0.6, 1.0), ("robot", "delta")),
+    "identify": ((0.4, 0.9, 1.5, 2.2, 3.0), ("identify", "long.yaml", "--out", "out")),
+    "simulate": ((0.5, 1.5, 3.0), ("simulate", "simulation.yaml", "--out", "out")),
+    "demo": ((0.7, 2.0, 5.0), ("demo", "--out", "out")),
+}
+SIMULATION = """
+robot: five-bar
+parameters: {m_left: 1.0, m_left_forearm: 0.5, m_right: 1.0, m_right_forearm: 0.5}
+drives: {left: {gain: 2.5}, right: {gain: 4.0}}
+runs:
+  - {name: a, trajectory: {sines: {seed: 1, duration: 300}}}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "moment"), [(command, moment) for command, (moments, _) in MOMENTS.items() for moment in moments]
+)
+def test_interrupted_at_any_moment(here: Path, command: str, moment: float) -> None:
+    write_log(here / "long.csv", Plant().run("long", seconds=300.0, seed=1))
+    (here / "long.yaml").write_text(EXPERIMENT.replace("free.csv", "long.csv"))
+    (here / "simulation.yaml").write_text(SIMULATION)
+    process = start(here, *MOMENTS[command][1])
+    time.sleep(moment)
+    if process.poll() is not None:
+        pytest.skip("it was finished before")
+    process.send_signal(signal.SIGINT)
+    pressed = time.monotonic()
+    stdout, stderr = process.communicate(timeout=60)
+    assert time.monotonic() - pressed < 10  # on a busy machine; on an idle one two seconds
+    assert process.returncode == 130, stderr
+    assert stderr.startswith("gtau: interrupted; ")
+    assert stderr.count("\n") == 1
+    assert stdout == ""
+    assert [path for path in here.rglob(".*") if path.is_file()] == []  # no unfinished file
+
+
+def test_an_interruption_that_is_swallowed_ends_the_program_all_the_same(here: Path) -> None:
+    """As callbacks of compilers and solvers swallow it."""
+    first = """
+import time, gtau.cli.commands, pathlib
+def swallow(*arguments, **options):
+    pathlib.Path("begun").touch()
+    while True:
+        try:
+            time.sleep(0.01)
+        except KeyboardInterrupt:
+            pass
+import gtau.model.home
+gtau.model.home.load_robot = swallow
+"""
+    process = start(here, "robot", "five-bar", "--json", first=first)
+    while not (here / "begun").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=20)
+    sentence = "interrupted; files that were not finished have not been written."
+    assert (process.returncode, stderr) == (130, f"gtau: {sentence}\n")
+    assert json.loads(stdout) == {"error": sentence}
+
+
+DESIGN = """
+robot: five-bar
+rate: 500
+period: 4
+harmonics: 4
+runs:
+  - payload: none
+  - payload: {name: disc, mass: 1.0}
+prior:
+  gains: {left: 1.5, right: 1.5}
+limits:
+  velocity: {left: 4, right: 4}
+"""
+
+
+def test_an_interrupted_search_is_a_result_that_says_so(here: Path) -> None:
+    (here / "design.yaml").write_text(DESIGN)
+    process = start(here, "excite", "design.yaml", "--out", "plan", "--starts", "1000")
+    while not (here / "plan" / "trajectory.csv").exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 0, stderr
+    assert stderr == "gtau: stopping the search and writing the best motion so far; Ctrl-C again stops at once.\n"
+    assert "the search was cut short" in stdout
+    assert json.loads((here / "plan" / "design.json").read_text())["cut_short"] is True
+
+
+def test_usage_errors_name_the_help_of_the_command(here: Path) -> None:
+    for arguments, command in (
+        (("identify", "--nonsense"), "gtau identify"),
+        (("excite", "x.yaml"), "gtau excite"),
+        (("nonsense",), "gtau"),
+    ):
+        _, stderr = start(here, *arguments).communicate()
+        assert stderr.endswith(f" See '{command} --help'.\n"), stderr
+        assert stderr.count("\n") == 1
+    assert run("identify", "-h").stdout == run("identify", "--help").stdout != ""
+
+
+def test_a_file_for_the_folder_is_refused_before_the_work(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gtau.estimation.identify, "read_runs", None)  # would fail if it were called
+    for command in ("identify", "check"):
+        result = run(command, "experiment.yaml", "--out", "free.csv")
+        assert result.exit_code == 2
+        assert "free.csv cannot be the output folder, as free.csv is a file" in result.stderr
+
+
 def test_interrupted_while_importing(here: Path) -> None:
     """Python's own imports may be what an impatient user interrupts."""
     (here / "typer.py").write_text("raise KeyboardInterrupt")

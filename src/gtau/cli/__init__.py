@@ -20,6 +20,8 @@ def main() -> None:
         except KeyboardInterrupt as interruption:
             report(str(interruption) or UNFINISHED)
             code = CODE
+        if code == CODE:  # typer makes this of an interruption outside of the commands
+            report(UNFINISHED)
     except KeyboardInterrupt:  # while the lines above are still being imported
         print("gtau: interrupted; files that were not finished have not been written.", file=sys.stderr)
         code = 130

@@ -17,7 +17,7 @@ from gtau.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, PRIOR_GA
 
 SAME_TRACKING = (
     "The manufacturer's gains track as well as the identified ones: each model was identified with its own gains, so",
-    "both ask for nearly the same currents. Wrong gains show where torques are told in newtons: in the weighing above.",
+    "both ask for nearly the same currents. Wrong gains show where forces in newtons count: in the weighing above.",
 )
 COMMANDS = (
     "gtau identify experiment.yaml --out .",
@@ -87,7 +87,7 @@ def report(found: Mapping[str, Any], tracking: str) -> str:
         f"An Orthoglide whose true values are known: {size},",
         "simulated with friction, force ripple, encoder rounding, noise and held currents, then used like any others.",
         "",
-        f"Drive gains, N/A, from a known payload of {found['known_payload']['mass']} kg",
+        f"Drive gains in N per A, from a known payload of {found['known_payload']['mass']} kg",
         f"  {'joint':<10}{'true':>10}{'manufacturer':>16}{'error %':>10}{'identified':>14}{'std':>8}{'error %':>10}",
     ]
     lines += [

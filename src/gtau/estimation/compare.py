@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import require_scale
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
+from gtau.robots.units import torque_unit
 from gtau.signals.experiment import check_robot, read_experiment
 
 if TYPE_CHECKING:
@@ -50,10 +52,14 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class EstimatorComparison:
-    """A row for each estimator, with the gains of the ``joints``."""
+    """A row for each estimator, with the gains of the ``joints`` in their ``units``."""
 
     joints: tuple[str, ...]
     rows: tuple[Row, ...]
+    units: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"EstimatorComparison(joints {', '.join(self.joints)}; {', '.join(row.method for row in self.rows)})"
 
     def to_frame(self) -> pl.DataFrame:
         """The comparison as a Polars table, one row an estimator and joint; ``.to_pandas()`` makes it one of pandas."""
@@ -120,29 +126,31 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
             progress("estimators", k, len(chosen))
             rows.append(row(estimator))
         progress("estimators", len(chosen), len(chosen))
-    return EstimatorComparison(robot.actuated, tuple(rows))
+    units = tuple(f"{torque_unit(robot, joint)}/A" for joint in robot.actuated)
+    return EstimatorComparison(robot.actuated, tuple(rows), units)
+
+
+WIDTH = 80
 
 
 def table(found: EstimatorComparison) -> str:
-    """The comparison as text."""
-    entries = {row.method: _gains(row) for row in found.rows}
-    width = 2 + max(
-        len(text) for text in (*found.joints, "gain +- std %", *(e for each in entries.values() for e in each))
-    )
-    joints = "".join(f"{joint:>{width}}" for joint in found.joints)
-    head = f"{'gain +- std %':>{width}}" * len(found.joints)
-    lines = [
-        f"{'':<8}{joints}{'residual':>10}{'time':>8}   worst",
-        f"{'method':<8}{head}{'%':>10}{'s':>8}   verdict",
-    ]
+    """The comparison as text: residuals and verdicts, then the gains of as many joints at a time as fit a terminal."""
+    lines = [f"{'method':<8}{'residual':>11}{'time':>10}   worst verdict"]
     for row in found.rows:
         if row.gains is None or row.residuals is None:
-            lines.append(f"{row.method:<8}  {row.refusal}")
+            lines += textwrap.wrap(f"{row.method:<8}{row.refusal}", WIDTH, subsequent_indent=" " * 8)
             continue
-        gains = "".join(f"{entry:>{width}}" for entry in entries[row.method])
-        verdict = "" if row.outcome is None else row.outcome.value
-        lines.append(f"{row.method:<8}{gains}{row.residuals.max():>10.3g}{row.seconds:>8.2f}   {verdict}")
-    lines.append("residual: of the worst joint, in per cent of its current; time: of the estimation alone")
+        verdict = "gains given" if row.outcome is None else row.outcome.value
+        lines.append(f"{row.method:<8}{row.residuals.max():>9.3g} %{row.seconds:>8.2f} s   {verdict}")
+    lines += textwrap.wrap("residual: of the worst joint, in % of its current; time: of the estimation alone", WIDTH)
+    entries = {row.method: _gains(row) for row in found.rows if row.gains is not None}
+    heads = [f"{joint}, {unit}" for joint, unit in zip(found.joints, found.units, strict=False)] or list(found.joints)
+    width = 2 + max(len(text) for text in (*heads, *(entry for each in entries.values() for entry in each)))
+    many = max((WIDTH - 8) // width, 1)
+    for first in range(0, len(heads), many):
+        part = slice(first, first + many)
+        lines += ["", f"{'gain':<8}{''.join(f'{head:>{width}}' for head in heads[part])}"]
+        lines += [f"{method:<8}{''.join(f'{e:>{width}}' for e in each[part])}" for method, each in entries.items()]
     return "\n".join(line.rstrip() for line in lines)
 
 

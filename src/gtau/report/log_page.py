@@ -19,7 +19,7 @@ from gtau.signals.storage import block, spans
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WIDTH = 100
+WIDTH = 80
 NEAR = 0.05  # distance to a singularity that the page warns of
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 
@@ -80,10 +80,11 @@ def log_page(document: dict[str, Any]) -> str:
     """The document as text."""
     preparation = document["preparation"]
     low_pass = "none" if preparation["cutoff"] is None else f"{preparation['cutoff']:.3g} Hz"
-    lines = [
+    lines = textwrap.wrap(
         f"{document['robot']}: bandwidth {preparation['bandwidth']:.3g} Hz, position filter {low_pass}, decimation "
-        f"{preparation['decimation']} ({preparation['decimator']})"
-    ]
+        f"{preparation['decimation']} ({preparation['decimator']})",
+        WIDTH,
+    )
     for log in document["logs"]:
         lines += ["", *_log_lines(log)]
     for note in document["notes"]:
@@ -96,18 +97,25 @@ def _log_lines(log: dict[str, Any]) -> list[str]:
     load = "no payload" if payload is None else f"payload '{payload['name']}'"
     if payload is not None:
         load += " of unknown mass" if payload["mass"] is None else f" of {payload['mass']:g} kg"
-    lines = [
+    lines = textwrap.wrap(
         f"{log['log']} ({'validation' if log['validation'] else 'identification'}, {load}): {log['samples']} samples "
         f"at {log['rate']:.5g} Hz, {log['duration']:.4g} s; {log['rows']} rows a joint",
-        f"  {'joint':<22}{'position':>20}{'speed rms':>11}{'max':>9}{'Hz':>7}{'command rms':>13}{'max':>9}{'used':>7}",
-    ]
+        WIDTH,
+    )
+    lines.append(f"  {'joint':<22}{'position from':>14}{'to':>10}{'':5}{'speed rms':>10}{'max':>10}")
     for each in log["joints"]:
         low, high = each["position"]
-        bandwidth = "rest" if each["bandwidth"] is None else f"{each['bandwidth']:.3g}"
         lines.append(
-            f"  {each['joint']:<22}{f'{low:.3g} to {high:.3g}':>16} {each['unit']:<3}{each['speed']['rms']:>11.3g}"
-            f"{each['speed']['max']:>9.3g}{bandwidth:>7}{each['command']['rms']:>13.3g}{each['command']['max']:>9.3g}"
-            f" {each['command_unit']:<3}{100 * each['usable']:>3.0f} %"
+            f"  {each['joint']:<22}{low:>14.3g}{high:>10.3g} {each['unit']:<4}{each['speed']['rms']:>10.3g}"
+            f"{each['speed']['max']:>10.3g} {each['unit']}/s"
+        )
+    command = "current" if log["joints"][0]["command_unit"] == "A" else "torque"
+    lines.append(f"  {'joint':<22}{f'{command} rms':>14}{'max':>10}{'':5}{'bandwidth':>10}{'rows used':>15}")
+    for each in log["joints"]:
+        bandwidth = "at rest   " if each["bandwidth"] is None else f"{each['bandwidth']:.3g} Hz"
+        lines.append(
+            f"  {each['joint']:<22}{each['command']['rms']:>14.3g}{each['command']['max']:>10.3g} "
+            f"{each['command_unit']:<4}{bandwidth:>10}{100 * each['usable']:>13.0f} %"
         )
     for each in log["singularities"]:
         pose = ", ".join(f"q_{joint} = {value:.4g}" for joint, value in each["pose"].items())
@@ -116,7 +124,7 @@ def _log_lines(log: dict[str, Any]) -> list[str]:
         )
         lines += textwrap.wrap(line, WIDTH, initial_indent="  ", subsequent_indent="    ")
         if each["type"] == 2 and each["distance"] < NEAR:
-            lines.append("    near enough that the model's errors are magnified; keep the motion away from it")
+            lines.append("    so near that errors of the model are magnified; keep the motion away from it")
     for note in log["notes"]:
         lines += textwrap.wrap(f"- {note}", WIDTH, initial_indent="  ", subsequent_indent="    ")
     return lines
