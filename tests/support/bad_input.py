@@ -89,7 +89,7 @@ LOGS = [
     Case("three rows", "free.csv has 3 samples; an identification needs a log of some seconds", lines(lambda x: x[:4])),
     Case(
         "short runs",
-        "the maximum-likelihood iteration did not settle, so the data do not fix the drive gains",
+        "the currents are explained as well without payload 'steel'",
         numbers(lambda x: x[:200], "free.csv", "loaded.csv"),
     ),
     Case("zeros", "free.csv: no position ever changes; give a log of a moving robot", numbers(lambda x: 0 * x)),
@@ -106,7 +106,11 @@ LOGS = [
     ),
     Case("infinite", "column 'v1' holds no number (it begins with 'inf')", column(3, lambda x: np.inf)),
     Case("far out", "which no joint or drive does", column(1, lambda x: 1e100 * x)),
-    Case("degrees for radians", "if the log is in deg say so", numbers(lambda x: x * [1, 57.3, 57.3, 1, 1])),
+    Case(
+        "degrees for radians",
+        "its positions look like deg taken for rad; write deg under units.position",
+        numbers(lambda x: x * [1, 57.3, 57.3, 1, 1]),
+    ),
     Case("joints exchanged", "outside the assembly mode of home", lines(lambda x: ["t,q2,q1,v1,v2", *x[1:]])),
     Case(
         "positions and currents exchanged",
@@ -130,11 +134,11 @@ LOGS = [
         "line 2 has 10 columns where the header in line 1 has 5",
         lines(lambda x: [x[0], *(row.replace(".", ",") for row in x[1:])]),
     ),
-    Case("backwards", "line 3: time goes back from", lines(lambda x: [x[0], *x[:0:-1]])),
-    Case("shuffled", "time goes back from", lines(lambda x: [x[0], *x[3000:], *x[1:3000]])),
+    Case("backwards", "so time does not pass; give the column of the time", lines(lambda x: [x[0], *x[:0:-1]])),
     Case(
-        "time stands still", "line 3: the time 0 s stands in two rows with different values", column(0, lambda x: 0.0)
+        "shuffled", "so time does not pass; give the column of the time", lines(lambda x: [x[0], *x[3000:], *x[1:3000]])
     ),
+    Case("time stands still", "so time does not pass; give the column of the time", column(0, lambda x: 0.0)),
     Case("time without numbers", "column 't' holds no number", column(0, lambda x: np.nan)),
     Case(
         "time in milliseconds",

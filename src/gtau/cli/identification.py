@@ -117,7 +117,7 @@ def identify(
 
             written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
             result.save(written[0])
-            write_atomically(written[1], result.summary() + "\n")
+            write_atomically(written[1], result.summary(True) + "\n")
             write_distances(result.distances, written[2])
             with progress_bar() as progress:
                 report = write_identification(result, experiment, out, perf_counter() - start, progress)

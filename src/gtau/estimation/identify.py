@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.plausibility import require_felt_payload
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import read_runs
@@ -104,10 +105,16 @@ def identify(
         if gains is None:
             require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], estimator.name)
         try:
-            return estimate(dataset, estimator, Given(gains, priors or {}, progress), options, prior_gains, consistent)
+            result = estimate(
+                dataset, estimator, Given(gains, priors or {}, progress), options, prior_gains, consistent
+            )
         except GtauError:
             require_felt_payload(dataset.system(Friction()))
             raise
+        outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
+        if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
+            require_felt_payload(dataset.system(Friction()))
+        return result
 
 
 def _given_runs(runs: Sequence[Run] | None) -> Sequence[Run]:
