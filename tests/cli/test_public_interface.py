@@ -78,7 +78,7 @@ def test_what_is_known_only_in_sums_is_marked(result: gtau.Result) -> None:
     assert "*" not in replace(result, essential={lost.name: replace(lost, std=0.01)}).summary()
     untold = replace(result, essential={**result.essential, lost.name: replace(lost, std=2.0)}).summary()
     assert lost.name not in untold
-    assert "  and 1 more, known only in sums with others: std over 1000 %\n" in untold
+    assert "  and 1 more, known only in sums with others: standard deviations over 1000 %\n" in untold
 
 
 def test_legs_that_are_not_built_alike_get_one_note(result: gtau.Result) -> None:

@@ -56,9 +56,9 @@ def require_felt_payload(system: System) -> None:
         name = next(each.payload.name for each in system.payloads if each.payload)
         raise GtauError(
             f"the currents are explained as well without payload '{name}' (residual of the worst joint "
-            f"{100 * without.max():.2g} % of its current, {100 * with_all.max():.2g} % with it), so they do not fix the "
-            "drive gains; give actual currents or the references of the current loops, not targets of the controller's "
-            "own model, check which runs carry the payload, or log longer runs with a heavier one."
+            f"{100 * without.max():.2g} % of its current, {100 * with_all.max():.2g} % with it), so they do not fix "
+            "the drive gains; give actual currents or the references of the current loops, not targets of the "
+            "controller's own model, check which runs carry the payload, or log longer runs with a heavier one."
         )
 
 

@@ -39,9 +39,13 @@ def summary(result: IdentifiedModel) -> str:
         f"Method    {ESTIMATORS[result.method].description}{OF_TORQUES if result.kind == 'torque' else ''}",
         *textwrap.wrap(f"Runs      {', '.join(result.runs)}", WIDTH, subsequent_indent=" " * 10),
         *([f"Payload   on '{result.robot.tool}'"] if result.payloads else []),
-        f"Signals   bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, "
-        f"decimation {preparation.decimator.factor} ({preparation.decimator.kind})"
-        + (f"; by hand: {', '.join(preparation.given)}" if preparation.given else ""),
+        *textwrap.wrap(
+            f"Signals   bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, decimation "
+            f"{preparation.decimator.factor} ({preparation.decimator.kind})"
+            + (f"; by hand: {', '.join(preparation.given)}" if preparation.given else ""),
+            WIDTH,
+            subsequent_indent=" " * 10,
+        ),
         "=" * WIDTH,
     ]
     lines += gain_lines(result)
@@ -63,9 +67,14 @@ def summary(result: IdentifiedModel) -> str:
             if hidden
             else []
         ),
-        f"  {left_out} of {len(result.parameters)} base parameters were cancelled, by which the worst joint's torque "
-        f"errors {_growth(result.statistics['reduction_loss'])};",
-        "  model.json has all, and what each one that ends in R regroups.",
+        *textwrap.wrap(
+            f"{left_out} of {len(result.parameters)} base parameters are left out; by that the worst joint's torque "
+            f"errors {_growth(result.statistics['reduction_loss'])}. Those listed were estimated again without them, "
+            "so that values differ from those under 'parameters' in model.json, which has all.",
+            WIDTH,
+            initial_indent="  ",
+            subsequent_indent="  ",
+        ),
         "-" * WIDTH,
         f"{'Torque fit':<26}{'error rms':>12}{'signal':>10}{'error %':>8}   unit",
     ]
