@@ -84,3 +84,17 @@ def test_a_springs_reference_goes_into_the_offset(reference: float) -> None:
     expected = 7.0 * (q - 0.4)
     found = model.torques(q, still, still, {"k_j": 7.0, "off_j": 7.0 * (reference - 0.4)})
     np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_mujocos_plant_has_the_spring() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    from gtau.simulation.mujoco_plant import robot_spec
+
+    robot = parse_native(
+        "robot: s\njoints: {j: {antecedent: ground, theta: q, stiffness: true, springref: 0.3}}\n", "s"
+    )
+    compiled = robot_spec(mujoco, robot, {"zz_j": 0.1, "m_j": 1.0, "k_j": 5.0}).compile()
+    data = mujoco.MjData(compiled)
+    data.qpos[:] = 1.0
+    mujoco.mj_forward(compiled, data)
+    assert data.qfrc_passive[0] == pytest.approx(-5.0 * 0.7)

@@ -309,7 +309,8 @@ def test_a_check_tells_of_joints_that_have_too_few_rows(folder: Path, tmp_path: 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_check_tells_what_identification_tells_later(folder: Path) -> None:
     identified, checked = folder / "identified", folder / "checked"
-    summary = run("identify", str(folder / "experiment.yaml"), "--out", str(identified))
+    run("identify", str(folder / "experiment.yaml"), "--out", str(identified))
+    summary = (identified / "summary.txt").read_text()
     assert "type 1 (serial)" in summary
     assert "type 2 (parallel)" in summary
     document = json.loads(run("check", str(folder / "experiment.yaml"), "--json", "--out", str(checked)))

@@ -17,7 +17,7 @@ from gtau.errors import GtauError, missing_extra
 from gtau.model.coordinates import PlatformSlots
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import follow
-from gtau.robots.robot import GROUND, INERTIAL, ROTATIONS, TRANSLATIONS, Placement, Robot
+from gtau.robots.robot import GROUND, INERTIAL, ROTATIONS, STIFFNESS, TRANSLATIONS, Placement, Robot
 from gtau.simulation.plant import WIDTH, PlantState
 
 STEP = 1e-4  # s
@@ -135,13 +135,17 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
     body = {GROUND: spec.worldbody}
     for joint in robot.joints:
         body[joint.name] = _add_body(mujoco, body[joint.antecedent], joint.placement, joint.name, chi)
-        body[joint.name].add_joint(
+        made = body[joint.name].add_joint(
             name=joint.name,
             type=hinge if joint.kind == "revolute" else slide,
             axis=joint.axis,
             armature=chi.get(f"ia_{joint.name}", 0.0),
             damping=chi.get(f"fv_{joint.name}", 0.0),
         )
+        if joint.spring is not None:
+            stiffness = chi.get(f"{STIFFNESS}_{joint.name}", 0.0)
+            made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
+            made.springref = joint.spring
     for platform in robot.platforms:
         place = body[platform.name] = _add_body(mujoco, spec.worldbody, platform.home, platform.name, chi)
         home = platform.home.rotation  # its rows are the base axes in the platform's own
