@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.preparation import InMemoryRun
 
-SAMPLES = 40_000  # of all windows together, which bounds the time of the tests for long logs
+SAMPLES = 24_000  # of all windows together, which bounds the time of the tests for long logs
 RANK = 1e-6  # of the largest singular value: directions below it are left out
 
 CandidateColumns = Callable[[Rows], np.ndarray]
@@ -146,8 +146,3 @@ def side_by_side(offers: Sequence[Offer]) -> Offer:
         return lambda rows: np.concatenate([columns(rows) for columns in each], axis=-1)
 
     return offer
-
-
-def alongside(stream: Iterator[np.ndarray]) -> CandidateColumns:
-    """Make candidate columns from a stream that gives them block by block."""
-    return lambda rows: next(stream)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
+from gtau.estimation.diagnostics.hypotheses.window_motion import window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.rows import Labels
 from gtau.estimation.thresholds import PLAUSIBLE_LAG
 from gtau.signals.filters import differentiate
 from gtau.signals.preparation import InMemoryRun
@@ -23,11 +23,7 @@ def _candidates(fit: Fit) -> Candidates:
     regressor = model.columns(fit.dataset.base.standard)
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        of = window.samples()
-        labels = Labels(window.run.name, of.time)
-        q, qd, qdd = (np.ascontiguousarray(each.T) for each in (of.q, of.qd, of.qdd))
-        motion = model.rates(model.path(q, labels), qd, qdd, labels)
-        torques = regressor.torques_along(model.layout, motion, values)
+        torques = regressor.torques_along(model.layout, window_motion(model, window), values)
         _, change = differentiate(torques.T, window.run.rate)
         return at_full_rate(window, fit.dataset, change.T[None])
 

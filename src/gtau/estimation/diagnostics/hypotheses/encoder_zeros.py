@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, alongside
+from gtau.estimation.diagnostics.hypotheses.window_motion import shifted_motion, window_motion
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.thresholds import PLAUSIBLE_ZERO
 from gtau.signals.preparation import InMemoryRun
 
@@ -27,24 +24,16 @@ def _candidates(fit: Fit) -> Candidates:
     regressor = model.columns(dataset.base.standard)
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        def torques(shift: np.ndarray) -> Iterator[np.ndarray]:
-            moved = InMemoryRun(window.run, replace(window.all, q=window.all.q + shift))
-            for rows in stream_rows(model, regressor, moved, dataset.preparation.at(window.run.rate).decimator):
-                yield regressor.torques(rows.entries, values, n)
-
-        def stream() -> Iterator[np.ndarray]:
-            shifts = np.diag(STEP * unit)
-            streams = [torques(shift) for shift in shifts]
-            for before in torques(np.zeros(n)):
-                columns = np.zeros((n, before.shape[1], n))
-                for k, each in enumerate(streams):
-                    try:
-                        columns[:, :, k] = (next(each) - before) / STEP
-                    except (GtauError, StopIteration):
-                        streams[k] = iter(())  # the loops do not close there: nothing is said of this zero
-                yield columns
-
-        return alongside(stream())
+        motion = window_motion(model, window)
+        before = regressor.torques_along(model.layout, motion, values)
+        columns = np.zeros((n, *before.shape))
+        for k, shift in enumerate(np.diag(STEP * unit)):
+            try:
+                moved = shifted_motion(model, window, shift, motion.c[:, 0])
+            except GtauError:
+                continue  # the loops do not close there: nothing is said of this zero
+            columns[k] = (regressor.torques_along(model.layout, moved, values) - before) / STEP
+        return at_full_rate(window, dataset, columns)
 
     return Candidates(
         tuple(f"the zero of encoder '{joint}'" for joint in model.actuated),

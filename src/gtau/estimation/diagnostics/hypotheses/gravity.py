@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, alongside
+from gtau.estimation.diagnostics.hypotheses.window_motion import window_motion
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.diagnostics.plausibility import other_clock
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.thresholds import CLOCK_REVERSED, CLOCK_SIZE, PLAUSIBLE_GRAVITY, PLAUSIBLE_TILT
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.preparation import InMemoryRun
@@ -25,7 +24,7 @@ ADVICE = (
 
 def _candidates(fit: Fit) -> Candidates | None:
     dataset = fit.dataset
-    robot, n = dataset.robot, len(dataset.model.actuated)
+    robot = dataset.robot
     gravity = np.array(robot.gravity)
     size = float(np.linalg.norm(gravity))
     if not size:
@@ -33,21 +32,14 @@ def _candidates(fit: Fit) -> Candidates | None:
     _, _, Vt = np.linalg.svd(gravity[None, :])
     changes = [*Vt[1:] * size * DEGREE, gravity / 100]  # m/s2 a degree, and a per cent
     models = [InverseDynamics(replace(robot, gravity=tuple(gravity + change))) for change in changes]
-    own = dataset.model.columns(dataset.base.standard)
-    others = [(model, model.columns(dataset.base.standard)) for model in models]
+    model, standard = dataset.model, dataset.base.standard
+    own, others = model.columns(standard), [each.columns(standard) for each in models]
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        def stream() -> Iterator[np.ndarray]:
-            streams = [
-                stream_rows(model, regressor, window, dataset.preparation.at(window.run.rate).decimator)
-                for model, regressor in ((dataset.model, own), *others)
-            ]
-            for before, *tilted in zip(*streams, strict=True):
-                torques = own.torques(before.entries, values, n)
-                moved = [r.torques(rows.entries, values, n) for rows, (_, r) in zip(tilted, others, strict=True)]
-                yield np.stack([each - torques for each in moved], axis=-1)
-
-        return alongside(stream())
+        motion = window_motion(model, window)  # gravity does not change it
+        before = own.torques_along(model.layout, motion, values)
+        torques = [each.torques_along(model.layout, motion, values) - before for each in others]
+        return at_full_rate(window, dataset, np.stack(torques))
 
     names = [f"gravity tilted towards ({tilt[0]:.2g}, {tilt[1]:.2g}, {tilt[2]:.2g})" for tilt in Vt[1:]]
     plausible = np.array([[PLAUSIBLE_TILT], [PLAUSIBLE_TILT], [PLAUSIBLE_GRAVITY]])
