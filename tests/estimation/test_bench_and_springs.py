@@ -93,7 +93,7 @@ def test_mujocos_plant_has_the_spring() -> None:
     robot = parse_native(
         "robot: s\njoints: {j: {antecedent: ground, theta: q, stiffness: true, springref: 0.3}}\n", "s"
     )
-    compiled = robot_spec(mujoco, robot, {"zz_j": 0.1, "m_j": 1.0, "k_j": 5.0}).compile()
+    compiled = robot_spec(mujoco, robot, {"xx_j": 0.1, "yy_j": 0.1, "zz_j": 0.1, "m_j": 1.0, "k_j": 5.0}).compile()
     data = mujoco.MjData(compiled)
     data.qpos[:] = 1.0
     mujoco.mj_forward(compiled, data)
