@@ -145,7 +145,8 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
         if joint.spring is not None:
             stiffness = chi.get(f"{STIFFNESS}_{joint.name}", 0.0)
             made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
-            made.springref = joint.spring
+            in_degrees = spec.compiler.degree and joint.kind == "revolute"
+            made.springref = float(np.degrees(joint.spring)) if in_degrees else joint.spring
     for platform in robot.platforms:
         place = body[platform.name] = _add_body(mujoco, spec.worldbody, platform.home, platform.name, chi)
         home = platform.home.rotation  # its rows are the base axes in the platform's own
