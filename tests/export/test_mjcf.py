@@ -13,6 +13,7 @@ from robots_for_tests import CLOSED, SERIAL
 
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
+from gtau.export import mjcf
 from gtau.export.mjcf import export
 from gtau.model.home import load_robot
 from gtau.model.loops import Motion
@@ -87,6 +88,26 @@ def test_mujoco_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: Path
         current = ((T @ motion.J[:, :, k]).T @ (effort - data.qfrc_actuator)) / gears
         np.testing.assert_allclose(gears, [gain for gain, _ in result.consistency.gains.values()])
         np.testing.assert_allclose(current * gears, tau[:, k], atol=1e-7 * np.abs(tau).max())
+
+
+def test_limits_and_rest_positions_are_in_radians(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the model that the export compiles as in the file; MuJoCo's specs count in degrees unless told."""
+    limits = {"1": (-0.5, 1.2), "2": (-2.0, -0.1), "3": (-0.3, 0.7)}
+    robot = sprung()
+    joints = [replace(joint, limits=replace(joint.limits, position=limits.get(joint.name))) for joint in robot.joints]
+    robot, built = replace(robot, joints=tuple(joints)), []
+    compile_spec = mjcf.compile_spec
+    monkeypatch.setattr(mjcf, "compile_spec", lambda spec: built.append(compile_spec(spec)) or built[-1])
+    (path,) = export(model_of(robot), tmp_path).files
+    for model in (*built, mujoco.MjModel.from_xml_path(str(path))):
+        for joint in robot.joints:
+            compiled = model.joint(joint.name)
+            assert bool(compiled.limited[0]) == (joint.name in limits)
+            assert tuple(compiled.range) == limits.get(joint.name, (0.0, 0.0))
+            if joint.spring is not None:
+                assert compiled.qpos_spring[0] == joint.spring
+                assert np.ravel(compiled.stiffness)[0] == 3.0
+    assert built and any(joint.spring for joint in robot.joints)
 
 
 @pytest.mark.slow

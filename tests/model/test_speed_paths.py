@@ -257,7 +257,7 @@ def test_compiled_code_knows_its_sources(tmp_path):
 
     copy = tmp_path / "gtau"
     interpreter = [f"model/interpreter/{path.name}" for path in source.glob("model/interpreter/*.py")]
-    for file in ("__init__.py", "errors.py", "model/__init__.py", *interpreter):
+    for file in ("__init__.py", "display.py", "errors.py", "model/__init__.py", *interpreter):
         (copy / file).parent.mkdir(exist_ok=True, parents=True)
         (copy / file).write_bytes((source / file).read_bytes())
     before = name(tmp_path)

@@ -89,7 +89,6 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
         if joint.spring is not None:
             stiffness = model.of(STIFFNESS, joint.name)
             placed.stiffness = (stiffness, 0.0, 0.0) if np.size(placed.stiffness) == 3 else stiffness
-            placed.springref = joint.spring
         if joint.limits.position is not None:
             placed.range = joint.limits.position
     _draw(mujoco, robot, spec)

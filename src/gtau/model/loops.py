@@ -139,7 +139,8 @@ def close_loops(robot: Robot) -> Loops:
     if rank < n_passive:
         free = np.abs(np.linalg.svd(G_p[:, :, 0])[2][rank:]).max(axis=0) > 1e-6
         names = ", ".join(layout.names[k] for k in layout.passive[free])
-        alone = [layout.names[k] for k in layout.passive[free] if k not in errors.looped]
+        held = np.abs(G_p[:, :, 0]).max(axis=0, initial=0.0) > 1e-7  # a turret under a loop turns, and closes none
+        alone = [layout.names[k] for k in layout.passive[free & ~held]]
         if alone:
             raise GtauError(
                 f"robot '{robot.name}': no motor moves {', '.join(alone)} and no closure holds "

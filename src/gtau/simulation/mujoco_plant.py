@@ -127,6 +127,7 @@ def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.nd
 def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:
     """The ``MjSpec`` of a robot without Coulomb friction and actuators; every link bears its joint's name."""
     spec = mujoco.MjSpec()
+    spec.compiler.degree = False  # ranges and rest positions of springs would count in degrees
     spec.option.gravity = robot.gravity
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.tolerance = 1e-12
@@ -145,8 +146,7 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
         if joint.spring is not None:
             stiffness = chi.get(f"{STIFFNESS}_{joint.name}", 0.0)
             made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
-            in_degrees = spec.compiler.degree and joint.kind == "revolute"
-            made.springref = float(np.degrees(joint.spring)) if in_degrees else joint.spring
+            made.springref = joint.spring
     for platform in robot.platforms:
         place = body[platform.name] = _add_body(mujoco, spec.worldbody, platform.home, platform.name, chi)
         home = platform.home.rotation  # its rows are the base axes in the platform's own
