@@ -107,7 +107,8 @@ def test_limits_and_rest_positions_are_in_radians(tmp_path: Path, monkeypatch: p
             if joint.spring is not None:
                 assert compiled.qpos_spring[0] == joint.spring
                 assert np.ravel(compiled.stiffness)[0] == 3.0
-    assert built and any(joint.spring for joint in robot.joints)
+    assert built
+    assert any(joint.spring for joint in robot.joints)
 
 
 @pytest.mark.slow
