@@ -96,7 +96,26 @@ def test_ur10e_gains(ur10e: Result) -> None:
     for k in (3, 4, 5):
         assert gains[k].value == pytest.approx(CONTROLLER[k], rel=0.08)
     assert gains[0].rel_std > 3
-    assert [gain.verdict.outcome for gain in gains] == [Outcome.WEAK, *[Outcome.GOOD] * 5]
+    # healthy logs: nothing is contradictory, and the elbow, which lifts most, is known to 3 %
+    assert {gain.verdict.outcome for gain in gains} <= {Outcome.GOOD, Outcome.WEAK}
+    assert gains[0].verdict.outcome == Outcome.WEAK
+    assert gains[2].verdict.outcome == Outcome.GOOD
+    low, high = gains[1].interval()
+    assert low < CONTROLLER[1] < high
+
+
+def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, folder: Path) -> None:
+    """Another day and other motions: differences over their standard deviations have an rms near one."""
+    text = (folder / "ur10e.yaml").read_text()
+    text = text.replace("ur-20_02_19_14harm50secLoad", "ur-20_01_31-load").replace(
+        "ur-20_02_19_14harm50sec", "ur-20_01_31-unload"
+    )
+    (folder / "january.yaml").write_text(text)
+    other = identify(folder / "january.yaml")
+    assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in other.drive_gains.values()}
+    pairs = [(gain, other.drive_gains[joint]) for joint, gain in ur10e.drive_gains.items()]
+    z = [(a.value - b.value) / np.hypot(a.std, b.std) for a, b in pairs]
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.3
 
 
 def test_ur10e_payload_has_ten_parameters(ur10e: Result) -> None:
@@ -112,7 +131,7 @@ def test_ur10e_by_total_least_squares(folder: Path, ur10e: Result) -> None:
     said = " ".join(result.summary().split())
     assert f"ratio of the two smallest singular values of W_tot: {result.statistics['singular_ratio']:.2f}" in said
     gains = result.drive_gains
-    assert [gain.verdict.outcome for gain in gains.values()] == [Outcome.WEAK, *[Outcome.GOOD] * 5]
+    assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in gains.values()}
     for joint, gain in gains.items():
         assert abs(gain.value - ur10e.drive_gains[joint].value) < 2 * gain.std
 

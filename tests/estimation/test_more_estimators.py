@@ -181,7 +181,8 @@ def test_the_price_of_the_reduction_is_said(runs: list[Run]) -> None:
     result = identify(FIVE_BAR, runs)
     loss = result.statistics["reduction_loss"]
     assert 0 <= loss < 6
-    assert f"{loss:.2g} %" in result.summary().split("base parameters were cancelled")[1].split(";")[0]
+    said = " ".join(result.summary().split())
+    assert f"{loss:.2g} %" in said.split("base parameters were cancelled")[1].split(";")[0]
 
 
 # The command

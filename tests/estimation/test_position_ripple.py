@@ -9,7 +9,8 @@ import pytest
 from orthoglide_logs import RATE, experiment
 
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
-from gtau.estimation.estimators.maximum_likelihood import ml
+from gtau.estimation.estimators.estimator import Given
+from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
@@ -41,9 +42,10 @@ def found(runs: list[Run]) -> tuple[PositionRipple, np.ndarray, np.ndarray, np.n
     """What repeats, the errors of the gains, by how much they move, and their deviations by the jackknife alone."""
     data = reduce_runs(ROBOT, runs)
     system = data.system(Friction(per_run=True))
-    solution = ml(system.problem)
+    fit = ML.fit(data, system, Given())
+    solution = fit.solution
     of_gains = slice(system.problem.n_theta, system.problem.n_theta + 3)
-    locked = position_ripple(data, system, solution, free_gains=True)
+    locked = position_ripple(fit)
     std = np.sqrt(np.diag(solution.jackknife))
     return locked, solution.gains - GAINS, locked.moves[of_gains], std[of_gains]
 
@@ -67,12 +69,12 @@ def test_a_result_says_it_and_has_it_in_its_deviations(runs: list[Run]) -> None:
     assert "% of the variance at joint '1" in note
     for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
         assert abs((gain.value or 0.0) - truth) < 2 * (gain.std or 0.0)
-    assert "the errors hang together" in " ".join(result.summary().split())
+    assert "residuals are autocorrelated" in " ".join(result.summary().split())
 
 
 @pytest.mark.parametrize("decay", [0.05, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_slow_noise_is_not_taken_for_ripple(decay: float, runs: list[Run]) -> None:
-    """It hangs together in time, as ripple does, but what the first half of a run has is not found in the second."""
+    """It is autocorrelated, as ripple is, but what the first half of a run has is not found in the second."""
     rng, rho = np.random.default_rng(4), np.exp(-1 / (RATE * decay))
     noisy = []
     for run in runs:

@@ -235,7 +235,10 @@ def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares
     same = with_instruments(Pair(pair.measured, pair.measured, (pair.whole[0], pair.whole[0])), free, True)
     again = ml(pair.measured)
     np.testing.assert_allclose(same.gains, again.gains, rtol=1e-5)
-    np.testing.assert_allclose(same.covariance.diagonal(), again.covariance.diagonal(), rtol=0.05)
+    variances = same.covariance.diagonal(), again.covariance.diagonal()
+    np.testing.assert_allclose(*(each[:-2] for each in variances), rtol=0.05)
+    # of the delays: maximum likelihood counts the curvature e e'' as well, which instruments leave out
+    np.testing.assert_allclose(*(each[-2:] for each in variances), rtol=0.15)
 
 
 def test_refusals(clean: list[Run]) -> None:
@@ -264,5 +267,8 @@ def test_gains_of_the_orthoglide_logs(method: str, shared: Path, tmp_path: Path)
     )
     result = identify(file, method=method)
     for joint, truth in {"11": 2170.0, "12": 2100.0, "13": 2070.0}.items():
-        assert result.drive_gains[joint].value == pytest.approx(truth, rel=3e-3)
-        assert result.drive_gains[joint].verdict.outcome == "good"
+        gain = result.drive_gains[joint]
+        low, high = gain.interval()
+        assert low < truth < high
+        assert gain.value == pytest.approx(truth, rel=6e-3)
+        assert gain.verdict.outcome == "good"

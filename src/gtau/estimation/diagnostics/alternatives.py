@@ -138,21 +138,28 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     if not windows:
         return ()
     linear = linearise(fit, side_by_side([candidates.offer for _, candidates in tried]), windows)
+    # priors count against as many rows as the windows have
+    share = sum(len(window) for _, window in windows) / sum(map(len, fit.dataset.prepared))
+    prior = None if fit.prior is None else np.sqrt(min(share, 1.0)) * fit.prior
     found: list[Alternative] = []
     ends = np.cumsum([0, *(len(candidates.names) for _, candidates in tried)])
     for k, (hypothesis, candidates) in enumerate(tried):
         mine = [
             LinearisedWindow(each.errors, each.jacobian, each.offered[..., ends[k] : ends[k + 1]]) for each in linear
         ]
-        found += _alternatives(fit, hypothesis, candidates, mine)
+        found += _alternatives(fit, hypothesis, candidates, mine, prior)
     return tuple(found)
 
 
 def _alternatives(
-    fit: Fit, hypothesis: Hypothesis, candidates: Candidates, windows: Sequence[LinearisedWindow]
+    fit: Fit,
+    hypothesis: Hypothesis,
+    candidates: Candidates,
+    windows: Sequence[LinearisedWindow],
+    prior: np.ndarray | None,
 ) -> list[Alternative]:
     problem, joints = fit.system.problem, fit.dataset.model.actuated
-    tests = score_tests(lambda: windows, hypothesis.shared)
+    tests = score_tests(lambda: windows, hypothesis.shared, prior)
     T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
     gains = slice(problem.n_theta, problem.n_theta + len(joints))
     found = []

@@ -24,7 +24,8 @@ from gtau.estimation.regression.system import System
 from gtau.progress import Progress
 
 PASSES = 10
-SETTLED = 1e-2  # standard deviations: a smaller change of every estimate ends the simulations
+SETTLED = 0.1  # standard deviations: a smaller change of every gain and delay ends the simulations
+SWITCHING = 1.0  # and of every parameter: Coulomb friction of a passive joint switches with the sign of single samples
 
 
 def along_simulated_motion(
@@ -56,7 +57,8 @@ def along_simulated_motion(
         system = along.system(system.friction, system.problem.slowest > 0)
         before, solution = solution, solve(system.problem)
         std = np.sqrt(np.diag(solution.covariance))
-        if len(before.stacked) == len(std) and np.all(np.abs(solution.stacked - before.stacked) <= SETTLED * std):
+        limits = np.where(np.arange(len(std)) < len(solution.theta), SWITCHING, SETTLED) * std
+        if len(before.stacked) == len(std) and np.all(np.abs(solution.stacked - before.stacked) <= limits):
             progress("simulation", PASSES, PASSES)
             return along, system
     raise GtauError(

@@ -63,6 +63,8 @@ class Fit:
         Solves for fewer parameters with the gains of ``solution``.
     free_gains : bool
         Whether the gains were estimated.
+    prior : ndarray, optional
+        Further equations on theta that the estimator used, (., n_theta), with errors of unit variance.
     """
 
     dataset: Dataset
@@ -72,6 +74,7 @@ class Fit:
     unrefined: Solution
     solve_fixed: Solve
     free_gains: bool
+    prior: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

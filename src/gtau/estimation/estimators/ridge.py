@@ -8,6 +8,7 @@ ridge regression, which draws only those estimates towards plausible values that
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,12 +23,12 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.signals.experiment import Prior
 
 
-def ridge(dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]) -> Solution:
-    """Maximum likelihood with normal priors on the standard parameters (ridge regression towards them).
+def prior_equations(dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]) -> np.ndarray:
+    """Normal priors on the standard parameters as equations ``[P | y]`` (n_theta, n_theta + 1) of unit variance.
 
     Parameters
     ----------
-    dataset, assembly, solution : Dataset, Assembly, Solution
+    dataset, system, solution : Dataset, System, Solution
         What was identified without priors.
     priors : mapping
         Standard parameter to what is known of it; bounds are not used here.
@@ -36,12 +37,14 @@ def ridge(dataset: Dataset, system: System, solution: Solution, priors: Mapping[
     S = unknowns.S[[k for k, name in enumerate(names) if name in system.problem.parameters]]
     # theta = S x is normal with the covariance S diag(spread^2) S^T
     L = triangle((S * unknowns.spread).T).T
-    return ml(system.problem, np.linalg.solve(L, np.column_stack([np.eye(len(L)), S @ unknowns.centre])))
+    return np.asarray(np.linalg.solve(L, np.column_stack([np.eye(len(L)), S @ unknowns.centre])))
 
 
 def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     unrefined = ml(system.problem)
-    return fit_free(ml, dataset, system, ridge(dataset, system, unrefined, given.priors), unrefined)
+    equations = prior_equations(dataset, system, unrefined, given.priors)
+    fit = fit_free(ml, dataset, system, ml(system.problem, equations), unrefined)
+    return replace(fit, prior=equations[:, :-1])
 
 
 RIDGE = Estimator(

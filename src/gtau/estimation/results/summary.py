@@ -102,6 +102,8 @@ def short_summary(result: IdentifiedModel) -> str:
             "-" * WIDTH,
             f"Torque residuals: {best.relative:.2g} to {worst.relative:.2g} % rms, the largest at '{worst.joint}'.",
         ]
+    if result.consistency is not None:
+        lines.append(f"Physically consistent parameters: torque residuals {_growth(_overall(result.consistency))}.")
     notes = [*remarks(result), *result.notes]
     lines += ["=" * WIDTH, *_notes(notes[:NOTES])]
     more = len(notes) - NOTES
@@ -173,13 +175,18 @@ def _consistency_lines(found: Consistency) -> list[str]:
     shown += [move for name in gains for move in found.moves if move.name == name]
     lines += [f"  {m.name:<24}{m.free:>12.5g}{m.consistent:>12.5g}{m.deviations:>12.2f}" for m in shown]
     joint = max(found.loss, key=lambda name: found.loss[name])
-    together = 100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) - 1)
+    together = _overall(found)
     lines += [
         f"  {len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more;",
         f"  torque errors {_growth(together)}, those of the worst joint, {joint}, {_growth(found.loss[joint])}.",
     ]
     lines.append("  model.json has every standard parameter under 'standard'; what the data leave open was chosen.")
     return lines
+
+
+def _overall(found: Consistency) -> float:
+    """By how much the residuals of all joints together grow, per cent."""
+    return float(100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) - 1))
 
 
 def _row(name: str, estimate: Estimate) -> str:
