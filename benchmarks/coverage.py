@@ -25,9 +25,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.estimation.diagnostics.delays import delay_verdicts
-from gtau.estimation.diagnostics.gain_verdicts import gain_verdicts
-from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.solution import Solution
@@ -209,16 +207,15 @@ def refactor(data: Dataset, fixed: Fixed, run: Run) -> Factors:
 
 @dataclass(frozen=True, eq=False)
 class Repetition:
-    """Deviations from the truth, standard deviations and their degrees of freedom, and the worst verdict on a gain.
+    """Errors, random standard deviations and their degrees of freedom.
 
-    ``told`` are the delays that have a deviation, (n,).
+    ``told`` says which delays have a standard deviation, (n,).
     """
 
     names: tuple[str, ...]
     error: np.ndarray
     std: np.ndarray
     freedom: np.ndarray
-    outcome: Outcome
     told: np.ndarray
 
 
@@ -238,16 +235,13 @@ def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
                 now = replace(data, factors=tuple(map(refactor, [data] * len(runs), fixed, runs)))
             system = now.system(Friction(per_run=True))
             solution = ml(system.problem)
-            # what repeats at the same positions is looked for along the runs, which the quick way does not have
-            locked = position_ripple(now, system, solution, True) if slow else None
-            found.append(judge(case, system, solution, locked))
+            found.append(judge(case, system, solution))
     return found
 
 
-def judge(case: Case, system: System, solution: Solution, locked: PositionRipple | None) -> Repetition:
+def judge(case: Case, system: System, solution: Solution) -> Repetition:
     problem, base = system.problem, system.base
-    repeating, added = (False, 0.0) if locked is None else (locked.found, locked.covariance)
-    std = np.sqrt(np.diag(solution.jackknife + added))
+    std = np.sqrt(np.diag(solution.jackknife))
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])
     truth = dict(zip(base.names, base.matrix @ chi, strict=True))
     index = [k for k, name in enumerate(problem.parameters) if name in truth]
@@ -259,16 +253,13 @@ def judge(case: Case, system: System, solution: Solution, locked: PositionRipple
         *(f"{what}_{joint}" for what in ("gain", "delay") for joint in problem.joints),
     )
     which = np.concatenate([np.array(index, dtype=int), gains, gains + n])
-    names_of_runs = [f"run {k + 1}" for k in range(len(LOADED))]
-    verdicts = gain_verdicts(problem, solution, std[gains], system.block_positions, names_of_runs, repeating)
-    worst = max((v.outcome for v in verdicts), key=list(Outcome).index)
+    delays = delay_verdicts(problem, solution, std[gains + n], 0.0)
     return Repetition(
         names,
         solution.stacked[which] - expected,
         std[which],
         degrees_of_freedom(problem, solution, True)[which],
-        worst,
-        np.array([each == GOOD for each in delay_verdicts(problem, solution)]),
+        np.array([each.outcome != Outcome.NOT_IDENTIFIABLE for each in delays]),
     )
 
 
@@ -302,8 +293,6 @@ def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetitio
         "delays_told": round(100 * float(told.mean()), 1),
         "smallest": round(100 * float(inside[gain | main].min()), 1),
         "smallest_of": names[int(np.flatnonzero(gain | main)[np.argmin(inside[gain | main])])],
-        "weak": sum(r.outcome in (Outcome.WEAK, Outcome.NOT_IDENTIFIABLE) for r in repetitions),
-        "contradictory": sum(r.outcome == Outcome.CONTRADICTORY for r in repetitions),
     }
 
 
@@ -316,7 +305,7 @@ def main() -> None:
     parser.add_argument("--json", help="file for the table")
     options = parser.parse_args()
     heads = ("robot", "errors", "times", "each gain", "gains", "parameters", "all", "smallest cell", "delays (told)")
-    print(f"| {' | '.join((*heads, 'weak', 'contradictory'))} |\n|{' --- |' * 11}")
+    print(f"| {' | '.join(heads)} |\n|{' --- |' * 9}")
     rows = []
     for source in options.robots:
         case = make_case(source)
@@ -334,7 +323,7 @@ def main() -> None:
             print(
                 f"| {source} | {errors} | {row['repetitions']} | {each} | {row['gains_pooled']} | {row['main_pooled']} "
                 f"({row['main_parameters']}) | {row['pooled']} | {row['smallest']} ({row['smallest_of']}) | "
-                f"{row['delays']} ({row['delays_told']}) | {row['weak']} | {row['contradictory']} |",
+                f"{row['delays']} ({row['delays_told']}) |",
                 flush=True,
             )
     if options.json:

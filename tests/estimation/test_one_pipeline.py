@@ -77,7 +77,7 @@ def test_every_threshold_says_what_it_rests_on() -> None:
 
 
 def test_no_threshold_stands_outside_the_table() -> None:
-    """Where outcomes are decided no number is compared with, but 0 and 1, and no constant that is not imported."""
+    """Where outcomes are decided no number is compared with, but 0, 1 and an even chance, and no constant that is not imported."""
     decide = [
         SOURCE / "diagnostics" / name for name in ("gain_verdicts.py", "diagnose.py", "findings.py", "verdict.py")
     ]
@@ -97,7 +97,9 @@ def test_no_threshold_stands_outside_the_table() -> None:
                 continue
             for part in ast.walk(node):
                 if isinstance(part, ast.Constant) and isinstance(part.value, (int, float)):
-                    assert part.value in (0, 1, 2, 1000, 0.001), f"{path.name}:{part.lineno} compares with {part.value}"
+                    assert part.value in (0, 0.5, 1, 2, 1000, 0.001), (
+                        f"{path.name}:{part.lineno} compares with {part.value}"
+                    )
                 if isinstance(part, ast.Name):
                     assert part.id not in own - allowed, (
                         f"{path.name}:{part.lineno}: {part.id} belongs into thresholds.py"

@@ -62,7 +62,10 @@ class Findings:
         found = [
             each
             for each in self.alternatives
-            if each.description and abs(each.t) > REFUTED_STD and each.share > REFUTED_SHARE
+            if each.description
+            and each.probability > 0.5  # nothing else explains the residuals of this joint better
+            and abs(each.t) > REFUTED_STD
+            and each.share > REFUTED_SHARE
         ]
         return tuple(sorted(found, key=lambda each: -each.share))
 
