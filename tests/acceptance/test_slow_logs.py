@@ -54,10 +54,14 @@ def logs(rate: float, slowest: float, seconds: float, noise: float) -> list[Run]
     ],
 )
 def test_gains_of_slow_logs(rate: float, slowest: float, seconds: float, noise: float) -> None:
+    """With noise of one per cent, slow motions leave a small tilt of gravity open, which '12' does not settle."""
     result = identify(ROBOT, logs(rate, slowest, seconds, noise))
-    for gain in result.drive_gains.values():
-        assert gain.verdict.outcome == Outcome.GOOD
-        assert abs((gain.value or 0.0) - GAIN) < 3.5 * (gain.std or 0.0)
+    weak = {joint for joint, gain in result.drive_gains.items() if gain.verdict.outcome == Outcome.WEAK}
+    assert weak <= ({"12"} if noise > 1e-3 else set())
+    for joint, gain in result.drive_gains.items():
+        assert joint in weak or gain.verdict.outcome == Outcome.GOOD
+        assert gain.value == pytest.approx(GAIN, rel=2 * noise)
+        assert abs((gain.value or 0.0) - GAIN) < 3.5 * (gain.std or 0.0) < 0.15 * GAIN
 
 
 def test_leaving_a_stretch_out_keeps_the_curvature() -> None:
