@@ -90,7 +90,7 @@ LOGS = [
     Case(
         "short runs",
         "the currents are explained as well without payload 'steel'",
-        numbers(lambda x: x[:200], "free.csv", "loaded.csv"),
+        numbers(lambda x: x[:150], "free.csv", "loaded.csv"),
     ),
     Case("zeros", "free.csv: no position ever changes; give a log of a moving robot", numbers(lambda x: 0 * x)),
     Case("stuck current", "column 'v2' (joint 'right') is stuck at 0.5", column(4, lambda x: 0.5)),
@@ -460,7 +460,7 @@ MODELS = [
     Case("nothing to weigh", "no run has an unknown payload; leave out 'mass'", {}, WEIGH),
     Case(
         "nothing to compare with",
-        "cannot tell the payload from the robot itself",
+        "the runs cannot separate the payload from the robot itself",
         experiment((f"  - {{{FREE}}}\n", ""), (LOADED + "}\nval", ", payload: {name: lead}}\nval")),
         WEIGH,
     ),

@@ -23,6 +23,10 @@ class Threshold(float):
         made.statistic, made.healthy, made.faulty, made.evidence = statistic, healthy, faulty, evidence
         return made
 
+    def __getnewargs__(self) -> tuple[float, str, str, str, str]:  # type: ignore[override]
+        """Arguments with which a copy or a pickle makes it again."""
+        return float(self), self.statistic, self.healthy, self.faulty, self.evidence
+
 
 NONE = "not measured"
 

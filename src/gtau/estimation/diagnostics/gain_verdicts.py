@@ -46,6 +46,14 @@ def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
 
 def _verdict(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: float, j: int) -> Verdict:
     problem, solution = fit.system.problem, fit.solution
+    std = np.sqrt(np.diag(uncertainty.random)[problem.n_theta + j]) / abs(solution.gains[j])
+    if std > LOST_GAIN and "singular_ratio" in solution.statistics:
+        return Verdict(
+            Outcome.NOT_IDENTIFIABLE,
+            "total least squares confuses the payload with the noise (the two smallest singular values of W_tot are in "
+            f"the ratio {solution.statistics['singular_ratio']:.3g})",
+            "use --method ml, or a heavier payload and longer runs with less noise",
+        )
     if np.all(solution.gains < 0):
         return Verdict(
             Outcome.CONTRADICTORY,
@@ -72,11 +80,12 @@ def _verdict(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: f
             "resolve the contradictory joints first",
         )
     half = float(half_widths(fit, uncertainty)[j])
-    std = np.sqrt(np.diag(uncertainty.random)[problem.n_theta + j]) / abs(solution.gains[j])
-    if std > LOST_GAIN:
+    if std > LOST_GAIN or half >= 1:  # an interval that includes zero leaves not even the sign
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
-            f"its standard deviation is {100 * std:.0f} % of it",
+            f"its standard deviation is {100 * std:.0f} % of it"
+            if std > LOST_GAIN
+            else "the 95 % interval includes zero",
             "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
             "gravity, which runs carry the payload, and on which body",
         )

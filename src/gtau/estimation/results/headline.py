@@ -56,7 +56,7 @@ def _weak(gains: Sequence[Estimate]) -> list[str]:
     if not gains:
         return []
     widths = [(gain.half_width or 0.0, gain) for gain in gains]
-    known = [f"'{gain.name}' to {width:.2g} %" for width, gain in widths]
+    known = [f"'{gain.name}' to +-{width:.2g} %" for width, gain in widths]
     known[0] = known[0].replace(" to ", " is known to ", 1)
     listed = known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]
     worst = max(widths, key=lambda pair: pair[0])[1]

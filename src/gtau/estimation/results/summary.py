@@ -131,13 +131,18 @@ def gain_lines(result: IdentifiedModel) -> list[str]:
             f"{1e3 * delay.value:.1f} ms" if delay.verdict.outcome == Outcome.GOOD and delay.value is not None else "-"
         )
         parts = (gain.half_width, _relative(gain, gain.random_std), _relative(gain, gain.model_std))
-        half, random, model = ("" if part is None else f"{part:.2f} %" for part in parts)
+        half, random, model = ("" if part is None else _percent(part) for part in parts)
         lines.append(
             f"  {joint[:20]:<20}{gain.value or 0.0:>8.5g} {gain.unit:<6}{half:>8}{random:>8}{model:>8}{shown:>9} "
             f"{gain.verdict.outcome}"
         )
     lines.append("  +-95 %: half the interval; random, model: standard deviations, % of the gain")
     return lines
+
+
+def _percent(part: float) -> str:
+    """A share in at most seven characters."""
+    return f">{NOT_SHOWN:g} %" if part > NOT_SHOWN else f"{part:.2f} %" if part < 100 else f"{part:.0f} %"
 
 
 def _relative(gain: Estimate, std: float | None) -> float | None:
