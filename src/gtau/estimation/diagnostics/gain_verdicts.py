@@ -50,8 +50,7 @@ def _verdict(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: f
     if std > LOST_GAIN and "singular_ratio" in solution.statistics:
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
-            "total least squares confuses the payload with the noise (the two smallest singular values of W_tot are in "
-            f"the ratio {solution.statistics['singular_ratio']:.3g})",
+            f"total least squares confuses the payload with the noise (standard deviation over {LOST_GAIN:.0%})",
             "use --method ml, or a heavier payload and longer runs with less noise",
         )
     if np.all(solution.gains < 0):
