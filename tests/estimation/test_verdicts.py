@@ -166,7 +166,7 @@ def test_a_light_payload_is_weak_or_with_more_noise_refused() -> None:
     verdicts = [gain.verdict for gain in identify(FIVE_BAR, pair(0.05)).drive_gains.values()]
     assert {verdict.outcome for verdict in verdicts} == {Outcome.WEAK}
     assert all("use a heavier payload" in verdict.advice for verdict in verdicts)
-    with pytest.raises(GtauError, match="explained as well without payload 'light'.*longer runs with a heavier one"):
+    with pytest.raises(GtauError, match=r"explained as well without payload 'light'.*longer runs with a heavier one"):
         identify(FIVE_BAR, pair(0.2))
 
 
