@@ -77,7 +77,7 @@ def test_every_threshold_says_what_it_rests_on() -> None:
 
 
 def test_no_threshold_stands_outside_the_table() -> None:
-    """Where outcomes are decided no number is compared with, but 0, 1 and an even chance, and no constant that is not imported."""
+    """Where outcomes are decided, numbers are compared with 0, 1, an even chance and imported constants alone."""
     decide = [
         SOURCE / "diagnostics" / name for name in ("gain_verdicts.py", "diagnose.py", "findings.py", "verdict.py")
     ]
