@@ -119,6 +119,22 @@ def test_slow_rounded_motions_and_rests_are_not_stale(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.position, position, atol=1e-12)
 
 
+def test_repeats_of_noise_and_a_slow_creep_after_a_move_are_not_stale(tmp_path: Path, rng: np.random.Generator) -> None:
+    """One joint: noise of ten quanta repeats values now and then; it creeps by a quantum every 23 samples."""
+    time = regular()[:2000]
+    creep = np.maximum(np.arange(2000) - 500, 0) // 23
+    position = np.round(0.01 * (1 - np.exp(-time / 0.03)) / 1e-6) * 1e-6 - 1e-6 * creep
+    command = np.round(np.exp(-time / 0.03) + 1e-3 * rng.standard_normal(2000), 4)
+    (tmp_path / "n.csv").write_text(
+        "t,q,i\n" + "".join(f"{t:.6f},{q:.6f},{i:.4f}\n" for t, q, i in zip(time, position, command, strict=True))
+    )
+    run = read_run(tmp_path / "n.csv", {"time": "t", "position": {"x": "q"}, "current": {"x": "i"}})
+    assert run.notes == ()
+    assert (np.diff(command) == 0).sum() > 20
+    np.testing.assert_allclose(run.position[:, 0], position, atol=1e-12)
+    np.testing.assert_allclose(run.command[:, 0], command, atol=1e-12)
+
+
 def test_a_delay_that_is_given_moves_the_commands(tmp_path: Path) -> None:
     time = regular()
     path = write(tmp_path / "d.csv", time, logged(time), currents(time - 0.0035))

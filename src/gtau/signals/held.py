@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,8 @@ SPORADIC = 4  # equal samples in a row, at most, that are stale ones; more of th
 LONGEST = 200  # samples for which a slower signal is held, at most
 REGULAR = 0.6  # share of the samples in runs of equal ones of nearly one length, where a signal is slower than the log
 JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded goes by one
-REPORTED = 1e-3  # share of samples that are stale, which is worth a note
+REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
+COINCIDENCES = 5  # repeated samples at starts and reversals, more than a log has of one instant each
 
 
 @dataclass(frozen=True)
@@ -21,15 +22,19 @@ class Held:
     """How the columns of a group, positions or commands, are held.
 
     ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
-    ``quanta`` (n,) are the columns' smallest changes.
+    ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` says that repeated values are no more than noise
+    and reversals make, so that all samples are new.
     """
 
     period: int
     quanta: tuple[float, ...]
+    by_chance: bool = False
 
     @property
     def longest(self) -> int:
         """Longest run of equal samples that counts as held."""
+        if self.by_chance:
+            return 1
         return SPORADIC if self.period == 1 else int(np.ceil(1.5 * self.period))
 
     def fresh(self, values: np.ndarray) -> np.ndarray:
@@ -71,34 +76,41 @@ class Holds:
                     f"the {what} are held: new ones come at about {rate / each.period:.4g} Hz, every {each.period} "
                     "samples; interpolated between them"
                 )
-            elif stale > REPORTED * count:
+            elif stale:
                 found.append(f"{stale} samples of the {what} are stale (repeat the one before): interpolated")
         return found
 
 
 def holds_of(samples: Samples) -> Holds:
-    """Find how the signals of a log are held; it goes by twice."""
-    groups = []
-    for array in (samples.position, samples.command):
-        quanta = np.full(array.shape[1], np.inf)
-        lengths = np.zeros(LONGEST + 1, dtype=int)  # how many runs of equal samples there are of each length
-        run = 1
-        for start, stop in ahead(len(array)):
-            change = np.abs(np.diff(block(array, start, stop), axis=0))
-            quanta = np.minimum(quanta, np.min(np.where(change > 0, change, np.inf), axis=0, initial=np.inf))
-            ends = np.flatnonzero(change.any(axis=1))
-            if ends.size:
-                runs = np.diff(ends, prepend=-run)
-                lengths += np.bincount(np.minimum(runs, LONGEST + 1), minlength=LONGEST + 2)[: LONGEST + 1]
-                run = len(change) - int(ends[-1])
-            else:
-                run += len(change)
-        groups.append(Held(_period(lengths), tuple(np.where(np.isfinite(quanta), quanta, 1.0).tolist())))
-    stale = [
-        sum(int((~each.fresh(block(array, start, stop))).sum()) for start, stop in ahead(len(array)))
-        for each, array in zip(groups, (samples.position, samples.command), strict=True)
-    ]
-    return Holds(groups[0], groups[1], (stale[0], stale[1]))
+    """Find how the signals of a log are held; it goes by three times."""
+    groups = [_held(array) for array in (samples.position, samples.command)]
+    return Holds(groups[0][0], groups[1][0], (groups[0][1], groups[1][1]))
+
+
+def _held(array: np.ndarray) -> tuple[Held, int]:
+    """How a group's columns (N, n) are held, and its number of stale samples."""
+    smallest, n = np.full(array.shape[1], np.inf), array.shape[1]
+    for span in ahead(len(array)):
+        change = np.abs(np.diff(block(array, *span), axis=0))
+        smallest = np.minimum(smallest, np.min(np.where(change > 0, change, np.inf), axis=0, initial=np.inf))
+    quanta = np.where(np.isfinite(smallest), smallest, 1.0)
+    lengths = np.zeros(LONGEST + 1, dtype=int)  # how many runs of equal samples before a jump there are of each length
+    run, near = 1, 0
+    for span in ahead(len(array)):
+        change = np.max(np.abs(np.diff(block(array, *span), axis=0)) / quanta, axis=1, initial=0.0)
+        near += int(((change[:-1] > 0) & (change[:-1] < 1.5) & (change[1:] >= JUMP)).sum())
+        ends = np.flatnonzero(change)
+        if ends.size:
+            runs = np.diff(ends, prepend=-run)[change[ends] >= JUMP]
+            lengths += np.bincount(np.minimum(runs, LONGEST + 1), minlength=LONGEST + 2)[: LONGEST + 1]
+            run = len(change) - int(ends[-1])
+        else:
+            run += len(change)
+    held = Held(_period(lengths), tuple(quanta.tolist()))
+    stale = sum(int((~held.fresh(block(array, *span))).sum()) for span in ahead(len(array)))
+    # Noise of some quanta repeats a sample as often as it goes by one quantum in any of the other 3^n - 1 directions.
+    chance = 2 * near / (3.0**n - 1) + max(COINCIDENCES, REPORTED * len(array))
+    return (held, stale) if stale > chance else (replace(held, period=1, by_chance=True), 0)
 
 
 def _period(lengths: np.ndarray) -> int:
