@@ -100,6 +100,8 @@ def test_alternatives_of_a_group_compete() -> None:
     pair = compete([alternative("a", 0.0), alternative("a", 0.0)])
     assert [each.probability for each in pair] == [pytest.approx(ALTERNATIVE_PRIOR / 2)] * 2
     strong = compete([alternative("a", 50.0), alternative("a", 5.0), alternative("b", -10.0)])
+    huge = compete([alternative("a", 12177.0), alternative("a", 2639.5), alternative("c", np.inf)])
+    assert [each.probability for each in huge] == [pytest.approx(1.0), pytest.approx(0.0), pytest.approx(1.0)]
     assert [each.probability for each in strong] == [
         pytest.approx(1.0),
         pytest.approx(0.0, abs=1e-6),

@@ -182,7 +182,7 @@ def test_the_price_of_the_reduction_is_said(runs: list[Run]) -> None:
     loss = result.statistics["reduction_loss"]
     assert 0 <= loss < 6
     said = " ".join(result.summary().split())
-    assert f"{loss:.2g} %" in said.split("base parameters were cancelled")[1].split(";")[0]
+    assert f"{loss:.2g} %" in said.split("base parameters are left out")[1].split("Those listed")[0]
 
 
 # The command

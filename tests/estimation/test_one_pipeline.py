@@ -67,6 +67,12 @@ def test_every_estimator_is_compared(comparison: EstimatorComparison) -> None:
     assert [row.method for row in comparison.rows] == list(ESTIMATORS)
 
 
+def test_the_command_line_offers_every_estimator() -> None:
+    from gtau.cli.identification import Method
+
+    assert {each.value for each in Method} == set(ESTIMATORS)
+
+
 def test_every_threshold_says_what_it_rests_on() -> None:
     found = {name: value for name, value in vars(thresholds).items() if name.isupper() and name != "NONE"}
     assert len(found) > 30

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from gtau.cli.interruption import CODE as INTERRUPTED
-from gtau.cli.interruption import UNFINISHED, pressed
+from gtau.cli.interruption import UNFINISHED, begin, pressed
 from gtau.cli.interruption import report as report_interruption
 from gtau.cli.progress_display import progress_bar
 from gtau.errors import GtauError
@@ -47,6 +47,7 @@ Dask = Annotated[
 @contextmanager
 def refusals(as_json: bool) -> Iterator[None]:
     """Turn what gtau refuses into one sentence on stderr, ``as_json`` also a document on stdout, and exit code 2."""
+    begin()
     try:
         yield
     except GtauError as error:

@@ -61,6 +61,13 @@ def _end() -> None:
     os._exit(CODE)
 
 
+def begin() -> None:
+    """Forget earlier interruptions: one process may run several commands, as notebooks and tests do."""
+    _pressed.clear()
+    if _said.locked():
+        _said.release()
+
+
 def report(finished: str) -> None:
     """Say once that the program was interrupted, and what has become of its files; with ``--json`` on stdout too."""
     if not _said.acquire(blocking=False):

@@ -62,7 +62,7 @@ def _until_death(
                 del left[k]
                 yield k, future.result()
     except BaseException:
-        executor.shutdown(kill_workers=True)
+        executor.shutdown(wait=False, kill_workers=True)
         raise
     executor.shutdown()
 

@@ -33,6 +33,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.thresholds import ALTERNATIVE_PRIOR, REFUTED_STD, TOGETHER_SHARE
 
+CERTAIN = 1e9  # log factor that stands for certainty
 WINDOWS = 10  # of a run, within which residuals may be autocorrelated
 
 
@@ -117,9 +118,11 @@ def compete(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
         groups.setdefault(each.group, []).append(each)
     found: list[Alternative] = []
     for members in groups.values():
-        prior = ALTERNATIVE_PRIOR / len(members) / (1 - ALTERNATIVE_PRIOR)
-        odds = prior * np.exp(np.minimum([each.log_factor for each in members], 600.0))  # no overflow
-        found += [replace(each, probability=float(p)) for each, p in zip(members, odds / (1 + odds.sum()), strict=True)]
+        prior = np.log(ALTERNATIVE_PRIOR / len(members) / (1 - ALTERNATIVE_PRIOR))
+        # log odds over none, of which certain ones are beyond all others; the largest is taken off against overflow
+        odds = np.append(prior + np.minimum([each.log_factor for each in members], CERTAIN), 0.0)
+        odds = np.exp(odds - odds.max())
+        found += [replace(each, probability=float(p)) for each, p in zip(members, odds[:-1] / odds.sum(), strict=True)]
     return tuple(found)
 
 

@@ -42,8 +42,8 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
     total = _number(len(gains))
     if len(good) == len(gains):
         widest = max(gain.half_width or 0.0 for gain in good)
-        which = "The drive gain is" if len(gains) == 1 else f"All {total} drive gains are"
-        return f"{which} known to {widest:.2g} % or better (95 % intervals)."
+        which = {1: "The drive gain is", 2: "Both drive gains are"}.get(len(gains), f"All {total} drive gains are")
+        return f"{which} known to within {widest:.2g} % (95 % intervals)."
     if not good:
         return f"No drive gain is known to {100 * accuracy:g} %."
     verb = "is" if len(good) == 1 else "are"
