@@ -137,7 +137,7 @@ def ripple_notes(found: PositionRipple, joints: Sequence[str], solution: Solutio
     of_gains = f" (that of the gain of joint '{joints[k]}' {moves[k]:.2g} %)" if moves[k] else ""
     return [
         f"residuals repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance at joint "
-        f"'{joints[j]}'): ripple of the motors, cables or springs, which the model lacks. They repeat in "
-        "every run, so the scatter between blocks does not show them; the standard deviations include how far the estimates move when they are "
-        f"modelled{of_gains}"
+        f"'{joints[j]}'): ripple of the motors, cables or springs, which the model lacks. They repeat in every run, so "
+        "the scatter between blocks does not show them; the standard deviations include how far the estimates move "
+        f"when they are modelled{of_gains}"
     ]
