@@ -46,6 +46,11 @@ def test_an_error_in_its_turn_is_raised() -> None:
         list(in_order(lambda function, items: [(0, 1), (1, GtauError("no two."))])(square, range(2)))
 
 
+def _hear_ctrl_c() -> None:
+    """Begun in the background by a shell, tests ignore Ctrl-C, and so would what they begin."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_ends_all_processes_at_once_and_without_a_word(tmp_path: Path) -> None:
     code = """
 import sys, pathlib
@@ -61,7 +66,9 @@ if __name__ == "__main__":
     (tmp_path / "main.py").write_text(code)
     command = [sys.executable, "main.py", str(Path(shard_functions.__file__).parent), str(tmp_path)]
     pipe = subprocess.PIPE
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True, start_new_session=True, preexec_fn=_hear_ctrl_c
+    )
     while len(list(tmp_path.glob("[0-9]"))) < 2:
         assert process.poll() is None
         time.sleep(0.02)

@@ -176,7 +176,7 @@ def test_the_report_shows_the_numbers_of_the_model(reports: Path) -> None:
         assert each["name"] in page.text
     for log in ("experiment.yaml", "free.csv", "loaded.csv", "check.csv"):
         assert hashlib.sha256((reports / log).read_bytes()).hexdigest() in page.text
-    assert re.search("All two drive gains|[12] of 2 drive gains", page.text)
+    assert re.search("Both drive gains|[12] of 2 drive gains", page.text)
     assert "payload '<b>steel & co' of 1.2 kg" in page.text
 
 
