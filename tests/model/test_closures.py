@@ -27,8 +27,9 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.model.coordinates import coordinates
-from gtau.model.home import close_home, load_robot, loop_errors
+from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loop_closure import loop_errors
 from gtau.model.loops import CONDITION, advance, follow
 from gtau.model.random_states import random_motion
 from gtau.robots.robot import Coupling, Limits, Pose, Robot

@@ -12,8 +12,9 @@ from engines import Mujoco, Pinocchio, closed_torques, random_parameters, torque
 
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.model.coordinates import coordinates
-from gtau.model.home import load_robot, loop_errors
+from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loop_closure import loop_errors
 from gtau.robots.readers.read import catalog_names
 from gtau.robots.robot import INERTIAL, Robot
 

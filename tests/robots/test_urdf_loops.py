@@ -12,8 +12,9 @@ from engines import Mujoco, Pinocchio, closed_torques, random_parameters, tree_t
 
 from gtau.errors import GtauError
 from gtau.model.coordinates import coordinates
-from gtau.model.home import CLOSED, close_home, load_robot, loop_errors
+from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loop_closure import CLOSED, loop_errors
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native

@@ -17,12 +17,13 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.model.closures import ClosureEquations, closure_equations
 from gtau.model.coordinates import Coordinates, coordinates
-from gtau.model.home import FAR, closed, is_closed, loop_errors
+from gtau.model.home import FAR
 from gtau.model.interpreter.continuation import Follower, advance_to, follow_path
 from gtau.model.interpreter.kernel import MACHINE
 from gtau.model.interpreter.lanes import LANES
 from gtau.model.interpreter.program import Bound, addresses, aligned
 from gtau.model.interpreter.threads import share
+from gtau.model.loop_closure import closed, is_closed, loop_errors
 from gtau.robots.robot import Robot
 
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
