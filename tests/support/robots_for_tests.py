@@ -124,6 +124,26 @@ def planar_3rrr() -> Robot:
     return Robot("3-RRR", tuple(joints), (Platform("P", ("x", "y", "rz")),), tuple(closures), gravity=OBLIQUE)
 
 
+def tripteron() -> Robot:
+    """Three slides along the base axes, each with three parallel revolutes, welded to a platform with x, y and z."""
+    joints, closures = [], []
+    turns = [(0.0, 0.0, 0.0), (pi / 2, 0.0, pi / 2), (-pi / 2, -pi / 2, 0.0)]  # cyclic exchanges of the axes
+    for leg, rpy in enumerate(turns, start=1):
+        first, second = 0.5, -1.3
+        joints += [
+            Joint(f"{leg}1", "ground", "prismatic", Pose(rpy=rpy)),
+            Joint(f"{leg}2", f"{leg}1", "revolute", actuated=False, home=first),
+            Joint(f"{leg}3", f"{leg}2", "revolute", Mdh(d=0.4), actuated=False, home=second),
+            Joint(f"{leg}4", f"{leg}3", "revolute", Mdh(d=0.3), actuated=False, home=-first - second),
+        ]
+        reach = np.array(
+            [0.4 * cos(first) + 0.3 * cos(first + second), 0.4 * sin(first) + 0.3 * sin(first + second), 0]
+        )
+        arm = tuple(Pose(rpy=rpy).rotation @ reach)
+        closures.append(Closure("weld", Attachment(f"{leg}4"), Attachment("P", Pose(arm, rpy))))
+    return Robot("tripteron", tuple(joints), (Platform("P", ("x", "y", "z")),), tuple(closures), gravity=OBLIQUE)
+
+
 def hexapod() -> Robot:
     """Six legs of a universal joint and a driven slide along x, a tilted platform with all six freedoms."""
     joints, closures = [], []
@@ -176,6 +196,7 @@ CLOSED = (
     slider_crank(),
     palletizer(),
     planar_3rrr(),
+    tripteron(),
     hexapod(),
     two_platforms(),
     load_robot("five-bar"),
