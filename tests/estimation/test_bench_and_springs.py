@@ -1,4 +1,4 @@
-"""A test bench for one servo, and a spring across a joint, identified from logs that the model makes."""
+"""A test bench for one servo, and springs of both kinds, identified from logs that the model makes."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from gtau.estimation.identify import identify
+from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.readers.native import parse_native
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run
+from gtau.simulation.mujoco_plant import MujocoPlant
+from gtau.simulation.plant import Plant
 
 RATE, NOISE = 500.0, 0.02
 LOAD = Payload(name="disc", mass=2.0, parameters={"mx": 0.5, "mz": 0.0, "yy": 0.13})
@@ -73,6 +76,49 @@ joints: {arm: {antecedent: ground, rpy: [0, pi/2, 0], axis: [0, 1, 0], type: rev
     assert near(found.parameters["off_arm"], 0.2, 0.3)
     (line,) = (line for line in found.summary().splitlines() if "k_arm" in line)
     assert line.endswith(" N m/rad")
+
+
+def test_a_gas_spring_is_identified_beside_gravity_and_friction() -> None:
+    """Its stiffness acts as a moment of mass on one joint, so it is part of ``mx_armR``; the preload is not."""
+    text = """robot: balanced
+joints: {arm: {antecedent: ground, rpy: [0, pi/2, 0], axis: [0, 1, 0], type: revolute}}
+springs: {gas: {between: [{body: ground, xyz: [-0.15, 0, 0.05]}, {body: arm, xyz: [0.3, 0, 0.02]}]}}
+"""
+    robot = parse_native(text, "balanced.yaml")
+    truth = {"mx_arm": 1.2, "yy_arm": 0.6, "fv_arm": 0.8, "fs_arm": 1.5, "off_arm": 0.2, "f0_gas": 90.0, "k_gas": 60.0}
+    base = base_parameters(InverseDynamics(robot))
+    expected = base.matrix @ [truth.get(name, 0.0) for name in InverseDynamics(robot).parameter_names]
+    found = identify(robot, [run(robot, truth, 2.5, 1), run(robot, truth, 2.5, 2, LOAD)])
+    assert near(found.drive_gains["arm"], 2.5, 0.01)
+    assert near(found.parameters["f0_gas"], 90.0, 0.02)
+    for name, value in zip(base.names, expected, strict=True):
+        if found.parameters[name].value is not None:
+            assert abs(found.parameters[name].value - value) < 4 * found.parameters[name].std
+    (line,) = (line for line in found.summary().splitlines() if "f0_gas" in line)
+    assert line.endswith(" N")
+
+
+def test_the_plants_have_springs_between_points() -> None:
+    """Without friction the energy holds in gtau's plant, and MuJoCo's goes the same way."""
+    text = """robot: balanced
+joints:
+  turret: {antecedent: ground, theta: q}
+  arm: {antecedent: turret, alpha: pi/2, theta: q}
+springs:
+  gas: {between: [{body: turret, xyz: [-0.15, 0, 0.05]}, {body: arm, xyz: [0.3, 0, 0.02]}], stiffness: false}
+  coil: {between: [{body: ground, xyz: [0.4, 0, 0.05]}, {body: arm, xyz: [0.3, 0, 0.02]}]}
+"""
+    model = InverseDynamics(parse_native(text, "balanced.yaml"))
+    chi = {f"{kind}_{joint}": 0.5 for kind in ("xx", "yy", "zz") for joint in ("turret", "arm")}
+    chi |= {"m_turret": 1.0, "m_arm": 1.0, "mx_arm": 0.3, "f0_gas": 40.0, "f0_coil": 30.0, "k_coil": 100.0}
+    plants = Plant(model, chi), MujocoPlant(model, chi)
+    states = [plant.start(np.array([0.2, 0.4])) for plant in plants]
+    energy = plants[0].energy(states[0])
+    for _ in range(100):
+        states = [plant.advance(state, np.zeros(2), 5e-3) for plant, state in zip(plants, states, strict=True)]
+    assert np.abs(states[0].qd).max() > 0.5
+    assert plants[0].energy(states[0]) == pytest.approx(energy, abs=1e-5)
+    np.testing.assert_allclose(states[1].q, states[0].q, atol=1e-3)
 
 
 @pytest.mark.parametrize("reference", [0.0, 0.4])

@@ -54,6 +54,7 @@ MJCF = """<mujoco model="arm">
   <asset><mesh name="part" file="part.stl"/></asset>
   <worldbody>
     <geom type="plane" size="1 1 1"/>
+    <site name="post" pos="0.2 0.1 0.9"/>
     <body name="upper" pos="0 0 0.4" euler="0.1 0.2 0.3">
       <joint name="shoulder" axis="0 1 0" pos="0.05 0 0.02" ref="0.3" range="-1 1.5"/>
       <geom class="small" type="mesh" mesh="part"/>
@@ -61,10 +62,14 @@ MJCF = """<mujoco model="arm">
         <joint name="turn" axis="0 0 1" pos="0 0.1 0"/>
         <joint name="slide" type="slide" axis="0.6 0 0.8" pos="0.1 0 0"/>
         <geom type="box" size="0.1 0.1 0.1"/>
+        <site name="hook" pos="0.1 0.2 0"/>
         <body name="flange" pos="0.2 0 0" euler="0.3 0 0"><geom type="sphere" size="0.05"/></body>
       </body>
     </body>
   </worldbody>
+  <tendon>
+    <spatial name="coil" stiffness="20" rgba="1 0 0 1"><site site="post"/><site site="hook"/></spatial>
+  </tendon>
   <actuator>
     <motor name="m1" joint="shoulder" gear="50"/><motor joint="turn"/><position joint="slide" kp="30"/>
   </actuator>
@@ -121,7 +126,7 @@ def test_an_mjcf_keeps_all_but_inertias_friction_and_gears(tmp_path: Path, rng: 
     text = exported.files[0].read_text()
     assert "<!-- the arm of the tests -->" in text
     for line in MJCF.splitlines():
-        if not any(tag in line for tag in ("<body", "<joint", "<motor", "<compiler")):
+        if not any(tag in line for tag in ("<body", "<joint", "<motor", "<compiler", "<spatial")):
             assert line in text.splitlines()
     assert 'file="part.stl"' in text
     assert 'ref="0.3"' in text

@@ -28,6 +28,28 @@ def rotation_columns(angles: np.ndarray) -> np.ndarray:
     return np.column_stack([np.eye(3)[0], x[:, 1], (x @ y)[:, 2]])
 
 
+def spring_torques(model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray, springs: dict) -> np.ndarray:
+    """Torques against the springs between two points, by Pinocchio's Jacobians of the links that they name."""
+    tau = np.zeros(model.nv)
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    for spring in springs.values():
+        ends = []
+        for end in spring["between"]:
+            frame, xyz = model.getFrameId(end["link"]), np.array(end["xyz"])
+            J = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL)
+            at = data.oMf[frame]
+            ends.append((at.translation + at.rotation @ xyz, at.rotation @ (J[:3] - pin.skew(xyz) @ J[3:])))
+        (p_a, J_a), (p_b, J_b) = ends
+        length = np.linalg.norm(p_b - p_a)
+        rate = (p_b - p_a) / length @ (J_b - J_a)  # (nv,)
+        preload, stiffness, damping = (
+            spring.get(key, {"value": 0.0})["value"] for key in ("preload", "stiffness", "damping")
+        )
+        tau += (stiffness * length + damping * (rate @ v) - preload) * rate
+    return tau
+
+
 @pytest.mark.parametrize(
     "robot",
     [
@@ -42,7 +64,8 @@ def test_pinocchio_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: P
     model = pin.buildModelFromUrdf(str(exported.files[0]))
     model.gravity.linear = np.array([0.0, 0.0, -np.linalg.norm(robot.gravity)])
     data = model.createData()
-    drives = yaml.safe_load(exported.files[1].read_text())["joints"]
+    beside = yaml.safe_load(exported.files[1].read_text())
+    drives = beside["joints"]
     motion = random_motion(idm, 10, rng)
     tau = idm.full.torques_along(idm.layout, motion, np.array([standard[name] for name in idm.parameter_names]))
     for k in range(10):
@@ -96,6 +119,7 @@ def test_pinocchio_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: P
             passive[row] += drive.get("offset", {"value": 0.0})["value"]
             if "stiffness" in drive:
                 passive[row] += drive["stiffness"]["value"] * (motion.c[row, k] - drive["springref"]["value"])
+        effort += map_.T @ spring_torques(model, data, configuration, map_ @ v, beside.get("springs", {}))
         found = motion.J[:, :, k].T @ (effort + passive)
         np.testing.assert_allclose(found, tau[:, k], atol=1e-8 * np.abs(tau).max())
 

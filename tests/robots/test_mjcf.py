@@ -441,3 +441,45 @@ def test_a_leg_that_slides_between_two_balls(axis: str, tmp_path: Path, rng: np.
 def inertial(chi: dict[str, float]) -> dict[str, float]:
     """Those of the links alone: a ball has no friction."""
     return {key: value for key, value in chi.items() if key.split("_")[0] in INERTIAL}
+
+
+SPRUNG = """<mujoco><compiler angle="radian"/><worldbody><site name="post" pos="0.3 0 0.5"/>
+  <body name="upper" pos="0 0 0.1"><inertial mass="1" pos="0.1 0 0" diaginertia="1 1 1"/>
+  <joint name="shoulder" axis="0 1 0"/>
+  <body name="plate" pos="0.1 0 0" euler="0.2 0.1 0"><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+  <site name="hook" pos="0.1 0.02 0.03"/></body>
+  <body name="lower" pos="0.5 0 0"><inertial mass="1" pos="0.1 0 0" diaginertia="1 1 1"/>
+  <joint name="elbow" axis="0 1 0"/><site name="tip" pos="0.2 0 0.1"/></body></body></worldbody>
+  <tendon><spatial name="coil" stiffness="200" springlength="0.3" damping="4">
+  <site site="post"/><site site="hook"/></spatial>
+  <spatial name="gas" damping="2"><site site="hook"/><site site="tip"/></spatial>
+  <spatial name="dead" stiffness="20" springlength="0.1 0.2"><site site="post"/><site site="tip"/></spatial>
+  <spatial name="bent" stiffness="20"><site site="post"/><site site="hook"/><site site="tip"/></spatial></tendon>
+  <actuator><motor joint="shoulder"/><motor joint="elbow"/>
+  <general name="strut" tendon="gas" gainprm="0" biastype="affine" biasprm="70 -30 0"/></actuator></mujoco>"""
+
+
+def test_straight_tendons_are_springs_between_points(tmp_path: Path, rng: np.random.Generator) -> None:
+    """With stiffness and damping of the tendon, or a force without control; MuJoCo's own torques are compared."""
+    robot = load(SPRUNG, tmp_path)
+    assert [(spring.name, spring.a.body, spring.b.body) for spring in robot.springs] == [
+        ("coil", "ground", "shoulder"),
+        ("gas", "shoulder", "elbow"),
+    ]
+    assert all(spring.parameters == ("f0", "k", "c") for spring in robot.springs)
+    for name in ("dead", "bent"):
+        assert any(f"tendon '{name}' acts as a spring" in note and "not modelled" in note for note in robot.notes)
+    assert not any("strut" in note for note in robot.notes)
+    spec = mujoco.MjSpec.from_string(SPRUNG)
+    for tendon in spec.tendons[2:]:
+        spec.delete(tendon)
+    model = spec.compile()
+    model.opt.gravity[:] = 0
+    data = mujoco.MjData(model)
+    chi = {"f0_coil": 60.0, "k_coil": 200.0, "c_coil": 4.0, "f0_gas": 70.0, "k_gas": 30.0, "c_gas": 2.0}
+    q, qd = rng.normal(size=(2, 10, 2))
+    tau = InverseDynamics(robot).torques(q, qd, 0 * q, chi)
+    for position, speed, expected in zip(q, qd, tau, strict=True):
+        data.qpos, data.qvel = position, speed
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(-(data.qfrc_passive + data.qfrc_actuator), expected, rtol=1e-9, atol=1e-8)

@@ -14,7 +14,7 @@ from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.robot import Robot
+from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
 from gtau.robots.units import torque_unit, unit_of
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import Preparation
@@ -28,7 +28,8 @@ def model_of(
     """A result with random parameters, friction terms f3 and fl if ``terms``, and a payload on the tool."""
     rng, model = np.random.default_rng(seed), InverseDynamics(robot)
     standard = dict.fromkeys(model.parameter_names, 0.0) | (random_parameters(robot, rng) if chi is None else chi)
-    standard |= {name: 3.0 for name in standard if name.startswith("k_")}
+    size = {"k": 3.0, "f0": 2.0, "c": 0.4}
+    standard |= {name: size[name.split("_")[0]] for name in standard if name.split("_")[0] in size}
     base = base_parameters(model)
     values = base.matrix @ [standard[name] for name in model.parameter_names]
     joints, units = robot.actuated, [torque_unit(robot, joint) for joint in robot.actuated]
@@ -81,8 +82,10 @@ def model_of(
 
 
 def sprung() -> Robot:
-    """The slider-crank with springs across its crank and its slider."""
+    """The slider-crank with springs across its crank and its slider, a coil and a gas spring between two points."""
     robot = slider_crank()
     rests = {"1": 0.3, "3": 0.5}
     joints = tuple(replace(joint, spring=rests.get(joint.name)) for joint in robot.joints)
-    return replace(robot, name="sprung", joints=joints)
+    coil = Spring("coil", Attachment("ground", Pose((0.3, 0.5, 0.2))), Attachment("2", Pose((0.1, 0.05, 0.0))), SPRING)
+    gas = Spring("gas", Attachment("1", Pose((0.0, 0.1, 0.1))), Attachment("3", Pose((0.2, 0.0, 0.0))), ("f0", "c"))
+    return replace(robot, name="sprung", joints=joints, springs=(coil, gas))

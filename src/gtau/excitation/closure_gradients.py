@@ -197,6 +197,7 @@ def in_platform_space(robot: Robot) -> Robot:
         robot,
         joints=(*chain, *(replace(joint, actuated=False) for joint in robot.joints)),
         platforms=(),
+        springs=(),  # which no closure equation holds
         closures=tuple(replace(closure, a=moved(closure.a), b=moved(closure.b)) for closure in robot.closures),
     )
 

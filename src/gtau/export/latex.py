@@ -13,7 +13,7 @@ from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
 from gtau.robots.robot import Mdh, Robot
 
-SYMBOLS = {"ia": "ia", "fv": "fv", "fs": "fs", "f3": "f_3", "fl": r"f_{\ell}"}
+SYMBOLS = {"ia": "ia", "fv": "fv", "fs": "fs", "f3": "f_3", "f0": "f_0", "fl": r"f_{\ell}"}
 UNITS = {"kg m2": r"kg\,m$^2$", "kg m": r"kg\,m", "N m": r"N\,m", "N m s/rad": r"N\,m\,s/rad", "N s/m": r"N\,s/m"}
 HEAD = r"""% Tables of '{robot}', written by 'gtau export': \usepackage{{amsmath,booktabs}} and \input this file.
 """

@@ -163,6 +163,7 @@ def _text(spec: Any) -> str:
         "joint": ({joint.name: joint for joint in spec.joints}, ("axis", *JOINT)),
         "site": ({site.name: site for site in spec.sites}, ("pos", "quat")),
         "general": ({actuator.name: actuator for actuator in spec.actuators}, ("gear", "gainprm", "biasprm")),
+        "spatial": ({tendon.name: tendon for tendon in spec.tendons}, ("stiffness", "springlength", "damping")),
         "key": ({key.name: key for key in spec.keys}, ("qpos",)),
     }
     for element in root.iter():

@@ -20,7 +20,8 @@ from gtau.export.rigid_body import RigidBody, rigid_body
 from gtau.model.kinematics import frames
 from gtau.robots.readers.mjcf_file import SHAPES, compile_mjcf
 from gtau.robots.readers.xml_document import read_xml
-from gtau.robots.robot import STIFFNESS
+from gtau.robots.robot import SPRING, STIFFNESS
+from gtau.simulation.mujoco_plant import spring_attributes
 
 NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
@@ -51,9 +52,15 @@ def export(result: Result, source: Path, out: Path) -> Exported:
             lumped.append(element.get("name", f"body {number}"))
         for place, joint in enumerate(_joints(element)):
             _put_friction(file, joint, model, _joint_name(compiled, int(compiled.body_jntadr[number]) + place))
+    left = list(_put_springs(file, model))
     said = [*_put_gears(file, model), *_allow_inertias(file)]
+    if left:
+        said.append(f"these springs are no tendons with a stiffness, and were left as they are: {', '.join(left)}")
     _check(mujoco, file)
-    expressed = {name: value for name, value in model.standard.items() if not name.startswith("off_")}
+    unable = {f"{kind}_{name}" for kind in SPRING for name in left}
+    expressed = {
+        name: value for name, value in model.standard.items() if not name.startswith("off_") and name not in unable
+    }
     found = differences(model, expressed, cubic=True)
     if lumped:
         said.append(f"bodies without joints are part of those that carry them, and weigh nothing: {', '.join(lumped)}")
@@ -136,6 +143,17 @@ def _put_friction(file: InputFile, element: Element, model: ConsistentModel, joi
         attributes["stiffness"] = digits(model.of(STIFFNESS, joint))
     if attributes:
         file.set(element, **attributes)
+
+
+def _put_springs(file: InputFile, model: ConsistentModel) -> Iterator[str]:
+    """Put springs into the tendons that they were read from; names of those that cannot be there."""
+    tendons = {tendon.get("name"): tendon for tendon in file.root.iter("spatial")}
+    for spring in model.result.robot.springs:
+        attributes = spring_attributes(spring, model.standard)
+        if attributes is None or spring.name not in tendons:
+            yield spring.name
+        else:
+            file.set(tendons[spring.name], **{name: digits(value) for name, value in attributes.items()})
 
 
 def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:

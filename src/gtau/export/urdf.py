@@ -18,7 +18,9 @@ from gtau.export.identified import identifier
 from gtau.export.rigid_body import RigidBody, rigid_body
 from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.robot import (
+    DAMPING,
     GROUND,
+    PRELOAD,
     ROTATIONS,
     STIFFNESS,
     TRANSLATIONS,
@@ -28,8 +30,9 @@ from gtau.robots.robot import (
     Platform,
     Pose,
     Robot,
+    Spring,
 )
-from gtau.robots.units import torque_unit
+from gtau.robots.units import torque_unit, unit_of
 
 ROOT = "base"
 UNLIMITED = 1e6  # rad, m: the format wants limits of slides
@@ -56,7 +59,9 @@ def export(result: Result, out: Path) -> Exported:
 
 def notes(model: ConsistentModel, name: str) -> list[str]:
     """What the URDF lacks and where it stands instead."""
-    springs = " and springs" if any(joint.spring is not None for joint in model.result.robot.joints) else ""
+    robot = model.result.robot
+    sprung = bool(robot.springs) or any(joint.spring is not None for joint in robot.joints)
+    springs = " and springs" if sprung else ""
     found = [f"a URDF has no place for drive gains, rotor inertias, offsets{springs}: they are in {name}_drives.yaml"]
     cubic = [term for term in model.result.friction if term.startswith("f3")]
     found += [f"friction cubic in speed is in {name}_drives.yaml too"] if cubic else []
@@ -214,7 +219,23 @@ def drives_text(model: ConsistentModel) -> str:
             entry |= {"stiffness": stiffness, "springref": {"value": joint.spring, "unit": "rad" if turns else "m"}}
         if entry:
             joints[joint.name] = entry
-    return str(yaml.safe_dump({"robot": model.result.robot.name, "joints": joints}, sort_keys=False))
+    document: dict[str, object] = {"robot": model.result.robot.name, "joints": joints}
+    if springs := {spring.name: _spring_data(model, spring) for spring in model.result.robot.springs}:
+        document["springs"] = springs
+    return str(yaml.safe_dump(document, sort_keys=False))
+
+
+def _spring_data(model: ConsistentModel, spring: Spring) -> dict[str, object]:
+    """A spring between two points: where it is attached, and its ``preload - stiffness l - damping dl/dt``."""
+    robot, ends = model.result.robot, []
+    for end in (spring.a, spring.b):
+        placement = compose(_to_vertical(robot), end.placement) if end.body == GROUND else end.placement
+        xyz = [float(component) for component in placement.position]
+        ends.append({"link": ROOT if end.body == GROUND else link(end.body), "xyz": xyz})
+    words = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
+    units = {kind: unit_of(kind, robot, spring.name) for kind in spring.parameters}
+    values = {words[kind]: {"value": model.of(kind, spring.name), "unit": unit} for kind, unit in units.items()}
+    return {"between": ends, **values}
 
 
 def _number(value: float) -> str:

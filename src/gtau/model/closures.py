@@ -15,7 +15,17 @@ import numpy as np
 
 from gtau.model.coordinates import Coordinates
 from gtau.model.interpreter.program import Program, compile_program
-from gtau.model.kinematics import Frame, Twist, accelerations, configuration_rates, constant, frames, twists
+from gtau.model.kinematics import (
+    Frame,
+    Twist,
+    accelerations,
+    attached_frame,
+    attached_velocity,
+    configuration_rates,
+    constant,
+    frames,
+    twists,
+)
 from gtau.model.least_squares import solve
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Attachment
@@ -46,19 +56,6 @@ class ClosureEquations:
     scale: np.ndarray
 
 
-def _attached(end: Attachment, frame: dict[str, Frame]) -> tuple[ca.SX, ca.SX]:
-    """Orientation and position of an attached frame in the base."""
-    body = frame[end.body]
-    rotation, arm = constant(end.placement.rotation), constant(end.placement.position)
-    return body.R_0 @ rotation, body.p_0 + body.R_0 @ arm
-
-
-def _velocity(end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist]) -> Twist:
-    body, arm = twist[end.body], constant(end.placement.position)
-    R_0 = frame[end.body].R_0
-    return Twist(R_0 @ body.angular, R_0 @ (body.linear + ca.cross(body.angular, arm)))
-
-
 def _acceleration(
     end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist], acceleration: dict[str, Twist]
 ) -> Twist:
@@ -87,7 +84,7 @@ def assembly_errors(layout: Coordinates, c: ca.SX) -> tuple[ca.SX, ca.SX]:
         rows.append(residual[start : start + 3])
         start += 3
         if closure.kind == "weld":
-            (R_a, _), (R_b, _) = _attached(closure.a, frame), _attached(closure.b, frame)
+            (R_a, _), (R_b, _) = attached_frame(closure.a, frame), attached_frame(closure.b, frame)
             trace = ca.trace(R_b.T @ R_a)
             rows.append(2 * residual[start : start + 3] / ca.sqrt(ca.fmax(1 + trace, 1e-12)))
             flips.append((3 - trace) / 2)
@@ -229,8 +226,8 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
     still = accelerations(layout, frame, twist, yd, ca.SX(layout.n_y, 1), np.zeros(3))
     residual, velocity, gamma = [], [], []
     for closure in robot.closures:
-        (R_a, p_a), (R_b, p_b) = _attached(closure.a, frame), _attached(closure.b, frame)
-        v_a, v_b = _velocity(closure.a, frame, twist), _velocity(closure.b, frame, twist)
+        (R_a, p_a), (R_b, p_b) = attached_frame(closure.a, frame), attached_frame(closure.b, frame)
+        v_a, v_b = attached_velocity(closure.a, frame, twist), attached_velocity(closure.b, frame, twist)
         a_a, a_b = (_acceleration(end, frame, twist, still) for end in (closure.a, closure.b))
         residual.append((p_a - p_b) / length)
         velocity.append((v_a.linear - v_b.linear) / length)

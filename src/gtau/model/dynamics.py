@@ -12,14 +12,16 @@ import casadi as ca
 import numpy as np
 
 from gtau.model.coordinates import Coordinates
-from gtau.model.kinematics import Twist, accelerations, frames, twists
-from gtau.robots.robot import DRIVE, INERTIAL, STIFFNESS, Robot
+from gtau.model.kinematics import Frame, Twist, accelerations, attached_frame, attached_velocity, frames, twists
+from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robot, Spring
+
+TOUCHING = 1e-9  # m: points nearer than this have no line between them, and a spring no direction
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
-    """List the names of the standard parameters: those of each joint, 14 at most, then 10 of each platform.
+    """List the names of the standard parameters: of each joint, 14 at most, 10 of each platform, and of the springs.
 
-    ``"inertial"`` leaves out rotor inertia, friction and offset.
+    ``"inertial"`` leaves out rotor inertia, friction, offset and springs.
     """
     kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
     joints: list[str] = []
@@ -28,7 +30,8 @@ def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
         if joint.spring is not None and parameters == "all":
             joints.append(f"{STIFFNESS}_{joint.name}")
     platforms = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
-    return (*joints, *platforms)
+    springs = [f"{kind}_{spring.name}" for spring in robot.springs for kind in spring.parameters]
+    return (*joints, *platforms, *(springs if parameters == "all" else ()))
 
 
 def _wrench(chi: dict[str, ca.SX], body: str, twist: Twist, acceleration: Twist) -> Twist:
@@ -40,6 +43,19 @@ def _wrench(chi: dict[str, ca.SX], body: str, twist: Twist, acceleration: Twist)
     force = m * a + ca.cross(alpha, ms) + ca.cross(omega, ca.cross(omega, ms))
     moment = inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(ms, a)
     return Twist(moment, force)
+
+
+def spring_length(spring: Spring, frame: dict[str, Frame]) -> tuple[ca.SX, ca.SX]:
+    """Express the distance of a spring's points and the unit vector (3,) from its first to its second, in base axes."""
+    line = attached_frame(spring.b, frame)[1] - attached_frame(spring.a, frame)[1]
+    length = ca.sqrt(ca.sumsqr(line))
+    return length, line / ca.fmax(length, TOUCHING)
+
+
+def _lengthening(spring: Spring, direction: ca.SX, frame: dict[str, Frame], twist: dict[str, Twist]) -> ca.SX:
+    """Express the rate of a spring's length for the bodies' twists, or partial twists."""
+    v_a, v_b = (attached_velocity(end, frame, twist).linear for end in (spring.a, spring.b))
+    return ca.dot(direction, v_b - v_a)
 
 
 def torques(
@@ -71,6 +87,15 @@ def torques(
     acceleration = accelerations(layout, frame, twist, yd, ydd, np.array(robot.gravity))
     massive = [body for body in robot.bodies if f"m_{body}" in chi]
     wrench = {body: _wrench(chi, body, twist[body], acceleration[body]) for body in massive}
+    pulls = []  # of the springs: the rate of whose length they want, and the force against it
+    for spring in robot.springs:
+        length, direction = spring_length(spring, frame)
+        stretching = _lengthening(spring, direction, frame, twist)
+        pull = ca.SX(0)
+        for kind, effort in ((PRELOAD, ca.SX(-1)), (STIFFNESS, length), (DAMPING, stretching)):
+            if f"{kind}_{spring.name}" in chi:
+                pull += chi[f"{kind}_{spring.name}"] * effort
+        pulls.append((spring, direction, pull))
     tau = []
     for k in range(J.shape[1]):
         partial = twists(layout, frame, J[:, k])
@@ -79,11 +104,13 @@ def torques(
             power += ca.dot(partial[body].angular, wrench[body].angular)
             power += ca.dot(partial[body].linear, wrench[body].linear)
         for row, joint in enumerate(robot.joints):
-            effort = dict(zip(DRIVE, (ydd[row], yd[row], ca.sign(yd[row]), ca.SX(1)), strict=True))
+            terms = dict(zip(DRIVE, (ydd[row], yd[row], ca.sign(yd[row]), ca.SX(1)), strict=True))
             if joint.spring is not None:
-                effort[STIFFNESS] = c[row] - joint.spring
-            for kind in effort:
+                terms[STIFFNESS] = c[row] - joint.spring
+            for kind in terms:
                 if f"{kind}_{joint.name}" in chi:
-                    power += J[row, k] * chi[f"{kind}_{joint.name}"] * effort[kind]
+                    power += J[row, k] * chi[f"{kind}_{joint.name}"] * terms[kind]
+        for spring, direction, pull in pulls:
+            power += pull * _lengthening(spring, direction, frame, partial)
         tau.append(power)
     return ca.vertcat(*tau)

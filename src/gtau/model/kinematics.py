@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.model.coordinates import Coordinates
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Joint
+from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint
 
 Vector = ca.SX  # (3, 1)
 
@@ -127,6 +127,20 @@ def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[s
             linear = linear + axis * rates[k]
         found[joint.name] = Twist(angular, linear)
     return found | platform_twist(layout, rates, frame)
+
+
+def attached_frame(end: Attachment, frame: dict[str, Frame]) -> tuple[ca.SX, Vector]:
+    """Express orientation and position of an attached frame in the base."""
+    body = frame[end.body]
+    rotation, arm = constant(end.placement.rotation), constant(end.placement.position)
+    return body.R_0 @ rotation, body.p_0 + body.R_0 @ arm
+
+
+def attached_velocity(end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist]) -> Twist:
+    """Express the twist of an attached frame, at its origin, in base axes."""
+    body, arm = twist[end.body], constant(end.placement.position)
+    R_0 = frame[end.body].R_0
+    return Twist(R_0 @ body.angular, R_0 @ (body.linear + ca.cross(body.angular, arm)))
 
 
 def accelerations(

@@ -47,6 +47,9 @@ def robot_drawing(robot: Robot) -> str:
         style = "fill:none;stroke:var(--c2);stroke-width:3"
         page.marks.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="10" style="{style}"/>')
     _joints(page)
+    for spring in scene.springs:
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(page.on_page, spring))
+        page.marks.append(f'<polyline points="{points}" style="fill:none;stroke:var(--c3);stroke-width:1.6"/>')
     for x, y in map(page.on_page, scene.closings):
         style = "fill:var(--c4);stroke:var(--page);stroke-width:1.2"
         page.marks.append(f'<path d="M{x - 5:.1f} {y:.1f}l5 -5l5 5l-5 5z" style="{style}"/>')
@@ -61,6 +64,8 @@ def robot_drawing(robot: Robot) -> str:
         entries.pop(1)
     if robot.closures:
         entries.append(("closes a loop", "c4"))
+    if robot.springs:
+        entries.append(("spring", "c3"))
     return svg + key(entries)
 
 

@@ -38,6 +38,7 @@ RING: dict[str, Any] = {
     "markeredgewidth": 2.4,
     "zorder": 4,
 }
+SPRING: dict[str, Any] = {"color": BLACK, "linewidth": 1.2, "solid_joinstyle": "round", "zorder": 3.5}
 CLOSING: dict[str, Any] = {"color": ORANGE, "markeredgecolor": BLACK, "markersize": 6.5, "zorder": 7}
 
 
@@ -47,7 +48,7 @@ def robot_figure(robot: Robot) -> Figure:
     Pale lines are the base, grey ones the travel of prismatic joints, blue ones links, from a joint to the next, and
     filled faces platforms; the body that carries the payload is green, with the axes of its frame. Discs are revolute
     joints, with their axis through them, and squares prismatic ones, red and named where a motor moves them; diamonds
-    close loops. Below are the axes of the base, and a scale.
+    close loops, zigzags are springs. Below are the axes of the base, and a scale.
 
     Raises
     ------
@@ -79,6 +80,8 @@ def robot_figure(robot: Robot) -> Figure:
         _triad(axes, tool, ends, GREEN, zorder=6.5)
         places = _joints(axes, view, robot, joints, found, size)
         closings = scene.closings
+        for spring in scene.springs:
+            axes.plot(*spring.T, **SPRING)
         for place in closings:
             axes.plot(*place, marker="D", **CLOSING)
         strokes = [np.linspace(line[0], line[1], 30) @ view.T for _, line in lines]
@@ -216,6 +219,8 @@ def _legend(axes: Axes, robot: Robot, joints: list[Joint], linked: set[str]) -> 
         driven = joint.name in robot.driven
         what = ("motor, " if driven else "passive, ") + ("turns" if joint.kind == "revolute" else "slides")
         entries[what] = mark(SHAPES[joint.kind], **(DRIVEN if driven else PASSIVE))
+    if robot.springs:
+        entries["spring"] = Line2D([], [], **SPRING)
     if robot.closures:
         entries["closes a loop"] = mark("D", **CLOSING)
     if any(joint.limits.position for joint in joints if joint.kind == "prismatic"):

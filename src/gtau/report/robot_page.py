@@ -12,8 +12,10 @@ from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
 from gtau.robots.plausibility import oddities, tool_note
-from gtau.robots.robot import Robot
+from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot
 from gtau.robots.units import unit_of
+
+TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
 def describe(robot: Robot) -> dict[str, Any]:
@@ -65,6 +67,10 @@ def describe(robot: Robot) -> dict[str, Any]:
         "distances_at_home": {
             f"type_{kind}": None if np.isnan(d) else float(d) for kind, d in zip(TYPES, near, strict=True)
         },
+        "springs": [
+            {"name": spring.name, "between": [spring.a.body, spring.b.body], "parameters": list(spring.parameters)}
+            for spring in robot.springs
+        ],
         "gravity": np.array(robot.gravity).tolist(),
         "payload_on": robot.tool,
         "base_parameters": {
@@ -109,6 +115,11 @@ def robot_page(description: dict[str, Any]) -> str:
         lines += ["", f"  {' and '.join(counts)}, {loops['rows']} equations of rank {loops['rank']}:"]
         lines += [f"    {closure['kind']} {' - '.join(closure['between'])}" for closure in loops["closures"]]
         lines += [f"    {_equation(coupling)}" for coupling in loops["couplings"]]
+    if description["springs"]:
+        lines += ["", "  springs between two points, and the terms of their force:"]
+        for spring in description["springs"]:
+            terms = ", ".join(TERMS[kind] for kind in spring["parameters"])
+            lines.append(f"    {spring['name']}: {' - '.join(spring['between'])} ({terms})")
     near = description["distances_at_home"]
     lines += ["", f"  distance to singularities at home (1 at best, 0 at one): type 1 (serial) {near['type_1']:.2g}"]
     lines[-1] += "" if near["type_2"] is None else f", type 2 (parallel) {near['type_2']:.2g}"

@@ -13,6 +13,7 @@ from gtau.model.kinematics import poses
 from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Attachment, Joint, Robot
 
+COILS = 8  # turns of a spring
 FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
 
 
@@ -42,6 +43,12 @@ class Scene:
         return float((self.high - self.low).max()) or 1.0
 
     @property
+    def springs(self) -> list[np.ndarray]:
+        """Springs between two points, as zigzags on the page, (points, 2) each."""
+        ends = [[self.view @ attached(end, self.found)[1] for end in (each.a, each.b)] for each in self.robot.springs]
+        return [zigzag(start, end, 0.025 * self.size) for start, end in ends]
+
+    @property
     def closings(self) -> list[np.ndarray]:
         """Where loops are closed, (2,) each."""
         return [self.view @ attached(closure.a, self.found)[1] for closure in self.robot.closures]
@@ -58,7 +65,8 @@ def scene_of(robot: Robot) -> Scene:
     lines = link_lines(robot, joints, found)
     rails = [rail_of(joint, found) for joint in joints if joint.kind == "prismatic"]
     feet = [foot_of(joint, found) for joint in joints if joint.antecedent == GROUND]
-    points = np.vstack([*(line for _, line in lines), *rails, *feet, *(frame[1] for frame in found.values())])
+    ends = [attached(end, found)[1] for end in robot.ends]
+    points = np.vstack([*(line for _, line in lines), *rails, *feet, *ends, *(frame[1] for frame in found.values())])
     view = view_plane(np.ptp(points, axis=0))
     corners = points @ view.T
     return Scene(
@@ -96,10 +104,20 @@ def link_lines(robot: Robot, joints: list[Joint], found: dict[str, Frame]) -> li
         if joint.kind == "prismatic":
             lines.append((joint.name, np.array([foot, found[joint.name][1]])))
     platforms = {platform.name for platform in robot.platforms}
-    for end in (end for closure in robot.closures for end in (closure.a, closure.b)):
+    for end in robot.ends:
         if end.body not in platforms | {GROUND}:
             lines.append((end.body, np.array([found[end.body][1], attached(end, found)[1]])))
     return [(body, line) for body, line in lines if np.linalg.norm(line[1] - line[0]) > 1e-6]
+
+
+def zigzag(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
+    """A line (points, 2) from a point (2,) to another that looks like a coil, straight at both ends."""
+    along = end - start
+    length = max(float(np.linalg.norm(along)), 1e-12)
+    across = width / length * np.array([-along[1], along[0]])
+    shares = np.concatenate([[0.0, 0.2], np.linspace(0.25, 0.75, COILS), [0.8, 1.0]])
+    sides = np.concatenate([[0.0, 0.0], (-1.0) ** np.arange(COILS), [0.0, 0.0]])
+    return np.asarray(start + shares[:, None] * along + sides[:, None] * across)
 
 
 def foot_of(joint: Joint, found: dict[str, Frame]) -> np.ndarray:

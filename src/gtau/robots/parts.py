@@ -71,7 +71,7 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
 def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
     """Make the links of joints, at ``positions``, parts of the links that carry them, which have a mass if they had.
 
-    A closure whose ends are then on one body is dropped.
+    A closure or a spring whose ends are then on one body is dropped.
 
     Raises
     ------
@@ -99,12 +99,14 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
         return end if at.body == end.body else Attachment(at.body, compose(at.placement, end.placement))
 
     closures = (Closure(each.kind, moved(each.a), moved(each.b)) for each in robot.closures)
+    springs = (replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.springs)
     tool = carried[robot.named_tool].body if robot.named_tool else ""
     return replace(
         robot,
         joints=tuple(_heavy(joint) if joint.name in heavy else joint for joint in joints),
         closures=tuple(each for each in closures if each.a.body != each.b.body),
         couplings=tuple(_couplings(robot, positions)),
+        springs=tuple(each for each in springs if each.a.body != each.b.body),
         named_tool="" if tool == GROUND else tool,
     )
 

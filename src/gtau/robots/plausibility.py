@@ -46,6 +46,8 @@ def _lengths(robot: Robot) -> Iterator[str]:
     placed += [(f"home of platform '{platform.name}'", platform.home) for platform in robot.platforms]
     for number, closure in enumerate(robot.closures, start=1):
         placed += [(f"closure {number} on '{end.body}'", end.placement) for end in (closure.a, closure.b)]
+    for spring in robot.springs:
+        placed += [(f"spring '{spring.name}' on '{end.body}'", end.placement) for end in (spring.a, spring.b)]
     long = [
         f"{what} is placed {size:.4g} m away"
         for what, place in placed

@@ -22,7 +22,11 @@ INERTIAL = ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
 DRIVE = ("ia", "fv", "fs", "off")
 """Rotor inertia, viscous and Coulomb friction, and offset of a joint."""
 STIFFNESS = "k"
-"""Stiffness of a spring across a joint."""
+"""Stiffness of a spring across a joint, or between two points."""
+PRELOAD, DAMPING = "f0", "c"
+"""Force of a spring between two points at length zero, and its damping."""
+SPRING = (PRELOAD, STIFFNESS, DAMPING)
+"""Terms of the force of a spring between two points."""
 
 
 def _rotation_x(angle: float) -> np.ndarray:
@@ -174,9 +178,24 @@ class Closure:
     b: Attachment
 
 
+@dataclass(frozen=True)
+class Spring:
+    """A spring, gas spring, counterbalance or damper between a point of one body and a point of another.
+
+    It pushes the points apart along the line between them by ``f0 - k l - c dl/dt``, their distance being ``l``: so all
+    three parameters are positive where it is built as usual, and ``f0 = k l0`` of a coil at rest at ``l0``.
+    ``parameters`` says which of these terms it has.
+    """
+
+    name: str
+    a: Attachment
+    b: Attachment
+    parameters: tuple[str, ...] = (PRELOAD, STIFFNESS)
+
+
 @dataclass(frozen=True, repr=False)
 class Robot:
-    """A spanning tree of joints, platforms and closures.
+    """A spanning tree of joints, platforms and closures, and springs between its bodies.
 
     Joints stand in an order in which every antecedent precedes its followers. ``gravity`` is the
     acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
@@ -194,6 +213,7 @@ class Robot:
     notes: tuple[str, ...] = field(default=(), compare=False)
     named_tool: str = ""
     home_given: bool = field(default=True, compare=False)
+    springs: tuple[Spring, ...] = ()
 
     def __post_init__(self) -> None:
         _check(self)
@@ -221,6 +241,12 @@ class Robot:
             return self.named_tool
         links = [joint for joint in self.joints if joint.has_mass]
         return (self.platforms or links or self.joints)[-1].name
+
+    @property
+    def ends(self) -> tuple[Attachment, ...]:
+        """Where closures and springs are attached, both ends of each in turn."""
+        closures = (end for closure in self.closures for end in (closure.a, closure.b))
+        return (*closures, *(end for spring in self.springs for end in (spring.a, spring.b)))
 
     @property
     def driven(self) -> frozenset[str]:
@@ -278,6 +304,7 @@ def _problems(robot: Robot) -> Iterator[str]:
                 yield f"closure {number} is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
         if closure.a.body == closure.b.body:
             yield f"closure {number} ties '{closure.a.body}' to itself; attach its ends to two bodies"
+    yield from _spring_problems(robot, known)
     joints = {joint.name for joint in robot.joints}
     for number, coupling in enumerate(robot.couplings, start=1):
         others = [name for name, _ in coupling.ratios]
@@ -294,6 +321,21 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield f"the tool '{robot.named_tool}' is no body that has a mass; choose from {', '.join(carriers)}"
     if not robot.actuated:
         yield "no joint is actuated; mark the motors' joints with 'actuated: true'"
+
+
+def _spring_problems(robot: Robot, known: set[str]) -> Iterator[str]:
+    names = set(known)
+    for spring in robot.springs:
+        if spring.name in names:
+            yield f"the name '{spring.name}' is used twice; give every joint, platform and spring its own"
+        names.add(spring.name)
+        for end in (spring.a, spring.b):
+            if end.body not in known:
+                yield f"spring '{spring.name}' is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
+        if spring.a.body == spring.b.body:
+            yield f"both ends of spring '{spring.name}' are on '{spring.a.body}'; attach them to two bodies"
+        if not spring.parameters:
+            yield f"spring '{spring.name}' has none of preload, stiffness and damping; give it one, or remove it"
 
 
 def _limit_problems(joint: Joint) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
-from gtau.robots.robot import STIFFNESS, Robot
+from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot
 
 DEGREES_ADVICE = "write deg(...) where these are degrees"
 
@@ -15,7 +15,9 @@ def in_degrees(angle: float) -> bool:
 
 
 def unit_of(kind: str, robot: Robot, joint: str) -> str:
-    """Return the SI unit of a parameter of ``kind`` at a joint or platform."""
+    """Return the SI unit of a parameter of ``kind`` at a joint, a platform or a spring."""
+    if any(spring.name == joint for spring in robot.springs):
+        return {PRELOAD: "N", STIFFNESS: "N/m", DAMPING: "N s/m"}[kind]
     if kind in ("xx", "xy", "xz", "yy", "yz", "zz"):
         return "kg m2"
     if kind in ("mx", "my", "mz"):

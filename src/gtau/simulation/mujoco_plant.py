@@ -17,7 +17,18 @@ from gtau.errors import GtauError, missing_extra
 from gtau.model.coordinates import PlatformSlots
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import follow
-from gtau.robots.robot import GROUND, INERTIAL, ROTATIONS, STIFFNESS, TRANSLATIONS, Placement, Robot
+from gtau.robots.robot import (
+    DAMPING,
+    GROUND,
+    INERTIAL,
+    PRELOAD,
+    ROTATIONS,
+    STIFFNESS,
+    TRANSLATIONS,
+    Placement,
+    Robot,
+    Spring,
+)
 from gtau.simulation.plant import WIDTH, PlantState
 
 STEP = 1e-4  # s
@@ -173,7 +184,41 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
         )
         if weld:
             tie.data[10] = 1.0  # torques count as much as forces
+    for spring in robot.springs:
+        _add_spring(mujoco, spec, spring, chi, body)
     return spec
+
+
+def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any] | None:
+    """Attributes ``stiffness``, ``springlength`` and ``damping`` of the tendon that is this spring; None without one.
+
+    A tendon's stiffness and length at rest are not negative, so no tendon is a gas spring of constant force.
+    """
+    f0, k, c = (chi.get(f"{kind}_{spring.name}", 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING))
+    if k < 0 or c < 0 or f0 < 0 or (f0 and not k):
+        return None
+    rest = f0 / k if k else 0.0
+    return {"stiffness": k, "springlength": (rest, rest), "damping": c}
+
+
+def _add_spring(
+    mujoco: ModuleType, spec: Any, spring: Spring, chi: Mapping[str, float], body: Mapping[str, Any]
+) -> None:
+    """A tendon that is the spring, or one with an actuator whose force does not depend on its control."""
+    tendon = spec.add_tendon(name=spring.name)
+    for label, end in (("a", spring.a), ("b", spring.b)):
+        site = body[end.body].add_site(name=f"{label} {spring.name}", pos=end.placement.position)
+        tendon.wrap_site(site.name)
+    if (attributes := spring_attributes(spring, chi)) is not None:
+        tendon.springlength = attributes.pop("springlength")
+        for name, value in attributes.items():  # numbers, or the first coefficients of polynomials
+            setattr(tendon, name, (value, 0.0, 0.0) if np.size(getattr(tendon, name)) == 3 else value)
+        return
+    bias = [chi.get(f"{kind}_{spring.name}", 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING)]
+    actuator = spec.add_actuator(name=spring.name, target=spring.name, trntype=mujoco.mjtTrn.mjTRN_TENDON)
+    actuator.gainprm[0] = 0.0
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.biasprm[:3] = bias[0], -bias[1], -bias[2]
 
 
 def _add_body(mujoco: ModuleType, parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:

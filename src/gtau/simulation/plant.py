@@ -19,10 +19,11 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.dynamics import torques
+from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loops import follow
+from gtau.robots.robot import PRELOAD, STIFFNESS
 from gtau.simulation.constraints import Constraints, constraints
 
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: Coulomb friction is fs tanh(v / width)
@@ -164,6 +165,12 @@ class Plant:
                 potential -= ca.dot(ca.SX(ca.DM(layout.robot.gravity)), m * frame.p_0 + frame.R_0 @ ca.SX(ca.DM(ms)))
         for row, joint in enumerate(layout.robot.joints):
             potential += self.chi.get(f"off_{joint.name}", 0.0) * c[row]
+            if joint.spring is not None:
+                potential += self.chi.get(f"{STIFFNESS}_{joint.name}", 0.0) * (c[row] - joint.spring) ** 2 / 2
+        for spring in layout.robot.springs:
+            length, _ = spring_length(spring, frames(layout, c))
+            f0, k = (self.chi.get(f"{kind}_{spring.name}", 0.0) for kind in (PRELOAD, STIFFNESS))
+            potential += k * length**2 / 2 - f0 * length
         return ca.Function("potential", [c], [potential])
 
     def _symbolic_dynamics(self, width: Mapping[str, float]) -> ca.Function:

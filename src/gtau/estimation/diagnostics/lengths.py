@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,7 +21,9 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds import LENGTH_CHANGE, LENGTH_SHARE
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.robot import Attachment, Mdh, Placement, Robot
+from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
+
+Tie = TypeVar("Tie", Closure, Spring)
 
 STEP = 0.01  # relative change of a length
 SHORT = 0.02  # lengths below this share of the longest are not tried
@@ -83,7 +86,7 @@ def _left(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
 def _longer(robot: Robot, step: float) -> Iterator[tuple[str, Robot]]:
     """The robot with each of its lengths longer by a share ``step``, those that are the same together."""
     places = [(joint.name, joint.placement) for joint in robot.joints]
-    sides = [(end.body, end.placement) for closure in robot.closures for end in (closure.a, closure.b)]
+    sides = [(end.body, end.placement) for end in robot.ends]
     lengths: dict[float, list[str]] = {}
     for name, placement in places + sides:
         for length in _lengths(placement):
@@ -93,12 +96,10 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[str, Robot]]:
     longest = sorted((length for length in lengths if length > SHORT * max(lengths)), reverse=True)[:MOST]
     for length in longest:
         joints = tuple(replace(joint, placement=_scaled(joint.placement, length, step)) for joint in robot.joints)
-        closures = tuple(
-            replace(closure, a=_moved(closure.a, length, step), b=_moved(closure.b, length, step))
-            for closure in robot.closures
-        )
+        closures, springs = _moved(robot.closures, length, step), _moved(robot.springs, length, step)
         names = ", ".join(f"'{name}'" for name in lengths[length])
-        yield f"the length of {1e3 * length:.4g} mm at {names}", replace(robot, joints=joints, closures=closures)
+        longer = replace(robot, joints=joints, closures=closures, springs=springs)
+        yield f"the length of {1e3 * length:.4g} mm at {names}", longer
 
 
 def _lengths(placement: Placement) -> list[float]:
@@ -110,8 +111,13 @@ def _lengths(placement: Placement) -> list[float]:
     return [length for length in found if length > 0]
 
 
-def _moved(end: Attachment, length: float, step: float) -> Attachment:
-    return replace(end, placement=_scaled(end.placement, length, step))
+def _moved(ties: tuple[Tie, ...], length: float, step: float) -> tuple[Tie, ...]:
+    """Closures or springs whose ends are placed at lengths longer by a share ``step``."""
+
+    def moved(end: Attachment) -> Attachment:
+        return replace(end, placement=_scaled(end.placement, length, step))
+
+    return tuple(replace(tie, a=moved(tie.a), b=moved(tie.b)) for tie in ties)
 
 
 def _scaled(placement: Placement, length: float, step: float) -> Placement:

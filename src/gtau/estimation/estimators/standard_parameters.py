@@ -17,7 +17,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System, known_values
 from gtau.robots.geometry import characteristic_length
-from gtau.robots.robot import INERTIAL, STANDARD_GRAVITY, Robot
+from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.experiment import Prior
 
 LOOSE = 10.0  # natural sizes: standard deviation of the prior on what nobody has stated
@@ -87,7 +87,7 @@ def standard_unknowns(
         plausible[9] = mass / len(robot.bodies)
         centre[body.places[body.places >= 0]] = plausible[body.places >= 0]
     for k, name in enumerate(names):
-        if name.split("_", 1)[0] in ("ia", "fv", "fs", "fl") and "@" not in name:
+        if name.split("_", 1)[0] in ("ia", "fv", "fs", "fl", DAMPING) and "@" not in name:
             lower[k] = 0.0
     for name, prior in priors.items():
         if name not in column:
@@ -114,6 +114,8 @@ def _natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
     kind, body = name.split("@", 1)[0].split("_", 1)
     if kind in INERTIAL:
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
+    if any(spring.name == body for spring in robot.springs):
+        return mass * STANDARD_GRAVITY / (length if kind == STIFFNESS else 1.0)
     turns = robot.joint(body).kind == "revolute"
     if kind == "ia":
         return mass * length**2 if turns else mass

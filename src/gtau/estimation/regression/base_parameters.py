@@ -69,6 +69,7 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
     joints = [alike for group in identical_legs(robot) for alike in zip(*group, strict=True)]
     for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
         order += [f"{kind}_{joint}" for kind in kinds for joint in alike]
+    order += [f"{kind}_{spring.name}" for spring in robot.springs for kind in spring.parameters]
     wanted = set(names)
     return [name for name in order if name in wanted]
 

@@ -23,7 +23,7 @@ def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
     """Legs grouped by their geometry, each seen in the frame of its own first link.
 
     Legs are alike whose joints have the same kinds, axes, parameters and placements, and are tied by the same closures
-    at the same places. Where a leg stands, its home and its limits do not count.
+    and springs at the same places. Where a leg stands, its home and its limits do not count.
     """
     groups: dict[tuple, list[tuple[str, ...]]] = {}
     for leg in legs(robot):
@@ -48,7 +48,13 @@ def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
             for name, ratio in ((coupling.joint, 1.0), *coupling.ratios)
             if name in leg
         )
-        groups.setdefault((tree, tuple(tied), tuple(coupled)), []).append(leg)
+        sprung = sorted(
+            (spring.parameters, leg.index(end.body), _placement(end.placement))
+            for spring in robot.springs
+            for end in (spring.a, spring.b)
+            if end.body in leg
+        )
+        groups.setdefault((tree, tuple(tied), tuple(coupled), tuple(sprung)), []).append(leg)
     return list(groups.values())
 
 

@@ -82,7 +82,7 @@ def _lone(robot: Robot, body: str) -> Joint | None:
     if all(joint.name != body for joint in robot.joints):
         return None
     uses = [joint.antecedent for joint in robot.joints]
-    uses += [each.body for closure in robot.closures for each in (closure.a, closure.b)]
+    uses += [end.body for end in robot.ends]
     uses += [name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))]
     return robot.joint(body) if uses.count(body) == 1 else None
 

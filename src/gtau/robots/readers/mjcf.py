@@ -17,7 +17,15 @@ from gtau.robots.geometry import compose, pose_of, rounded, turn
 from gtau.robots.parts import hold_joints, listed
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.mjcf_file import MjcfFile, compile_mjcf
-from gtau.robots.readers.mjcf_ties import actuated_joints, equalities, fixed_tendons, name_in, pose_in, tendon_coupling
+from gtau.robots.readers.mjcf_ties import (
+    actuated_joints,
+    equalities,
+    fixed_tendons,
+    name_in,
+    pose_in,
+    site_springs,
+    tendon_coupling,
+)
 from gtau.robots.readers.source import Base
 from gtau.robots.readers.urdf import turning
 from gtau.robots.readers.xml_document import read_xml
@@ -48,7 +56,7 @@ def read_mjcf(path: str | Path, base: Base | None = None) -> Robot:
     and a free body that closures hold a platform. Bodies without joints become part of those that carry them.
     The equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings; a joint with an actuator
     is actuated, and where there are no actuators, every joint that is not coupled. Joints that a fixed tendon pulls
-    are held. A joint with a stiffness has a spring.
+    are held. A joint with a stiffness has a spring; so do the bodies of two sites with a tendon straight between them.
 
     Parameters
     ----------
@@ -124,6 +132,7 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
             couplings.append(coupling)
         else:
             held[coupling.joint] = coupling.offset
+    springs = site_springs(file, carried)
     tied = {end.body for closure in closures for end in (closure.a, closure.b)}
     if loose := [platform.name for platform in platforms if platform.name not in tied]:
         notes.append(f"nothing holds the free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)}: left out")
@@ -148,6 +157,7 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
         path.name,
         tuple(notes),
         home_given=home_given,
+        springs=tuple(each for each in springs if {each.a.body, each.b.body}.isdisjoint(loose)),
     )
     for names, why in (
         (held.keys(), "by an equality with a constant"),

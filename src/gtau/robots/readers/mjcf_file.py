@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.robots.readers.xml_document import read_xml
+from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -65,6 +66,15 @@ class TiedTendons:
 
 
 @dataclass(frozen=True)
+class SiteSpring:
+    """A tendon straight from one site to another that is a spring or a damper, and which parameters it has."""
+
+    name: str
+    sites: tuple[str, str]
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class MjcfFile:
     """A file's compiled model, and what was taken off before: it need not even compile.
 
@@ -79,6 +89,7 @@ class MjcfFile:
         Name, transmission, target and gear of each.
     tied_tendons : list of TiedTendons
         Active equalities between tendons.
+    springs : list of SiteSpring
     notes : list of str
         What was left out.
     """
@@ -88,7 +99,45 @@ class MjcfFile:
     keys: dict[str, np.ndarray]
     actuators: list[tuple[str, mujoco.mjtTrn, str, float]]
     tied_tendons: list[TiedTendons]
+    springs: list[SiteSpring]
     notes: list[str]
+
+
+def _springs(spec: mujoco.MjSpec, elements: list[Element]) -> tuple[list[SiteSpring], set[str], list[str]]:
+    """Tendons that are springs between two sites, names of actuators that are part of one, and notes on other tendons.
+
+    An actuator without gain, whose force is a constant and may depend on its tendon's length and speed, is a spring.
+    """
+    import mujoco
+
+    straight = {}
+    for tendon in (each for root in elements for each in root.iter("spatial")):
+        if [point.tag for point in tendon] == ["site", "site"]:
+            first, second = (point.get("site", "") for point in tendon)
+            straight[tendon.get("name", "")] = (first, second)
+    biased: dict[str, np.ndarray] = {}  # force of the actuators without gain, by tendon
+    names = set()
+    for actuator in spec.actuators:
+        affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and not np.any(actuator.gainprm)
+        if affine and actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and actuator.target in straight:
+            biased[actuator.target] = np.asarray(actuator.biasprm[:3], dtype=float)
+            names.add(actuator.name)
+    springs, notes = [], []
+    for tendon in spec.tendons:
+        k, c = (np.asarray(getattr(tendon, key), dtype=float).ravel() for key in ("stiffness", "damping"))
+        f0, by_length, by_speed = biased.get(tendon.name, np.zeros(3))
+        linear = not (np.any(k[1:]) or np.any(c[1:]) or np.any(tendon.frictionloss))
+        has = {PRELOAD: f0 or k[0], STIFFNESS: by_length or k[0], DAMPING: by_speed or c[0]}
+        rest = np.asarray(tendon.springlength, dtype=float).ravel()
+        if tendon.name and tendon.name in straight and linear and (rest[0] == rest[-1]) and any(has.values()):
+            parameters = tuple(kind for kind in SPRING if has[kind])
+            springs.append(SiteSpring(tendon.name, straight[tendon.name], parameters))
+        elif np.any(k) or np.any(c) or tendon.frictionloss:
+            notes.append(
+                f"tendon '{tendon.name}' acts as a spring, damper or friction in the simulator, which is not modelled, "
+                "as it is no linear spring straight between two sites"
+            )
+    return springs, names, notes
 
 
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
@@ -111,11 +160,11 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         if len(spec.flexes):
             raise GtauError("it holds a flexible body (flex); only rigid bodies are read, so remove it.")
         keys = {key.name: np.array(key.qpos, dtype=float) for key in spec.keys}
-        actuators = [(each.name, each.trntype, each.target, float(each.gear[0])) for each in spec.actuators]
-        notes = [
-            f"tendon '{each.name}' acts as a spring, damper or friction in the simulator, which is not modelled"
-            for each in spec.tendons
-            if any(np.any(np.asarray(getattr(each, key))) for key in ("stiffness", "damping", "frictionloss"))
+        springs, biased, notes = _springs(spec, elements)
+        actuators = [
+            (each.name, each.trntype, each.target, float(each.gear[0]))
+            for each in spec.actuators
+            if each.name not in biased
         ]
         lengths = []
         for each in list(spec.equalities):
@@ -127,6 +176,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
                 continue
             spec.delete(each)
         tied = {name for each in spec.equalities for name in (each.name1, each.name2)}
+        tied |= {site for each in springs for site in each.sites}
         for kind in DELETED:
             for each in list(getattr(spec, kind)):
                 spec.delete(each)
@@ -138,7 +188,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         for body in spec.bodies[1:]:
             body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
             body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
-        return MjcfFile(spec.compile(), elements, keys, actuators, lengths, notes)
+        return MjcfFile(spec.compile(), elements, keys, actuators, lengths, springs, notes)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None

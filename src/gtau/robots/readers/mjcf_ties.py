@@ -12,7 +12,7 @@ from gtau.robots.geometry import compose, pose_of
 from gtau.robots.parts import listed
 from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons
 from gtau.robots.readers.xml_document import numbers
-from gtau.robots.robot import Attachment, Closure, Coupling, Pose
+from gtau.robots.robot import Attachment, Closure, Coupling, Pose, Spring
 
 if TYPE_CHECKING:
     import mujoco
@@ -59,6 +59,23 @@ def equalities(
                 "describe the mechanism by these."
             )
     return closures, couplings, held
+
+
+def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> list[Spring]:
+    """The springs between sites of different bodies."""
+    model, found = file.model, []
+    joints = {name_in(model, "joint", k) for k in range(model.njnt)} | {end.body for end in carried.values()}
+    for each in file.springs:
+        a, b = (_attached_site(model, model.site(name).id, carried) for name in each.sites)
+        if a.body != b.body:
+            name = f"tendon {each.name}" if each.name in joints else each.name
+            found.append(Spring(name, a, b, each.parameters))
+    return found
+
+
+def _attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attachment]) -> Attachment:
+    at = carried[int(model.site_bodyid[site])]
+    return Attachment(at.body, compose(at.placement, pose_in(model.site_pos[site], model.site_quat[site])))
 
 
 def fixed_tendons(file: MjcfFile) -> dict[str, dict[str, float]]:

@@ -12,8 +12,12 @@ from gtau.documents.yaml_document import Document, parse_yaml, read_yaml, valida
 from gtau.errors import GtauError
 from gtau.robots.readers.expressions import RESERVED, LinearisedWindow, evaluate, linear
 from gtau.robots.robot import (
+    DAMPING,
     INERTIAL,
+    PRELOAD,
+    SPRING,
     STANDARD_GRAVITY,
+    STIFFNESS,
     Attachment,
     Closure,
     Coupling,
@@ -24,6 +28,7 @@ from gtau.robots.robot import (
     Platform,
     Pose,
     Robot,
+    Spring,
 )
 from gtau.robots.units import DEGREES_ADVICE, in_degrees
 
@@ -184,6 +189,13 @@ class _CouplingEntry(_Entry):
     offset: Number = 0.0
 
 
+class _SpringEntry(_Entry):
+    between: tuple[_AttachmentEntry, _AttachmentEntry]
+    preload: bool = True
+    stiffness: bool = True
+    damping: bool = False
+
+
 class _RobotEntry(_Entry):
     robot: str = Field(min_length=1)
     source: str = ""
@@ -194,6 +206,7 @@ class _RobotEntry(_Entry):
     platforms: dict[str, _PlatformEntry] = {}
     closures: list[_ClosureEntry] = []
     couplings: list[_CouplingEntry] = []
+    springs: dict[str, _SpringEntry] = {}
     tool: str = Field("", min_length=1)
 
 
@@ -243,6 +256,7 @@ def _robot(document: Document) -> Robot:
             source=entry.source,
             named_tool=entry.tool,
             notes=tuple(entry.notes),
+            springs=tuple(_spring(name, spring) for name, spring in entry.springs.items()),
         )
     except GtauError as error:
         raise GtauError(f"{document.path}: {error}") from None
@@ -291,6 +305,12 @@ def _closure(entry: _ClosureEntry) -> Closure:
     ends = entry.connect or entry.weld
     assert ends is not None  # by _one_kind
     return Closure(kind, *map(_attachment, ends))
+
+
+def _spring(name: str, entry: _SpringEntry) -> Spring:
+    has = {PRELOAD: entry.preload, STIFFNESS: entry.stiffness, DAMPING: entry.damping}
+    a, b = map(_attachment, entry.between)
+    return Spring(name, a, b, tuple(kind for kind in SPRING if has[kind]))
 
 
 def _attachment(entry: _AttachmentEntry) -> Attachment:

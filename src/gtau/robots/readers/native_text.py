@@ -9,7 +9,18 @@ from typing import Any
 from gtau.documents.files import write_atomically
 from gtau.documents.yaml_text import yaml_text
 from gtau.errors import GtauError
-from gtau.robots.robot import Attachment, Coupling, Joint, Mdh, Pose, Robot
+from gtau.robots.robot import (
+    DAMPING,
+    PRELOAD,
+    STIFFNESS,
+    Attachment,
+    Coupling,
+    Joint,
+    Mdh,
+    Pose,
+    Robot,
+    Spring,
+)
 
 
 def native_text(robot: Robot) -> str:
@@ -51,6 +62,9 @@ def native_text(robot: Robot) -> str:
     if robot.couplings:
         lines.append("couplings:")
         lines += [f"  - {_flow_item(_coupling_data(coupling))}" for coupling in robot.couplings]
+    if robot.springs:
+        lines.append("springs:")
+        lines += [f"  {_flow({spring.name: _spring_data(spring)})}" for spring in robot.springs]
     if robot.named_tool:
         lines.append(_flow({"tool": robot.named_tool}))
     return "\n".join(lines) + "\n"
@@ -112,6 +126,12 @@ def _joint_data(joint: Joint, passive: bool) -> dict[str, Any]:
 def _coupling_data(coupling: Coupling) -> dict[str, Any]:
     data: dict[str, Any] = {"joint": coupling.joint, "ratios": {name: float(ratio) for name, ratio in coupling.ratios}}
     return data | ({"offset": float(coupling.offset)} if coupling.offset else {})
+
+
+def _spring_data(spring: Spring) -> dict[str, Any]:
+    data: dict[str, Any] = {"between": [_attachment_data(spring.a), _attachment_data(spring.b)]}
+    words = {"preload": PRELOAD, "stiffness": STIFFNESS, "damping": DAMPING}
+    return data | {word: kind in spring.parameters for word, kind in words.items()}
 
 
 def _mdh_data(placement: Mdh) -> dict[str, Any]:
