@@ -16,10 +16,9 @@ from gtau.estimation.regression.base_parameters import BaseParameters, base_para
 from gtau.estimation.thresholds import INFLATED
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.geometry import characteristic_length
-from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Payload
 from gtau.signals.run import Run
+from gtau.simulation.plausible_parameters import random_parameters
 from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 RATE, SECONDS = 400.0, 8.0
@@ -40,24 +39,9 @@ def quick() -> Iterator[None]:
         yield
 
 
-def parameters(model: InverseDynamics, rng: np.random.Generator) -> dict[str, float]:
-    """Links of a few points of mass, and friction in every joint."""
-    robot, chi = model.robot, {}
-    length = characteristic_length(robot)
-    for body in robot.bodies:
-        mass, points = rng.uniform(0.1, 0.4, 6), length * rng.normal(0.0, 0.2, (6, 3))
-        moment = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(mass, points, strict=True))
-        values = (*moment[np.triu_indices(3)], *(mass @ points), mass.sum())
-        chi |= dict(zip((f"{kind}_{body}" for kind in INERTIAL), values, strict=True))
-    for joint in robot.actuated:
-        chi |= {f"ia_{joint}": length**2, f"off_{joint}": rng.normal(0.0, 0.3 * length)}
-        chi |= {f"fv_{joint}": rng.uniform(4.0, 8.0) * length, f"fs_{joint}": rng.uniform(2.0, 5.0) * length}
-    return {name: value for name, value in chi.items() if name in model.parameter_names}
-
-
 def experiment(model: InverseDynamics, rng: np.random.Generator) -> tuple[list[Run], np.ndarray]:
     """Runs without and with a payload, friction drifting by 2 % from one to the next, and the true gains."""
-    chi, time = parameters(model, rng), np.arange(round(SECONDS * RATE) + 1) / RATE
+    chi, time = random_parameters(model, rng), np.arange(round(SECONDS * RATE) + 1) / RATE
     gains, tool, runs = rng.uniform(1.0, 5.0, len(model.actuated)), f"m_{model.robot.tool}", []
     for k, mass in enumerate(LOADS):
         q, qd, qdd = (sines, point_to_point)[k % 2](envelope(model.robot, 0.7), SECONDS, rng)(time)

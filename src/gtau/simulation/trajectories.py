@@ -6,8 +6,9 @@ in rad or m and s. It starts and ends at rest, and stands still outside its dura
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
@@ -131,11 +132,28 @@ class PointToPoint:
 
 def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:
     """Moves between random points, each as fast as the envelope lets it be, with a short rest between them."""
+    return through(within, duration, (rng.uniform(-1.0, 1.0, len(within.center)) for _ in count()))
+
+
+def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], rest: float = REST) -> PointToPoint:
+    """Moves from the center through ``targets``, each as fast as the envelope lets it be.
+
+    Parameters
+    ----------
+    within : Envelope
+        What the moves may use.
+    duration : float
+        In s; the last move is the last that ends before, and the first is made in any case.
+    targets : iterator of ndarray
+        Points (n,), from -1 to 1 of the envelope's reach to either side of its center; without end.
+    rest : float
+        Between two moves, s.
+    """
     points, now = [within.center], 0.0
     starts: list[float] = []
     spans: list[float] = []
     while True:
-        target = within.center + within.reach * rng.uniform(-1.0, 1.0, len(within.center))
+        target = within.center + within.reach * next(targets)
         way = np.abs(target - points[-1])
         # the greatest speed and acceleration of the blend are 15/8 and 10/sqrt(3)
         span = float(max((1.875 * way / within.velocity).max(), np.sqrt(5.7736 * way / within.acceleration).max()))
@@ -144,4 +162,4 @@ def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) 
         points.append(target)
         starts.append(now)
         spans.append(span)
-        now += span + REST
+        now += span + rest

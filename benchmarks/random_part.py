@@ -1,19 +1,13 @@
 """Monte Carlo coverage of the 95 % intervals of gains and main parameters.
 
-    python benchmarks/coverage.py orthoglide ur10e --repetitions 300
+    python benchmarks/random_part.py orthoglide ur10e --repetitions 300
 
 Four runs of a robot of the catalog (or of a robot file), two of them with a known payload, are made again and again
 with new errors, and identified with the default estimator. The motions stay the same: errors of the currents change
 no regressor, so its rows are computed once and factorised; errors of positions and clocks take the whole way each time.
 """
 
-# ruff: noqa: E402
 from __future__ import annotations
-
-import sys
-
-# numba imports a package 'coverage' where there is one, and it is not this file
-sys.path = [folder for folder in sys.path if not folder.endswith("benchmarks")]
 
 import argparse
 import json
@@ -38,10 +32,11 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import Robot
 from gtau.signals.experiment import Payload
 from gtau.signals.filters import differentiate
 from gtau.signals.run import Run
+from gtau.simulation.plausible_parameters import random_bodies
 from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 RATE, SECONDS = 400.0, 10.0
@@ -55,13 +50,8 @@ WAVES = 0.03  # of a joint's rms current: long ripple
 
 
 def links(robot: Robot, rng: np.random.Generator) -> dict[str, float]:
-    """Standard parameters of a plausible robot: links of a few points of mass, friction at the motors."""
-    length, chi = characteristic_length(robot), {}
-    for body in robot.bodies:
-        mass, points = rng.uniform(0.1, 0.4, 6), length * rng.normal(0.0, 0.2, (6, 3))
-        moment = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(mass, points, strict=True))
-        values = (*moment[np.triu_indices(3)], *(mass @ points), mass.sum())
-        chi |= dict(zip((f"{k}_{body}" for k in INERTIAL), values, strict=True))
+    """Standard parameters of a plausible robot, with light drives: the friction shows."""
+    length, chi = characteristic_length(robot), random_bodies(robot, rng)
     for name in robot.actuated:
         weight = 5.0 if robot.joint(name).kind == "prismatic" else 3.0 * length**2
         force = 30.0 * (1.0 if robot.joint(name).kind == "prismatic" else length)
