@@ -26,7 +26,8 @@ def random_bodies(robot: Robot, rng: np.random.Generator) -> dict[str, float]:
     dict
         Name to value of all ten parameters of all bodies, kg, kg m and kg m2.
     """
-    length, chi = characteristic_length(robot), {}
+    length = characteristic_length(robot)
+    chi: dict[str, float] = {}
     for body in robot.bodies:
         masses, points = rng.uniform(0.1, 0.4, POINTS), length * rng.normal(0.0, 0.2, (POINTS, 3))
         chi |= body_parameters(body, masses, points)
