@@ -200,7 +200,7 @@ BAD: list[tuple[str, str, str]] = [
     ("zero axis", BODY % ('<body><joint axis="0 0 0"/></body>', ""), ": MuJoCo refuses the file ("),
     ("two joints of a name", BODY % ('<body name="b"><joint name="j"/></body>', ""), ": MuJoCo refuses the file ("),
     ("no joints", "<mujoco/>", ": it has no joints of a robot, but for"),
-    ("floating base", BODY % (FLOATING, ""), ": body 'f' floats and carries joints,"),
+    ("floating base", BODY % (FLOATING, ""), ": body 'f' floats and carries joints; write"),
     ("unknown body", BODY % ("", '<equality><weld body1="z"/></equality>'), ": MuJoCo refuses the file ("),
     (
         "polynomial coupling",
@@ -369,7 +369,7 @@ def test_what_cannot_be_held(tmp_path: Path) -> None:
         ({"held": {"A_hup": 0.0}}, "'held': unknown joint 'A_hup'; did you mean 'A_hip'?"),
         ({"joints": ["A_*"], "held": {"A_hip": 0.0}}, "joint 'A_hip' is both among the 'joints' that move and 'held'"),
         ({"held": dict.fromkeys(("A_hip", "A_knee", "B_hip", "B_knee"), 0.0)}, "no joint is left to move"),
-        ({"base": "free"}, "write 'fixed', or how the base is turned"),
+        ({"base": "free"}, "write 'fixed', how the base is turned"),
     ):
         with pytest.raises(GtauError) as refused:
             load_robot(path, **({"base": "fixed"} | options))

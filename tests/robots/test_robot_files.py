@@ -606,12 +606,12 @@ BAD_URDFS: list[tuple[str, str, str]] = [
     (
         "floating",
         arm('<joint name="j" type="floating"/>'),
-        ": joint 'j' is floating; if the robot's base does not",
+        ": joint 'j' is floating; write 'robot: {file: ..., base: fixed}' in the",
     ),
     (
         "planar",
         arm('<joint name="j" type="planar"/>'),
-        ": joint 'j' is planar; if the robot's base does not",
+        ": joint 'j' is planar; write 'robot: {file: ..., base: fixed}' in the",
     ),
     (
         "mimic of nothing",

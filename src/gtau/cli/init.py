@@ -37,6 +37,7 @@ def init(
     with refusals(json_):
         from gtau.documents.files import write_atomically
         from gtau.model.home import load_robot
+        from gtau.robots.floating import refuse_floating
         from gtau.signals.discovery import discover
         from gtau.signals.draft_text import UNSURE, draft_text
 
@@ -46,6 +47,8 @@ def init(
         if robot is None and ask:
             robot = typer.prompt("Robot, a name of the catalog or a path (empty: unknown)", default="") or None
         known: Robot | None = None if robot is None else load_robot(robot)
+        if known is not None:
+            refuse_floating(known, "drafting its experiment file is")
         draft = discover(logs, known, robot)
         if ask:
             draft = _answered(draft)

@@ -30,8 +30,8 @@ def robot(
         str | None,
         typer.Option(
             "--base",
-            metavar="fixed|ROLL,PITCH,YAW",
-            help="Fix a floating base where the file has it, or turned by angles in rad, as deg(90).",
+            metavar="fixed|floating|ROLL,PITCH,YAW",
+            help="Fix a floating base where the file has it, or turned by angles in rad, as deg(90); or let it float.",
         ),
     ] = None,
     joints: Annotated[

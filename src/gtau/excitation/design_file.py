@@ -21,6 +21,7 @@ from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Payload, file_or_name
 
@@ -137,6 +138,7 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
 def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     """The task of a design file, and what was assumed."""
     robot = load_robot(file.robot)
+    refuse_floating(robot, "exciting trajectories are")
     for key in ("position", "velocity", "acceleration", "jerk", "current"):
         _known_joints(f"limits.{key}", getattr(file.limits, key), robot)
     _known_joints("rest", file.rest, robot)

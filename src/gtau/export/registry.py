@@ -9,6 +9,7 @@ from pathlib import Path
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported
+from gtau.robots.floating import refuse_floating
 
 KINDS = {
     "c": "C99 source of torques, currents, gravity, friction, inertia and regressor, with a controller",
@@ -21,6 +22,9 @@ KINDS = {
     "matlab": "function files for MATLAB and GNU Octave",
     "fmu": "co-simulation FMU 3 with torques and currents for positions, velocities and accelerations",
 }
+
+OF_FLOATING = ("yaml", "csv")
+"""Kinds that hold parameters alone, whether the base floats or not."""
 
 INTO = ("urdf", "mjcf")
 """Kinds that can be put back into the robot's own file."""
@@ -56,6 +60,8 @@ def export_model(model: Result | str | Path, kind: str, out: str | Path, into: s
         hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(KINDS)}."
         raise GtauError(f"there is no export to '{kind}'; {hint}")
     result = model if isinstance(model, Result) else Result.load(model)
+    if kind not in OF_FLOATING:
+        refuse_floating(result.robot, f"export to '{kind}' is")
     if into is None:
         return import_module(f"gtau.export.{kind}").export(result, Path(out))
     if kind not in INTO:

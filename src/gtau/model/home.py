@@ -49,9 +49,10 @@ def load_robot(
     source : str, Path, Robot or RobotSource
         A name of the catalog or the path of a file, see :func:`gtau.robots.readers.read.read_robot`; a robot is
         returned as it is, and with a ``RobotSource`` all that follows is left out.
-    base : "fixed" or mapping, optional
+    base : "fixed", "floating" or mapping, optional
         ``"fixed"`` fixes a floating base where the file has it; ``{"rpy": [roll, pitch, yaw]}``, rad, fixes it turned
-        so in a world whose z axis points up, or mounts a robot so that is fixed already.
+        so in a world whose z axis points up, or mounts a robot so that is fixed already; ``"floating"`` lets the base
+        move freely, by six joints without motors (see :mod:`gtau.robots.floating`).
     joints : sequence of str, optional
         Patterns (``FL_*``) of the joints that move; the others are held. All move if left out.
     held : mapping of str to float, optional

@@ -12,7 +12,7 @@ from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
 from gtau.robots.plausibility import oddities, tool_note
-from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot
+from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot, base_rows
 from gtau.robots.units import unit_of
 
 TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
@@ -39,12 +39,13 @@ def describe(robot: Robot) -> dict[str, Any]:
         "source": robot.source,
         "notes": [*robot.notes, *oddities(robot), *tool_note(robot)],
         "degrees_of_freedom": len(model.actuated),
+        "floating_base": robot.floating or None,
         "joints": [
             {
                 "name": joint.name,
                 "antecedent": joint.antecedent,
                 "kind": joint.kind,
-                "actuated": joint.actuated,
+                "actuated": joint.actuated and joint.name not in robot.base,
                 "parameters": joint.parameters,
                 "home": float(home[k]),
                 "unit": "rad" if joint.kind == "revolute" else "m",
@@ -92,11 +93,12 @@ def robot_page(description: dict[str, Any]) -> str:
         f"{len(description['joints'])} joints" + (f" ({description['source']})" if description["source"] else ""),
         "",
     ]
+    free = base_rows(description["floating_base"] or "")
     bodies = [*description["joints"], *description["platforms"]]
     wide = 2 + max(len("antecedent"), *(len(body["name"]) for body in bodies))
     lines.append(f"  {'joint':<{wide}}{'antecedent':<{wide}}{'kind':<11}{'':<10}{'home':>9}      limits")
     for joint in description["joints"]:
-        role = "actuated" if joint["actuated"] else "passive"
+        role = "actuated" if joint["actuated"] else "free" if joint["name"] in free else "passive"
         lines.append(
             "  "
             f"{joint['name']:<{wide}}{joint['antecedent']:<{wide}}{joint['kind']:<11}{role:<10}"
@@ -105,7 +107,10 @@ def robot_page(description: dict[str, Any]) -> str:
     for platform in description["platforms"]:
         lines.append(f"  {platform['name']:<{wide}}platform, free in {' '.join(platform['dof'])}")
     gravity = ", ".join(f"{round(component, 10) + 0.0:.6g}" for component in description["gravity"])
-    lines += ["", f"  gravity: [{gravity}] m/s2 in base axes", f"  payload on: {description['payload_on']}"]
+    axes = "world" if free else "base"
+    lines += ["", f"  gravity: [{gravity}] m/s2 in {axes} axes", f"  payload on: {description['payload_on']}"]
+    if free:
+        lines.append(f"  floating base: {free[-1]}; its six equations are the rows {free[0]} to {free[-1]}")
     if loops["rows"]:
         counts = [
             f"{count} {kind}{'s' if count > 1 else ''}"

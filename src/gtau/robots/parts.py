@@ -37,7 +37,7 @@ def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, floa
     GtauError
         A pattern matches no joint, or a joint is both to move and to be held.
     """
-    names = [joint.name for joint in robot.joints]
+    names = [joint.name for joint in robot.joints if joint.name not in robot.base]
     for name in held:
         if name not in names:
             raise GtauError(f"'held': {unknown(f'joint {name!r}', name, names)}.")
@@ -49,6 +49,7 @@ def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, floa
                 "any letters)."
             )
         moving |= matched
+    moving |= set(robot.base)
     if both := moving & held.keys():
         raise GtauError(f"joint '{min(both)}' is both among the 'joints' that move and 'held'; remove one of them.")
     positions = {joint.name: held.get(joint.name, joint.home) for joint in robot.joints if joint.name not in moving}
@@ -108,6 +109,7 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
         couplings=tuple(_couplings(robot, positions)),
         springs=tuple(each for each in springs if each.a.body != each.b.body),
         named_tool="" if tool == GROUND else tool,
+        floating="" if robot.floating in positions else robot.floating,
     )
 
 

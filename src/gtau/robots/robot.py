@@ -148,6 +148,11 @@ TRANSLATIONS = ("x", "y", "z")
 ROTATIONS = ("rx", "ry", "rz")
 
 
+def base_rows(name: str) -> tuple[str, ...]:
+    """Names of the six joints by which a floating base moves in the world; the last bears the name of the base."""
+    return (*(f"{name}_{kind}" for kind in TRANSLATIONS + ROTATIONS[:2]), name) if name else ()
+
+
 @dataclass(frozen=True)
 class Platform:
     """A free rigid body, a link of no joint, held by closures.
@@ -201,6 +206,7 @@ class Robot:
     acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
     file names it, see :attr:`tool`. ``notes`` say what a reader found odd in the robot's file or decided for the user,
     a sentence each. Without ``home_given`` the joints' and platforms' homes are only where the search for one begins.
+    ``floating`` names the link that is a floating base, see :mod:`gtau.robots.floating`.
     """
 
     name: str
@@ -212,6 +218,7 @@ class Robot:
     source: str = ""
     notes: tuple[str, ...] = field(default=(), compare=False)
     named_tool: str = ""
+    floating: str = ""
     home_given: bool = field(default=True, compare=False)
     springs: tuple[Spring, ...] = ()
 
@@ -228,6 +235,11 @@ class Robot:
     def actuated(self) -> tuple[str, ...]:
         """Names of the actuated joints, in order."""
         return tuple(joint.name for joint in self.joints if joint.actuated)
+
+    @property
+    def base(self) -> tuple[str, ...]:
+        """Names of the six joints of a floating base, without motors, whose rows are the base equations; else none."""
+        return base_rows(self.floating)
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -319,7 +331,9 @@ def _problems(robot: Robot) -> Iterator[str]:
     carriers += [platform.name for platform in robot.platforms]
     if robot.named_tool and robot.named_tool not in carriers:
         yield f"the tool '{robot.named_tool}' is no body that has a mass; choose from {', '.join(carriers)}"
-    if not robot.actuated:
+    if robot.floating and tuple(joint.name for joint in robot.joints[: len(robot.base)]) != robot.base:
+        yield f"its base '{robot.floating}' floats, but its first joints are not {', '.join(robot.base)}"
+    if not set(robot.actuated) - set(robot.base):
         yield "no joint is actuated; mark the motors' joints with 'actuated: true'"
 
 

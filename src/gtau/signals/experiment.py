@@ -22,6 +22,7 @@ from gtau.documents.files import matching
 from gtau.documents.kinds import EXPERIMENT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
+from gtau.robots.floating import refuse_floating
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
@@ -327,6 +328,7 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
         The signals' joints are not the actuated ones, or a position unit does not suit its joint.
     """
     signals = experiment.signals
+    refuse_floating(robot, "identification from logs is")
     for joint in signals.joints:
         if joint not in robot.actuated:
             raise GtauError(

@@ -15,6 +15,7 @@ from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
+from gtau.robots.floating import refuse_floating
 from gtau.signals.experiment import Payload, check_robot, read_experiment
 from gtau.simulation.closed_loop import Simulated, simulate
 from gtau.simulation.controllers import Controller, Reference, computed_torque, pid_with_velocity, sample, simple_pid
@@ -106,6 +107,7 @@ def compare_control(
     """
     simulation = read_simulation(simulation_file)
     robot = load_robot(simulation.robot)
+    refuse_floating(robot, "the comparison of control laws is")
     check_joints(simulation, robot, simulation_file)
     if not simulation.control:
         raise GtauError(f"{simulation_file} has no trajectories under 'control'; list one or more to compare laws on.")

@@ -14,6 +14,7 @@ from gtau.documents.yaml_text import yaml_text
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
+from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Payload
 from gtau.simulation.closed_loop import Engine, Simulated, simulate, write_log
@@ -103,6 +104,7 @@ def simulate_experiment(path: str | Path, out: str | Path, progress: Progress = 
     """
     simulation, out = read_simulation(path), folder_of(out)
     robot = load_robot(simulation.robot)
+    refuse_floating(robot, "simulation is")
     check_joints(simulation, robot, path)
     model = InverseDynamics(robot)
     described = (*simulation.runs, *simulation.validation)

@@ -10,11 +10,11 @@ SAME = 9  # decimals, of lengths in m and of directions
 
 
 def legs(robot: Robot) -> list[tuple[str, ...]]:
-    """The joints of every chain or tree that starts at the ground, in order."""
+    """The joints of every chain or tree that starts at the ground, or at a base that floats, in order."""
     root: dict[str, str] = {}
     found: dict[str, list[str]] = {}
     for joint in robot.joints:
-        root[joint.name] = joint.name if joint.antecedent == GROUND else root[joint.antecedent]
+        root[joint.name] = joint.name if joint.antecedent in (GROUND, robot.floating) else root[joint.antecedent]
         found.setdefault(root[joint.name], []).append(joint.name)
     return [tuple(names) for names in found.values()]
 

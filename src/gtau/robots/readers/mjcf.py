@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.robots.floating import base_joints
 from gtau.robots.geometry import compose, pose_of, rounded, turn
 from gtau.robots.parts import hold_joints, listed
 from gtau.robots.readers.idle_joints import without_idle_pins
@@ -26,7 +27,7 @@ from gtau.robots.readers.mjcf_ties import (
     site_springs,
     tendon_coupling,
 )
-from gtau.robots.readers.source import Base
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice
 from gtau.robots.readers.urdf import turning
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import (
@@ -39,6 +40,7 @@ from gtau.robots.robot import (
     Platform,
     Pose,
     Robot,
+    base_rows,
 )
 
 if TYPE_CHECKING:
@@ -46,10 +48,9 @@ if TYPE_CHECKING:
 
 HOME = "home"
 """Name of the keyframe that gives home; without one, MuJoCo's reference configuration does."""
-FLOAT = "robot: {file: ..., base: fixed}"
 
 
-def read_mjcf(path: str | Path, base: Base | None = None) -> Robot:
+def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from an MJCF file.
 
     Hinges and slides are joints; a ball becomes three revolute ones, about x, y and z, with massless links in between,
@@ -62,7 +63,8 @@ def read_mjcf(path: str | Path, base: Base | None = None) -> Robot:
     ----------
     path : str or Path
     base : Base, optional
-        Fixes free bodies that carry joints: as in the file, or, if its ``rpy`` is given, with the axes of the world.
+        Fixes free bodies that carry joints: as in the file, or, if its ``rpy`` is given, with the axes of the world;
+        ``"floating"`` makes the one there is a floating base.
 
     Returns
     -------
@@ -85,7 +87,7 @@ def read_mjcf(path: str | Path, base: Base | None = None) -> Robot:
         raise GtauError(f"{path}: {error}") from None
 
 
-def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
+def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     import mujoco
 
     model, notes = file.model, list(file.notes)
@@ -97,6 +99,7 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
             notes.append(f"keyframe '{HOME}' has {file.keys[HOME].size} positions for {model.nq} and was left out")
     carriers = _carriers(model)
     carried: dict[int, Attachment] = {0: Attachment(GROUND)}
+    floating = ""  # the body that is a floating base
     joints: list[Joint] = []
     platforms: list[Platform] = []
     for body in range(1, model.nbody):
@@ -114,10 +117,14 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
                     platforms.append(Platform(name, TRANSLATIONS + ROTATIONS, pose))
                     continue
                 if base is None:
-                    raise GtauError(
-                        f"body '{name}' floats and carries joints, and a floating base is not identified; if the robot "
-                        f"is hung up or bolted down, fix it: write '{FLOAT}' in the experiment file, or --base fixed."
-                    )
+                    raise GtauError(f"body '{name}' floats and carries joints; {BASE_ADVICE}.")
+                if base == FLOATING:
+                    if floating:
+                        raise GtauError(f"the bodies '{floating}' and '{name}' float; give the file of one robot.")
+                    floating = name
+                    joints += base_joints(name)
+                    at = Attachment(name)
+                    continue
                 at = Attachment(before.body, pose if base.rpy is None else Pose())
                 notes.append(f"body '{name}' floats in the file and was fixed")
             else:
@@ -138,14 +145,15 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
         notes.append(f"nothing holds the free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)}: left out")
     driven, pulled = actuated_joints(file, tendons, notes)
     slaves = {coupling.joint for coupling in couplings}
-    actuated = driven if file.actuators else {joint.name for joint in joints} - slaves
+    actuated = driven.union(base_rows(floating)) if file.actuators else {joint.name for joint in joints} - slaves
     weightless = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     if weightless:
         notes.append("gravity is switched off in the file, and here; where it acts, write it in a saved robot file")
     notes += _simulated_alone(model)
+    joints.sort(key=lambda joint: joint.name not in base_rows(floating))  # those of the base stand first
     if not joints:
         raise GtauError("it has no joints of a robot, but for those of free bodies; give the file of a robot.")
-    if not actuated.intersection(joint.name for joint in joints):
+    if not actuated.intersection(joint.name for joint in joints).difference(base_rows(floating)):
         raise GtauError("no actuator drives a joint (joint=...), so none is known to be actuated; add actuators.")
     robot = Robot(
         path.stem,
@@ -156,6 +164,7 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
         (0.0, 0.0, 0.0) if weightless else tuple(float(rounded(g)) for g in model.opt.gravity),  # type: ignore[arg-type]
         path.name,
         tuple(notes),
+        floating=floating,
         home_given=home_given,
         springs=tuple(each for each in springs if {each.a.body, each.b.body}.isdisjoint(loose)),
     )
@@ -163,7 +172,7 @@ def _robot(file: MjcfFile, path: Path, base: Base | None) -> Robot:
         (held.keys(), "by an equality with a constant"),
         (pulled - driven, "since a tendon pulls them, which is not modelled"),
         (_scenery(robot), "since they carry no motor and nothing ties them to one that does"),
-        (set() if base is None else _moving_base(robot), "with the base"),
+        (_moving_base(robot) if isinstance(base, Base) else set(), "with the base"),
     ):
         if here := {joint.name: held.get(joint.name, joint.home) for joint in robot.joints if joint.name in names}:
             robot = hold_joints(robot, here, why)

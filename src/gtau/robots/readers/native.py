@@ -10,6 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationIn
 
 from gtau.documents.yaml_document import Document, parse_yaml, read_yaml, validate
 from gtau.errors import GtauError
+from gtau.robots.floating import base_joints
 from gtau.robots.readers.expressions import RESERVED, LinearisedWindow, evaluate, linear
 from gtau.robots.robot import (
     DAMPING,
@@ -208,6 +209,7 @@ class _RobotEntry(_Entry):
     couplings: list[_CouplingEntry] = []
     springs: dict[str, _SpringEntry] = {}
     tool: str = Field("", min_length=1)
+    floating: str = Field("", min_length=1)
 
 
 def read_native(path: str | Path) -> Robot:
@@ -239,10 +241,11 @@ def _robot(document: Document) -> Robot:
     entry = validate(_RobotEntry, document, context=_constants(document))
     # Loops and couplings leave most joints passive, an open chain none: each default is the common case.
     actuated_by_default = not (entry.closures or entry.couplings)
+    joints = tuple(_joint(name, joint, actuated_by_default) for name, joint in entry.joints.items())
     try:
         return Robot(
             name=entry.robot,
-            joints=tuple(_joint(name, joint, actuated_by_default) for name, joint in entry.joints.items()),
+            joints=base_joints(entry.floating) + joints,
             platforms=tuple(
                 Platform(name, tuple(platform.dof), Pose(platform.home.xyz, platform.home.rpy))
                 for name, platform in entry.platforms.items()
@@ -255,6 +258,7 @@ def _robot(document: Document) -> Robot:
             gravity=entry.gravity,
             source=entry.source,
             named_tool=entry.tool,
+            floating=entry.floating,
             notes=tuple(entry.notes),
             springs=tuple(_spring(name, spring) for name, spring in entry.springs.items()),
         )

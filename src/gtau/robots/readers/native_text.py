@@ -49,7 +49,8 @@ def native_text(robot: Robot) -> str:
         lines += [f"  - {_flow_item(note)}" for note in robot.notes]
     lines.append(_flow({"gravity": list(robot.gravity)}))
     lines.append("joints:")
-    lines += [f"  {_flow({joint.name: _joint_data(joint, passive)})}" for joint in robot.joints]
+    moving = robot.joints[len(robot.base) :]
+    lines += [f"  {_flow({joint.name: _joint_data(joint, passive)})}" for joint in moving]
     if robot.platforms:
         lines.append("platforms:")
         lines += [
@@ -67,6 +68,8 @@ def native_text(robot: Robot) -> str:
         lines += [f"  {_flow({spring.name: _spring_data(spring)})}" for spring in robot.springs]
     if robot.named_tool:
         lines.append(_flow({"tool": robot.named_tool}))
+    if robot.floating:
+        lines.append(_flow({"floating": robot.floating}))
     return "\n".join(lines) + "\n"
 
 

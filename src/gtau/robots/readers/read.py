@@ -10,9 +10,10 @@ import numpy as np
 
 from gtau.documents.kinds import ROBOT, refuse_other_kind
 from gtau.errors import GtauError
+from gtau.robots.floating import float_base
 from gtau.robots.geometry import rounded
-from gtau.robots.parts import select_joints
-from gtau.robots.readers.source import Base, RobotSource
+from gtau.robots.parts import hold_joints, select_joints
+from gtau.robots.readers.source import FLOATING, Base, BaseChoice, RobotSource
 from gtau.robots.robot import Pose, Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
@@ -48,9 +49,15 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     if not isinstance(source, RobotSource):
         return _read(source, None)
     robot = _read(source.file, source.base)
-    if source.base is not None and source.base.rpy is not None:
-        robot = _mounted(robot, source.base.rpy)
     try:
+        if source.base == FLOATING and not robot.floating:
+            taken = any(joint.name == "base" for joint in robot.joints)
+            robot = float_base(robot, "floating_base" if taken else "base")
+        elif isinstance(source.base, Base):
+            if robot.floating:
+                robot = hold_joints(robot, dict.fromkeys(robot.base, 0.0), "with the base")
+            if source.base.rpy is not None:
+                robot = _mounted(robot, source.base.rpy)
         return select_joints(robot, source.joints, source.held) if source.joints or source.held else robot
     except GtauError as error:
         raise GtauError(f"{source.file}: {error}") from None
@@ -62,7 +69,7 @@ def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:
     return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
 
 
-def _read(source: str | Path, base: Base | None) -> Robot:
+def _read(source: str | Path, base: BaseChoice) -> Robot:
     if source in catalog_names():
         source = CATALOG / f"{source}.yaml"
     path = Path(source)
@@ -113,7 +120,7 @@ def _from_yaml(path: Path) -> Robot:
     return read_native(path)
 
 
-def _from_urdf(path: Path, base: Base | None) -> Robot:
+def _from_urdf(path: Path, base: BaseChoice) -> Robot:
     from gtau.robots.readers.urdf_loops import is_loops_file, read_urdf_with_loops
 
     for loops in (path.with_suffix(".yaml"), path.with_suffix(".yml")):
@@ -121,4 +128,4 @@ def _from_urdf(path: Path, base: Base | None) -> Robot:
             return read_urdf_with_loops(path, loops)
     from gtau.robots.readers.urdf import read_urdf
 
-    return read_urdf(path, fix_base=base is not None)
+    return read_urdf(path, base)

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, FiniteFloat, Tag
 
 from gtau.robots.readers.expressions import evaluate
 
+FLOATING: Literal["floating"] = "floating"
+BASE_ADVICE = (
+    "write 'robot: {file: ..., base: fixed}' in the experiment file (--base fixed) if the robot was hung up or bolted "
+    "down, or 'base: floating' if its base moved and the motion is logged"
+)
+
 
 def _base(value: Any) -> Any:
     if value == "fixed":
         return {}
-    if isinstance(value, str):
+    if isinstance(value, str) and value != FLOATING:
         raise ValueError(
-            f"write 'fixed', or how the base is turned, '{{rpy: [roll, pitch, yaw]}}' in rad, not '{value}'"
+            f"write 'fixed', how the base is turned, '{{rpy: [roll, pitch, yaw]}}' in rad, or 'floating', not '{value}'"
         )
     return value
 
@@ -34,17 +40,20 @@ class Base(BaseModel):
     rpy: tuple[Angle, Angle, Angle] | None = None
 
 
+BaseChoice = Base | Literal["floating"] | None
+
+
 class RobotSource(BaseModel):
     """A robot's file or catalog name, and which part of it, how placed, is the robot.
 
-    ``base`` fixes a floating base, or says how a fixed one is mounted. ``joints`` are patterns of the joints that move;
-    the others are held, at the positions in ``held`` or at home.
+    ``base`` fixes a floating base, says how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
+    joints that move; the others are held, at the positions in ``held`` or at home.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     file: str
-    base: Annotated[Base | None, BeforeValidator(_base)] = None
+    base: Annotated[BaseChoice, BeforeValidator(_base)] = None
     joints: tuple[str, ...] = ()
     held: dict[str, FiniteFloat] = {}
 

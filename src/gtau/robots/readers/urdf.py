@@ -16,12 +16,13 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import attribute, numbers, read_xml
 from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose, Robot
 from gtau.robots.units import in_degrees
 
 Kind = Literal["revolute", "prismatic"]
-FLOATING = ("floating", "planar")
+LOOSE = ("floating", "planar")
 KINDS: dict[str, Kind | None] = {
     "revolute": "revolute",
     "continuous": "revolute",
@@ -59,14 +60,14 @@ class UrdfTree:
     notes: tuple[str, ...]
 
 
-def read_urdf(path: str | Path, fix_base: bool = False) -> Robot:
+def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from a URDF file.
 
     Links that hang on fixed joints become part of the link that carries them. Joints stand depth first in the order
     of the file; each keeps its name, and its link bears the name too. A joint that mimics another is passive and
     coupled to it. Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths
     below 1e-10 m, are taken as exact, and angles written short (1.5708) as the multiples they stand for, with a note.
-    With ``fix_base`` a floating joint is fixed.
+    With a ``base`` a floating joint is fixed, its child then being the ground, which may float.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ def read_urdf(path: str | Path, fix_base: bool = False) -> Robot:
         joints.
     """
     path = Path(path)
-    tree = read_urdf_tree(path, {}, fix_base)
+    tree = read_urdf_tree(path, {}, base)
     notes = tree.notes
     if sum(joint.antecedent == GROUND for joint in tree.joints) > 1:
         notes += ("the root link was taken as fixed, as a URDF does not say whether it floats",)
@@ -94,7 +95,7 @@ def read_urdf(path: str | Path, fix_base: bool = False) -> Robot:
         raise GtauError(f"{path}: {error}") from None
 
 
-def read_urdf_tree(path: Path, types: Mapping[str, str], fix_base: bool = False) -> UrdfTree:
+def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
     """The tree of a URDF file, with the joints named in ``types`` read as SPHERICAL, CARDAN or FIXED instead.
 
     A spherical joint becomes three revolute ones, about x, y and z, a cardan joint two, about x and y; the links in
@@ -102,9 +103,11 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], fix_base: bool = False)
     """
     try:
         root = _parse(path)
-        edges = [_edge(element, fix_base) for element in root.findall("joint")]
+        edges = [_edge(element, base) for element in root.findall("joint")]
         links = [attribute(element, "name", "a link") for element in root.findall("link")]
         ordered = _depth_first(links, edges)
+        if base == FLOATING:
+            _check_floating(ordered)
         joints, frames = _moving(ordered, types)
         couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
         moving = {joint.name for joint in joints}
@@ -132,16 +135,18 @@ def _parse(path: Path) -> Element:
     return root
 
 
-def _edge(element: Element, fix_base: bool) -> _Edge:
+def _edge(element: Element, base: BaseChoice) -> _Edge:
     name = attribute(element, "name", "a joint")
     kind = attribute(element, "type", f"joint '{name}'")
-    if kind in FLOATING and fix_base:
-        kind = "fixed"
-    if kind in FLOATING:
+    if kind == "planar" and base == FLOATING:
         raise GtauError(
-            f"joint '{name}' is {kind}; if the robot's base does not move, fix it: write 'robot: {{file: ..., base: "
-            "fixed}' in the experiment file, or --base fixed."
+            f"joint '{name}' is planar, so the ground guides the base by forces that nobody knows; fix the base by "
+            "'base: fixed', or --base fixed."
         )
+    if kind in LOOSE and base is not None:
+        kind = "fixed"
+    if kind in LOOSE:
+        raise GtauError(f"joint '{name}' is {kind}; {BASE_ADVICE}.")
     if kind not in KINDS:
         raise GtauError(
             f"joint '{name}' is {kind}; only revolute, continuous, prismatic and fixed joints are read, "
@@ -154,6 +159,16 @@ def _edge(element: Element, fix_base: bool) -> _Edge:
             raise GtauError(f"joint '{name}' has no <{tag} link=...>; add it.")
         ends.append(attribute(end, "link", f"<{tag}> of joint '{name}'"))
     return _Edge(name, KINDS[kind], ends[0], ends[1], *_origin(element, name), element)
+
+
+def _check_floating(ordered: list[_Edge]) -> None:
+    """Refuse a joint that floats elsewhere than between the root link and all the rest."""
+    root = ordered[0].parent if ordered else ""
+    for edge in ordered:
+        if edge.element.get("type") in LOOSE and (edge.parent != root or sum(e.parent == root for e in ordered) > 1):
+            raise GtauError(
+                f"joint '{edge.name}' floats and does not carry the whole robot; give the file of the robot alone."
+            )
 
 
 def _depth_first(links: list[str], edges: list[_Edge]) -> list[_Edge]:

@@ -1,0 +1,93 @@
+"""Give a robot a floating base: a free body that carries the rest, written as joints of the one tree.
+
+The base moves in the world by three slides and three turns without motors, about x, the turned y, and z of the base.
+The last of these six joints bears the name of the base, and its link is the base. Their rows of the model are the six
+base equations: forces along, and moments about, their axes, by what acts on the robot from outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from gtau.errors import GtauError
+from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Robot, base_rows
+
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+def base_joints(name: str) -> tuple[Joint, ...]:
+    """The six joints of a floating base, on the ground, the last of which bears its name; none without a name."""
+    chain = base_rows(name)
+    kinds = (TRANSLATIONS + ROTATIONS)[: len(chain)]
+    return tuple(
+        Joint(
+            own,
+            chain[k - 1] if k else GROUND,
+            "prismatic" if kind in TRANSLATIONS else "revolute",
+            axis=AXES[kind[-1]],
+            parameters="inertial" if own == name else "none",
+        )
+        for k, (own, kind) in enumerate(zip(chain, kinds, strict=True))
+    )
+
+
+def float_base(robot: Robot, name: str = "base") -> Robot:
+    """Let the ground of a robot float: what stood on it is then carried by a body ``name``.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its joints keep their motors; those of the base have none.
+    name : str
+        Of the base, and of its parameters.
+
+    Returns
+    -------
+    Robot
+        With :attr:`Robot.floating`.
+
+    Raises
+    ------
+    GtauError
+        A platform does not move in all six degrees of freedom, so it is tied to the ground; or the name is taken.
+    """
+    for problem in _fixed_to_ground(robot):
+        raise GtauError(f"robot '{robot.name}': {problem}.")
+    joints = tuple(replace(joint, antecedent=_on(name, joint.antecedent)) for joint in robot.joints)
+
+    def moved(end: Attachment) -> Attachment:
+        return replace(end, body=_on(name, end.body))
+
+    return replace(
+        robot,
+        joints=base_joints(name) + joints,
+        closures=tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.closures),
+        springs=tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.springs),
+        floating=name,
+    )
+
+
+def refuse_floating(robot: Robot, what: str) -> None:
+    """Refuse a robot whose base floats, where ``what`` ("exciting trajectories are") wants a fixed one."""
+    if robot.floating:
+        raise GtauError(
+            f"robot '{robot.name}': its base '{robot.floating}' floats, and {what} not supported there; fix it by "
+            "'robot: {file: ..., base: fixed}', or --base fixed."
+        )
+
+
+def _on(name: str, body: str) -> str:
+    return name if body == GROUND else body
+
+
+def _fixed_to_ground(robot: Robot) -> Iterator[str]:
+    if robot.floating:
+        yield f"its base '{robot.floating}' floats already"
+    for platform in robot.platforms:
+        if len(platform.dof) < len(TRANSLATIONS + ROTATIONS):
+            yield (
+                f"platform '{platform.name}' moves in {' '.join(platform.dof)} of the ground alone, which a floating "
+                f"base takes along; write 'dof: [{', '.join(TRANSLATIONS + ROTATIONS)}]', its closures take away the "
+                "rest"
+            )
