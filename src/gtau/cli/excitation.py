@@ -77,7 +77,7 @@ def excite(
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:
-    """All masses of ``--payload-mass``: those that click took, and the others that follow, which it leaves over."""
+    """Collect all masses of ``--payload-mass``: those that click took, and the others that follow."""
     for word in words:
         try:
             first = [*first, float(word)] if first else first

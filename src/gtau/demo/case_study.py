@@ -139,7 +139,7 @@ def main(docs: Path) -> None:
 
 
 def page(found: Mapping[str, Any], result: Result) -> str:
-    """The page as Markdown, from the demo's document and its result."""
+    """Write the page as Markdown, from the demo's document and its result."""
     second = found["second_payload"]
     return "\n".join(
         [

@@ -96,7 +96,7 @@ prior:
 
 
 def simulation_text(duration: float) -> str:
-    """The simulation file of the demo, its logs ``duration`` s long."""
+    """Write the simulation file of the demo, its logs ``duration`` s long."""
     runs = [
         {"name": name, "trajectory": {kind: {"seed": seed, "duration": duration}}, **deepcopy(carried)}
         for seed, (name, kind, carried) in enumerate(LOGS)

@@ -40,7 +40,7 @@ class DemoOutcome:
 
 
 def document(outcome: DemoOutcome, out: Path, duration: float, files: list[str]) -> dict[str, Any]:
-    """What was true and what was found, as a JSON document; errors in per cent of the true values."""
+    """Collect what was true and what was found as a JSON document; errors in per cent of the true values."""
     return {
         "folder": str(out),
         "robot": outcome.result.robot.name,
@@ -80,7 +80,7 @@ def _percent(value: float | None, true: float) -> float | None:
 
 
 def report(found: Mapping[str, Any], tracking: str) -> str:
-    """The document as text to read, with the table of ``tracking`` errors."""
+    """Print the document as text, with the table of ``tracking`` errors."""
     logs, second = found["logs"], found["second_payload"]
     size = f"{logs['count']} logs of {logs['duration']:g} s at {logs['rate']:g} Hz"
     lines = [

@@ -63,7 +63,7 @@ def folder_of(path: str | Path) -> Path:
 
 
 def read_at_most(size: int, path: Path, larger: str) -> bytes:
-    """Content of a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
+    """Read a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Paths sorted as people number them: ``part_2`` before ``part_10``."""
+    """Sort paths as people number them: ``part_2`` before ``part_10``."""
 
     def key(path: Path) -> list[tuple[bool, int, str]]:
         return [(not number, int(number or 0), text) for number, text in re.findall(r"(\d+)|(\D+)", str(path))]
@@ -92,7 +92,7 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
 
 
 def matching(pattern: Path) -> list[Path]:
-    """The path itself where it exists, otherwise what it matches as a pattern with ``*``, ``?``, ``[]`` or ``**``."""
+    """List the path itself if it exists, else what it matches as a pattern with ``*``, ``?``, ``[]`` or ``**``."""
     if pattern.exists():
         return [pattern]
     return in_order(Path(each) for each in glob(str(pattern), recursive=True))

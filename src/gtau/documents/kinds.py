@@ -92,7 +92,7 @@ def refuse_other_kind(path: str | Path, wanted: Kind) -> None:
 
 
 def _is_table(text: str) -> bool:
-    """Whether nearly all lines hold two or more numbers and nothing else, as logs do below their header."""
+    """Decide whether nearly all lines hold two or more numbers and nothing else, as logs do below their header."""
     lines = text.splitlines()[1:-1]  # without a header and a line that may be cut
     numbers = sum(_is_numeric(line) for line in lines[:LOG_LINES])
     return len(lines) >= LOG_LINES and numbers >= 0.9 * LOG_LINES

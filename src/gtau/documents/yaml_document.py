@@ -40,13 +40,13 @@ class Document:
     lines: Mapping[Keys, int]
 
     def line(self, keys: Keys) -> int | None:
-        """Line (from 1) of the value at `keys`, or of the nearest value around it that is written."""
+        """Find the line (from 1) of the value at `keys`, or of the nearest value around it that is written."""
         while keys and keys not in self.lines:
             keys = keys[:-1]
         return self.lines.get(keys) if keys else None
 
     def error(self, keys: Keys, problem: str) -> GtauError:
-        """An error that names the file, the line and the dotted key; `problem` says what to write instead."""
+        """Make an error that names the file, the line and the dotted key; `problem` says what to write instead."""
         place = [str(self.path)]
         if (line := self.line(keys)) is not None:
             place.append(f"line {line}")
@@ -248,7 +248,7 @@ def _written(location: Keys, data: Any) -> Keys:
 
 
 def _fields(annotation: Any, keys: Keys) -> set[str]:
-    """Names of the keys that the model accepts at a place."""
+    """List the keys that the model accepts at a place."""
     from pydantic import BaseModel
 
     if hasattr(annotation, "__value__"):  # a `type` alias
@@ -300,7 +300,7 @@ def _sentence(error: ErrorDetails) -> str:
 
 
 def _bound(kind: str, context: Mapping[str, Any]) -> str:
-    """The range that a number must lie in, as ``of at least 2``."""
+    """Describe the range that a number must lie in, as ``of at least 2``."""
     words = {"greater_than": "above", "less_than": "below", "greater_than_equal": "of at least"}
     key = {"greater_than": "gt", "less_than": "lt", "greater_than_equal": "ge", "less_than_equal": "le"}[kind]
     return f"{words.get(kind, 'of at most')} {context[key]:g}"

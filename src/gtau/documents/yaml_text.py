@@ -21,7 +21,7 @@ _Dumper.add_representer(str, _text)
 
 
 def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
-    """YAML of mappings, lists, texts and numbers, keys in their order.
+    """Write mappings, lists, texts and numbers as YAML, keys in their order.
 
     Parameters
     ----------

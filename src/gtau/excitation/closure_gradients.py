@@ -56,7 +56,7 @@ class Pullback:
     of_G: Program
 
     def __call__(self, motion: Motion, slopes: Slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives (n, N) by q, qd and qdd of the actuated joints."""
+        """Carry derivatives back to q, qd and qdd of the actuated joints, each (n, N)."""
         layout, samples = self.layout, motion.c.shape[1]
         a, p = layout.actuated, layout.passive
         G = self.columns(motion.c)[self.rows] / self.unit[:, None]
@@ -91,11 +91,11 @@ class Pullback:
         )
 
     def columns(self, c: np.ndarray) -> np.ndarray:
-        """All rows of scaled ``G``, (rows, n_y, N)."""
+        """Return all rows of the scaled ``G``, (rows, n_y, N)."""
         return self.G(c).reshape(-1, self.layout.n_y, c.shape[1])
 
     def condition(self, motion: Motion) -> tuple[np.ndarray, Slopes]:
-        """``log sqrt(trace(M) trace(M^-1))``, M = G_p^T G_p: distance to singularity (N,), and its slopes."""
+        """Compute ``log sqrt(trace(M) trace(M^-1))``, M = G_p^T G_p, large near singularities; and its derivatives."""
         G = self.columns(motion.c)[:, self.layout.passive]
         M = np.einsum("ips,iqs->spq", G, G)
         inverse = np.linalg.inv(M)
@@ -151,13 +151,13 @@ def pullback(model: InverseDynamics) -> Pullback | None:
 
 
 def _to_velocities(layout: Coordinates, c: ca.SX, by_c: ca.SX) -> ca.SX:
-    """Slopes by the displacements that velocities make, from those by c."""
+    """Turn derivatives with respect to c into derivatives with respect to the displacements that velocities make."""
     v = ca.SX.sym("v", layout.n_y)
     return ca.gradient(ca.dot(configuration_rates(layout, c, v), by_c), v)
 
 
 def in_platform_space(robot: Robot) -> Robot:
-    """The robot driven by its platform: the platform's coordinates are actuated joints, the motors' joints passive.
+    """Make the robot driven by its platform: its coordinates become actuated joints, the motors' joints passive.
 
     The same closure equations then give the inverse kinematics. The platform, free in x, y, z and at most in turns,
     becomes the last link of a chain of slides and hinges along the base axes.

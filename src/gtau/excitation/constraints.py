@@ -65,7 +65,7 @@ class ConstraintUsage:
 
 
 def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
-    """Loads of all limits along all motions, with slopes (N, task.size); see :func:`loads_of_one`."""
+    """Compute the usage of all limits along all motions, with gradients (N, task.size); see :func:`loads_of_one`."""
     for k, point in enumerate(points):
         padding = (0, 0), (k * point.task.series.size, (len(points) - 1 - k) * point.task.series.size)
         for load in loads_of_one(point, shares[k] if shares else None):
@@ -80,7 +80,7 @@ def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()
 
 
 def loads_of_one(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
-    """Loads of all limits along one motion, with slopes (N, series.size) by its numbers.
+    """Compute the usage of all limits along one motion, with gradients (N, series.size) with respect to its numbers.
 
     ``share`` (n,) is the part of each joint's samples that lies away from its reversals, where it has been counted;
     left out it is the smooth estimate of a design grid.
@@ -185,7 +185,7 @@ def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[C
 
 
 def whole_run(task: DesignProblem, period: np.ndarray, rate: float) -> np.ndarray:
-    """A run at ``rate``, Hz: approach from rest, all periods, and return; (4, n, N) with q, qd, qdd and jerk.
+    """Sample a run at ``rate``, Hz: approach from rest, all periods, and return; (4, n, N) with q, qd, qdd and jerk.
 
     ``period`` are the joints (4, n, .) at the instants of one period at that rate.
     """

@@ -21,7 +21,7 @@ NAMED = ("gains", "condition", "logdet", "trace")
 
 
 def criterion(name: str, unknowns: DesignUnknowns) -> Criterion:
-    """The criterion called ``name``.
+    """Look up the criterion called ``name``.
 
     ``gains``: rms of the relative standard deviations of the drive gains; ``logdet`` (D-optimal): geometric mean of all
     deviations; ``trace`` (A-optimal): rms of all relative deviations; ``condition``: condition number of the base
@@ -57,14 +57,14 @@ def criterion(name: str, unknowns: DesignUnknowns) -> Criterion:
 
 
 def root_covariance(R: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """``H`` (P, P) with ``H H^T`` the covariance, from the factor of the information and the prior's precision."""
+    """Compute ``H`` (P, P) with ``H H^T`` the covariance, from the information's factor and the prior's precision."""
     stacked = np.concatenate([R, np.diag(np.sqrt(precision))])
     size = np.linalg.norm(stacked, axis=0)
     return np.asarray(np.linalg.inv(triangle(stacked / size)) / size[:, None])
 
 
 def weighted_trace(R: np.ndarray, precision: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """``log sqrt(sum(weight * diag(C)))``, C the covariance."""
+    """Evaluate ``log sqrt(sum(weight * diag(C)))``, C the covariance."""
     H = root_covariance(R, precision)
     chosen = np.flatnonzero(weight)
     mean = float(weight @ np.sum(H**2, axis=1))
@@ -72,14 +72,14 @@ def weighted_trace(R: np.ndarray, precision: np.ndarray, weight: np.ndarray) -> 
 
 
 def logdet(R: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """``log det(C)^(1 / 2P)``, C the covariance."""
+    """Evaluate ``log det(C)^(1 / 2P)``, C the covariance."""
     H = root_covariance(R, precision)
     P = len(precision)
     return float(np.linalg.slogdet(H)[1] / P), H, np.full(P, -1 / (2 * P))
 
 
 def condition(R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Logarithm of the condition number of a matrix with the factor R."""
+    """Evaluate the logarithm of the condition number of a matrix with the factor R."""
     _, s, Vt = np.linalg.svd(R)
     s = np.maximum(s, 1e-300)
     ends = [0, len(s) - 1]
@@ -87,7 +87,7 @@ def condition(R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 def relative_deviations(R: np.ndarray, unknowns: DesignUnknowns, names: Sequence[str]) -> np.ndarray:
-    """Relative standard deviations of the unknowns ``names`` from the factor of the information."""
+    """Compute relative standard deviations of the unknowns ``names`` from the factor of the information."""
     index = [unknowns.names.index(name) for name in names]
     deviations = np.linalg.norm(root_covariance(R, unknowns.precision), axis=1)
     return np.asarray((deviations / unknowns.scale)[index])

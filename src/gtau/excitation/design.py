@@ -196,7 +196,7 @@ def _from_one(
 
 
 def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) -> Design | None:
-    """The design of x where it is within all limits, also between the instants of the design grid."""
+    """Return the design of x if it is within all limits, also between the instants of the design grid, else None."""
     try:
         usages = check(task, x)
     except GtauError:  # the robot cannot go there
@@ -207,7 +207,7 @@ def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) ->
 
 
 def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[ConstraintUsage, ...]:
-    """Loads of all whole runs, approach and return included, on a grid ``finer`` times finer than the design's.
+    """Compute the usage of limits of whole runs, approach and return included, on a grid ``finer`` times finer.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[Const
 
 
 def share_away(task: DesignProblem, qd: np.ndarray, step: float, rms: np.ndarray) -> np.ndarray:
-    """Share (n,) of the instants of a period, ``step`` apart, whose rows identification will keep.
+    """Compute the share (n,) of the instants of a period, ``step`` apart, whose rows identification will keep.
 
     ``rms`` (n,) are the joints' rms speeds in the whole run.
     """

@@ -136,7 +136,7 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
 
 
 def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
-    """The task of a design file, and what was assumed."""
+    """Make the task of a design file, and list what was assumed."""
     robot = load_robot(file.robot)
     refuse_floating(robot, "exciting trajectories are")
     for key in ("position", "velocity", "acceleration", "jerk", "current"):
@@ -185,7 +185,7 @@ def _known_joints(key: str, values: Mapping[str, object], robot: Robot) -> None:
 
 
 def _with_limits(robot: Robot, entry: LimitsEntry) -> Robot:
-    """The robot with the file's limits of position, velocity and acceleration in place of its own."""
+    """Replace the robot's limits of position, velocity and acceleration by the file's."""
     joints = []
     for joint in robot.joints:
         given = {
@@ -223,7 +223,7 @@ def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[s
 
 
 def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics: int) -> FourierSeries:
-    """A series of the platform's coordinates from its home, as wide as the workspace."""
+    """Make a series of the platform's coordinates about its home, as wide as the workspace."""
     in_platform_space(robot)  # refuses a robot without
     platform = robot.platforms[0]
     dofs = [dof for dof in ("x", "y", "z", "rz", "ry", "rx") if dof in platform.dof]
@@ -240,7 +240,7 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
 def _prior(
     prior: DesignPrior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: dict[str, str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Base parameters, gains and noise."""
+    """Determine base parameters, gains and noise."""
     base = base_parameters(model)
     result = None if prior.model is None else Result.load(prior.model)
     if result is not None:

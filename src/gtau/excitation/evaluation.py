@@ -27,7 +27,7 @@ class Grid:
 
 
 def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
-    """The grid on which designs are made, or one ``finer`` times finer."""
+    """Make the grid on which motions are designed, or one ``finer`` times finer."""
     samples = PER_HARMONIC * task.series.harmonics * finer
     step = task.series.period / samples
     time = step * np.arange(samples)
@@ -50,13 +50,13 @@ class Point:
     W: np.ndarray
 
     def to_joints(self, slopes: Slopes) -> np.ndarray:
-        """Slopes (3, n, N) by q, qd, qdd from those by the whole robot's motion."""
+        """Carry derivatives of the whole robot's motion back to q, qd and qdd, (3, n, N)."""
         if self.task.pullback is None:
             return np.stack([slopes.c, slopes.yd, slopes.ydd])
         return np.stack(self.task.pullback(self.motion, slopes))
 
     def to_rows(self, by_joints: np.ndarray) -> np.ndarray:
-        """Slopes (N, series.size) by its numbers, sample by sample, from those (3, n, N) by q, qd, qdd."""
+        """Carry derivatives (3, n, N) of q, qd, qdd back to the series' numbers, sample by sample, (N, series.size)."""
         series, by = self.task.series, by_joints
         if self.platform is not None:
             assert self.task.platform_pullback is not None
@@ -70,7 +70,7 @@ class Point:
         return np.asarray(rows.reshape(len(self.grid.time), series.size))
 
     def jerk_rows(self, joint: int) -> np.ndarray:
-        """Slopes (N, series.size) of a joint's jerk by its numbers."""
+        """Compute the gradient (N, series.size) of a joint's jerk with respect to the series' numbers."""
         series = self.task.series
         if self.platform is None:
             rows = np.zeros((len(self.grid.time), len(series.center), series.free))
@@ -82,7 +82,7 @@ class Point:
 
 
 def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
-    """All motions for ``x`` (task.size,); the loops are closed from the configurations of ``near`` if given.
+    """Evaluate all motions for ``x`` (task.size,); loops are closed from the configurations of ``near`` if given.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Poin
 def evaluate_one(
     task: DesignProblem, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None
 ) -> Point:
-    """The motion of the ``runs``, for the numbers x (series.size,) of its series; see :func:`evaluate`."""
+    """Evaluate the motion of the ``runs`` for the numbers x (series.size,) of its series; see :func:`evaluate`."""
     series, platform = task.series, None
     numbers = x.reshape(-1, series.free) * series.half[:, None]
     table = (grid.basis @ numbers.T).transpose(0, 2, 1)
@@ -115,7 +115,7 @@ def evaluate_one(
 
 
 def information(points: Sequence[Point]) -> np.ndarray:
-    """Triangular factor (P, P) of the information of all runs of all motions."""
+    """Compute the triangular factor (P, P) of the information of all runs of all motions."""
     return triangle(*(each.factor for each in map(_informed, points)))
 
 
@@ -136,7 +136,7 @@ def _informed(point: Point) -> _Informed:
 
 
 def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool) -> tuple[float, np.ndarray]:
-    """Logarithm of a criterion and its gradient (task.size,) by x.
+    """Compute the logarithm of a criterion and its gradient (task.size,) with respect to x.
 
     ``of_regressor`` for a criterion of the regressor's factor, in place of that of the information.
     """

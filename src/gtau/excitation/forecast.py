@@ -48,7 +48,7 @@ class Forecast:
 
 
 def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Of every motion: instants (N,) in s of a whole run at the controller's rate; q, qd, qdd and jerk, (4, n, N)."""
+    """Sample a whole run of every motion at the controller's rate: instants (N,), s; q, qd, qdd and jerk, (4, n, N)."""
     samples = round(task.series.period * task.rate)
     time = np.arange(samples) / task.rate
     periods = evaluate(task, x, Grid(time, 1 / task.rate, task.series.basis(time)))
@@ -57,7 +57,7 @@ def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarra
 
 
 def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
-    """The runs as they would be logged without any noise, at the prior values."""
+    """Simulate the runs as they would be logged without noise, at the prior values."""
     regressor = task.model.columns(task.base.standard)
     runs = []
     for (time, joints), followed in zip(sampled_motions(task, x), task.motions, strict=True):
@@ -72,7 +72,7 @@ def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
 
 @single_threaded_blas
 def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
-    """Standard deviations to expect from the motion ``x``.
+    """Predict the standard deviations that identification will reach with the motion ``x``.
 
     The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is that of
     maximum likelihood for white noise of ``task.sigma``. Errors of the model and coloured noise come on top.
@@ -112,7 +112,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
 
 
 def ml_covariance(problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Covariance of (theta, log g, d) by maximum likelihood at ``theta`` and ``gains``; ``sigma`` (n,) A of a row."""
+    """Compute the covariance of (theta, log g, d) by maximum likelihood; ``sigma`` (n,) A of a row."""
     n_theta, n = problem.n_theta, len(gains)
     blocks = []
     for j, R in enumerate(problem.triangles):

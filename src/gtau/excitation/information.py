@@ -60,7 +60,7 @@ def unknowns(
     chi: np.ndarray,
     gains: np.ndarray,
 ) -> DesignUnknowns:
-    """The unknowns of an experiment with these runs, at base parameters ``chi`` (n_b,) and ``gains`` (n,)."""
+    """Assemble the unknowns of an experiment with these runs, at base parameters ``chi`` (n_b,) and ``gains`` (n,)."""
     n, n_b, runs = len(model.actuated), base.count, len(payloads)
     p = n_b + EXTRA
     # factors that are the identity bring out the matrices with which identification joins its runs
@@ -84,7 +84,7 @@ def unknowns(
 
 
 def _scales(names: tuple[str, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
-    """Typical size of each parameter: its prior value, or that of the others of its kind."""
+    """Estimate the typical size of each parameter: its prior value, or that of the others of its kind."""
     kinds = [name.split("_", 1)[0] for name in names]
     mass = max((payload.mass or 1.0 for payload in payloads if payload is not None), default=1.0)
     # a load of that mass some decimetre away
@@ -115,11 +115,11 @@ class Window:
     floor: np.ndarray
 
     def weights(self, qd: np.ndarray) -> np.ndarray:
-        """Weight of each joint's rows, (n, N), from speeds (n, N) over a period."""
+        """Weight each joint's rows, (n, N), by speeds (n, N) over a period."""
         return self._parts(qd)[0]
 
     def back(self, qd: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Slopes (n, N) by qd from ``slopes`` (n, N) by the weights."""
+        """Carry derivatives (n, N) with respect to the weights back to qd."""
         weights, s, kept, shares, root = self._parts(qd)
         product = weights / s**2
         by_s = slopes * 2 * s * product
@@ -149,7 +149,7 @@ class Window:
         return weights, s, lost, shares, root
 
     def _shares(self, samples: int) -> list[tuple[int, float]]:
-        """Cells (from instant i + offset to the next) within reach of instant i, and the share within."""
+        """List the cells (from instant i + offset to the next) within reach of instant i, and how much of each is."""
         reach = min(self.reach / self.step, samples / 2 - 1)
         cells = range(-int(np.ceil(reach)), int(np.ceil(reach)))
         # not quite 1, so that one lost cell leaves the slopes by the others finite
@@ -158,7 +158,7 @@ class Window:
 
 
 def derivative(values: np.ndarray, step: float) -> np.ndarray:
-    """Derivative along the last axis of samples ``step`` apart of a periodic function, fourth order."""
+    """Differentiate samples ``step`` apart of a periodic function along the last axis, to fourth order."""
     one, two = (np.roll(values, -k, axis=-1) - np.roll(values, k, axis=-1) for k in (1, 2))
     return np.asarray((8 * one - two) / (12 * step))
 
@@ -172,7 +172,7 @@ class Information:
     rate: float  # samples a second of the motion
 
     def jacobians(self, W: np.ndarray, run: int, step: float) -> np.ndarray:
-        """Rows (n, N, P) of a run from columns W (n, N, n_b) on a periodic grid."""
+        """Turn columns W (n, N, n_b) on a periodic grid into rows (n, N, P) of a run."""
         n, P = W.shape[0], len(self.unknowns.names)
         A = np.einsum("jsb,jbp->jsp", W, self.unknowns.maps[run], optimize=True)
         slope = derivative(W @ self.unknowns.smooth[run], step) / self.unknowns.gains[:, None]
@@ -181,7 +181,7 @@ class Information:
         return A
 
     def back(self, by_A: np.ndarray, run: int, step: float) -> np.ndarray:
-        """Slopes by W from those by the rows."""
+        """Carry derivatives with respect to the rows back to W."""
         n, P = by_A.shape[0], len(self.unknowns.names)
         by_W = np.einsum("jsp,jbp->jsb", by_A, self.unknowns.maps[run], optimize=True)
         by_slope = np.stack([-by_A[j, :, P - n + j] for j in range(n)]) / self.unknowns.gains[:, None]
@@ -189,10 +189,10 @@ class Information:
         return by_W
 
     def counts(self, weights: np.ndarray, step: float) -> np.ndarray:
-        """How much rows count (n, N), 1/A2, from ``weights`` (n, N)."""
+        """Compute how much rows count (n, N), 1/A2, from ``weights`` (n, N)."""
         return weights * (self.rate * step / self.sigma**2)[:, None]
 
     def factor(self, rows: list[np.ndarray], counts: np.ndarray) -> np.ndarray:
-        """Triangular factor (P, P) of the information of all runs, each with ``rows`` (n, N, P)."""
+        """Compute the triangular factor (P, P) of the information of all runs, each with ``rows`` (n, N, P)."""
         root = np.sqrt(counts)[:, :, None]
         return triangle(*((A * root).reshape(-1, A.shape[2]) for A in rows))

@@ -23,7 +23,7 @@ def promising_start(
     part: float,
     stop: Callable[[], bool] = lambda: False,
 ) -> np.ndarray | None:
-    """The best x of some random ones that use a ``part`` of the limits; None where the robot cannot go there.
+    """Choose the best x of some random ones that use a ``part`` of the limits; None where the robot cannot move so.
 
     Where ``stop`` returns True no more are drawn.
     """
@@ -38,7 +38,7 @@ def promising_start(
 
 
 def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
-    """A random x (task.size,), each of its motions scaled until it uses a ``part`` of the limits.
+    """Draw a random x (task.size,), each of its motions scaled until it uses a ``part`` of the limits.
 
     What a limit allows counts from what rest at the center uses of it already; limits that rest breaks, and those that
     ask for a least value, are left to the search. None where the robot cannot go there.

@@ -42,7 +42,7 @@ class Programme:
         self._loads: tuple[ConstraintUsage, ...] | None = None
 
     def points(self, x: np.ndarray) -> tuple[Point, ...]:
-        """The motions for x; none where they leave what the robot can reach."""
+        """Evaluate the motions for x; None where they leave the reachable workspace."""
         if not np.array_equal(self._x, x):
             self._x = x.copy()
             try:
@@ -53,20 +53,20 @@ class Programme:
         return self._last
 
     def constraint_usages(self, x: np.ndarray) -> tuple[ConstraintUsage, ...]:
-        """Loads of all limits; none where the robot cannot go."""
+        """Compute the usage of all limits; None where the robot cannot go."""
         points = self.points(x)
         if self._loads is None:
             self._loads = tuple(constraint_usages(points))
         return self._loads
 
     def excess(self, x: np.ndarray) -> float:
-        """Largest load over what the tightness allows; infinite where the robot cannot go."""
+        """Compute the largest usage over what the tightness allows; infinite where the robot cannot go."""
         if not self.points(x):
             return float("inf")
         return max((load.excess / self.tightness[load.what] for load in self.constraint_usages(x)), default=0.0)
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Logarithm of the criterion and its gradient; nan where the robot cannot go."""
+        """Compute the logarithm of the criterion and its gradient; nan where the robot cannot go."""
         points = self.points(x)
         if not points:
             return float("nan"), np.full(len(x), np.nan)
@@ -86,7 +86,7 @@ class Programme:
 
 
 def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.ndarray:
-    """Minimise from the start x; returns where IPOPT ends, the best point within the limits is in ``programme``."""
+    """Minimise from the start x; return where IPOPT ends. The best feasible point is in ``programme``."""
     low, high = programme.bounds(x)
 
     def constraints(x: np.ndarray) -> np.ndarray:
@@ -178,7 +178,7 @@ class _Callback(ca.Callback):
 
 
 class _Jacobian(ca.Callback):
-    """The Jacobian of a callback: a function of x, and of the value, which it has no use for."""
+    """The Jacobian of a callback: a function of x, and of the value, which it does not need."""
 
     def __init__(
         self,

@@ -20,7 +20,7 @@ STATES = 200
 
 
 def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: Mapping[str, float]) -> np.ndarray:
-    """Base parameters (n_b,) from standard ones by name; those not named are zero.
+    """Compute base parameters (n_b,) from standard ones by name; those not named are zero.
 
     Raises
     ------
@@ -38,13 +38,13 @@ def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: M
 
 
 def massless(model: InverseDynamics, parameters: Mapping[str, float]) -> tuple[str, ...]:
-    """Links and platforms of which the parameters name no mass, moment or inertia: they have none."""
+    """List links and platforms for which the parameters name no mass, moment or inertia, and which thus have none."""
     named = {name.split("_", 1)[1] for name in parameters if name.split("_", 1)[0] in INERTIAL}
     return tuple(body for body in model.robot.bodies if f"m_{body}" in model.parameter_names and body not in named)
 
 
 def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:
-    """Standard parameters of a robot whose every link is a rod of one mass, with friction to match, and that mass.
+    """Guess standard parameters, every link a rod of one mass with friction to match; return that mass too.
 
     The mass is twice that of the ``payload``, kg, or less where the motors could not well move it. A link's rod leads
     from its frame's origin to the mean of those of its followers and closures; friction is a tenth of the rms torque
@@ -72,7 +72,7 @@ def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: floa
 
 
 def rough_noise(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:
-    """Standard deviation (n,) of a sample of each torque: a share of the effort limit, or else of the rms torque."""
+    """Guess the standard deviation (n,) of a torque sample from the effort limit, or else from the rms torque."""
     torque = rms_torque(model, base, chi) / MODERATE
     joints = [model.robot.joint(name) for name in model.actuated]
     return NOISE * np.array([joint.limits.effort or size for joint, size in zip(joints, torque, strict=True)])
@@ -85,7 +85,7 @@ def _far_end(robot: Robot, body: str) -> np.ndarray:
 
 
 def rms_torque(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:
-    """Rms torques (n,) of random states within the robot's limits, N m or N."""
+    """Compute rms torques (n,) over random states within the robot's limits, N m or N."""
     motion = random_motion(model, STATES, np.random.default_rng(0))
     regressor = model.columns(base.standard)
     torques = regressor.torques(regressor(model.layout, motion), chi, len(model.actuated))
@@ -93,12 +93,12 @@ def rms_torque(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) ->
 
 
 def parameters_of(result: Result, base: BaseParameters) -> np.ndarray:
-    """Base parameters (n_b,) of an identified model; 0 where it has no value."""
+    """Return the base parameters (n_b,) of an identified model; 0 where it has no value."""
     return np.array([result.params.get(name, 0.0) for name in base.names])
 
 
 def noise_of(result: Result) -> np.ndarray:
-    """Standard deviation (n,) of a sample of each current that would leave a model's residuals, A."""
+    """Compute the standard deviation (n,), A, of current samples that explains a model's residuals."""
     gains = np.array([result.drive_gains[joint].value for joint in result.robot.actuated], dtype=float)
     row = np.array([error.rms for error in result.residuals]) / np.abs(gains)
     return np.asarray(row * np.sqrt(result.preparation.decimator.factor))

@@ -32,14 +32,14 @@ class SmoothRegressor:
     columns: np.ndarray
 
     def __call__(self, motion: Motion) -> np.ndarray:
-        """Columns of every actuated joint's row, (n, N, columns)."""
+        """Evaluate the columns of every actuated joint's row, (n, N, columns)."""
         entries = self.program(self._inputs(motion))
         W = np.zeros((len(self.model.actuated), entries.shape[1], len(self.names)))
         W[self.rows, :, self.columns] = entries
         return W
 
     def slopes(self, motion: Motion, weights: np.ndarray) -> Slopes:
-        """Slopes of ``sum(weights * W)`` a sample, weights (n, N, columns)."""
+        """Differentiate ``sum(weights * W)`` a sample, weights (n, N, columns)."""
         layout, samples = self.model.layout, motion.c.shape[1]
         found = self.back(np.vstack([self._inputs(motion), weights[self.rows, :, self.columns]]))
         c, yd, ydd, J = np.split(found, np.cumsum([layout.n_c, layout.n_y, layout.n_y]))

@@ -122,7 +122,7 @@ class DesignProblem:
         return Information(self.unknowns, self.sigma, self.rate * self.repetitions)
 
     def window(self, step: float) -> Window:
-        """How rows near reversals are lost on a grid of instants ``step`` apart."""
+        """Return how rows near reversals are lost on a grid of instants ``step`` apart."""
         return Window(step, self.decimator.support / self.rate, SPEED_FRACTION, self.approach_speed)
 
     @cached_property
@@ -180,7 +180,7 @@ class DesignProblem:
         return compile_program([c], [position]), compile_program([c, weights], [back])
 
     def with_payload_mass(self, mass: float) -> DesignProblem:
-        """The same task with all known payloads of another ``mass``, kg."""
+        """Return the same task with all known payloads of another ``mass``, kg."""
         changed = tuple(
             None if each is None else each.model_copy(update={"mass": mass}) if each.mass is not None else each
             for each in self.payloads
@@ -189,7 +189,7 @@ class DesignProblem:
 
 
 def close(model: InverseDynamics, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, near: np.ndarray | None) -> Motion:
-    """Motion of the whole robot, the loops closed sample by sample from the configurations ``near`` (n_c, N) if given.
+    """Close the loops sample by sample, from the configurations ``near`` (n_c, N) if given: the whole robot's motion.
 
     Raises
     ------

@@ -50,7 +50,7 @@ class FourierSeries:
         return len(self.center) * self.free
 
     def basis(self, time: np.ndarray) -> np.ndarray:
-        """Position, velocity, acceleration and jerk by the free numbers of a coordinate with half = 1.
+        """Compute position, velocity, acceleration and jerk by the free numbers of a coordinate with half = 1.
 
         Returns an array (4, N, free).
         """
@@ -79,20 +79,20 @@ class FourierSeries:
         return np.concatenate([constant, np.stack(parts) @ null], axis=2)
 
     def __call__(self, x: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, velocities, accelerations and jerks (m, N), rad or m and s."""
+        """Evaluate positions, velocities, accelerations and jerks (m, N), rad or m and s."""
         table = np.einsum("dtf,mf->dmt", self.basis(time), x.reshape(len(self.center), self.free) * self.half[:, None])
         table[0] += self.center[:, None]
         return table[0], table[1], table[2], table[3]
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
-        """A random vector x: every harmonic of about the same speed."""
+        """Draw a random vector x: every harmonic of about the same speed."""
         x = rng.normal(size=(len(self.center), self.free))
         x[:, 0] *= 0.1
         return x.reshape(-1)
 
 
 def quintic(start: np.ndarray, end: np.ndarray, duration: float, time: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A straight move (m,) to (m,) from rest to rest: position, velocity, acceleration, jerk (m, N) at ``time``."""
+    """Move straight (m,) to (m,) from rest to rest: position, velocity, acceleration, jerk (m, N) at ``time``."""
     u = np.clip(time / duration, 0.0, 1.0)
     way = (end - start)[:, None]
     return (
@@ -104,7 +104,7 @@ def quintic(start: np.ndarray, end: np.ndarray, duration: float, time: np.ndarra
 
 
 def move_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> float:
-    """Shortest duration (s) of a quintic move by ``way`` (m,) within limits (m,) of velocity, acceleration and jerk."""
+    """Compute the shortest duration (s) of a quintic move by ``way`` (m,) within the limits given."""
     size = np.abs(way)
     durations = (
         PEAKS[0] * size / velocity,
@@ -115,5 +115,5 @@ def move_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarra
 
 
 def approach_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> float:
-    """Duration (s) of the approach to a motion that begins ``way`` (m,) away from rest, and of the return."""
+    """Compute the duration (s) of the approach to a motion that begins ``way`` (m,) from rest, and of the return."""
     return max(GENTLE * move_duration(way, velocity, acceleration, jerk), SHORTEST_APPROACH)

@@ -36,7 +36,7 @@ class Weak:
 
 
 def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
-    """Gains and parameters that a design leaves unidentified, with the best single-joint motion to add for each.
+    """List gains and parameters that a design leaves unidentified, with the best single-joint motion to add for each.
 
     A relative standard deviation is the ``expected`` one over the prior value, or over a typical one where that is
     zero; the effect of a further motion on it is the ratio of the design's own, which are those of a coarser grid.

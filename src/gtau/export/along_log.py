@@ -89,7 +89,7 @@ def read_log(result: Result, log: str | Path, experiment: str | Path | None = No
 
 
 def carrying(result: Result, run: Run, payload: str) -> Run:
-    """The run with one of the model's payloads; raises GtauError where the model does not know its mass."""
+    """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
     known = [name for name in dict.fromkeys(each.name for each in result.payloads) if "m" in result.payload(name)]
     if payload not in known:
         raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
@@ -154,7 +154,7 @@ def write_table(found: TorquesAlongLog, path: Path) -> None:
 
 
 def summary_text(found: TorquesAlongLog) -> str:
-    """The summary as a table to print."""
+    """Print the summary as a table."""
     lines = [
         f"{'External torque':<20}{'rms':>10}{'residual':>11}{'largest':>11}{'at, s':>10}{'beyond 4':>11}   unit",
     ]

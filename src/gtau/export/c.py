@@ -31,7 +31,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def c_files(model: Identified) -> dict[str, str]:
-    """Texts of the C sources, header, example and CMake file, by file name."""
+    """Generate the C sources, header, example and CMake file: texts by file name."""
     made, name = functions(model), model.name
     fields = _fields(model, made)
     return {
@@ -90,7 +90,7 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
 
 
 def _plain(text: str) -> str:
-    """Text that is safe in a comment and in a string of C."""
+    """Clean a text so that it is safe in a comment and in a string of C."""
     return re.sub(r"[^\w .,:;()+-]", "_", text, flags=re.ASCII)
 
 
@@ -133,7 +133,7 @@ def _parameter_arrays(model: Identified) -> Iterator[str]:
 
 
 def _kernels(made: Functions) -> str:
-    """All functions as C: CasADi's code of each, with its arguments called by their names."""
+    """Generate all functions as C: CasADi's code of each, with its arguments called by their names."""
     helpers: dict[str, None] = {}
     bodies = []
     for function in filter(None, (made.step, made.last_step)):

@@ -24,17 +24,17 @@ class ConsistentModel:
     gains: Mapping[str, float]
 
     def of(self, kind: str, joint: str) -> float:
-        """A parameter of a joint, 0 where it has none."""
+        """Return a parameter of a joint, 0 where it has none."""
         return self.standard.get(f"{kind}_{joint}", 0.0)
 
     def cubic(self, joint: str) -> float:
-        """Friction cubic in speed (f3) of a joint, 0 where it has none."""
+        """Return the friction cubic in speed (f3) of a joint, 0 where it has none."""
         term = f"f3_{joint}"
         return (self.result.friction[term].value or 0.0) if term in self.result.friction else 0.0
 
 
 def consistent_model(result: Result, target: str) -> ConsistentModel:
-    """The consistent parameters of a result; raises GtauError where it has none, naming the ``target``."""
+    """Return the consistent parameters of a result; raises GtauError where it has none, naming the ``target``."""
     found = result.consistency
     if found is None:
         raise GtauError(
@@ -45,7 +45,7 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
 
 
 def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> dict[str, float]:
-    """Rms difference of torques from the identified ones over random states, per cent of their rms, by joint.
+    """Compute the rms difference of torques from the identified ones over random states, per cent, by joint.
 
     ``expressed`` are the standard parameters that the target holds, ``cubic`` says whether it holds f3 too; the
     identified torques include all friction terms.
@@ -63,7 +63,7 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: b
 
 
 def difference_note(found: Mapping[str, float]) -> str:
-    """The differences as a sentence."""
+    """Describe the differences in a sentence."""
     worst = max(found, key=lambda joint: found[joint])
     return (
         f"over {STATES} random states the exported torques differ from the identified ones by at most "
@@ -72,7 +72,7 @@ def difference_note(found: Mapping[str, float]) -> str:
 
 
 def term_notes(result: Result, target: str, left_out: Sequence[str]) -> list[str]:
-    """What no rigid-body format holds: the friction terms ``left_out``, and delays."""
+    """List what no rigid-body format holds: the friction terms ``left_out``, and delays."""
     notes = []
     if left_out:
         kinds = {"f3": "cubic in speed", "fl": "proportional to the load"}

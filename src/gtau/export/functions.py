@@ -86,13 +86,13 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
 
 
 def _standard(model: Identified, chi: ca.SX) -> dict[str, ca.SX]:
-    """Standard parameters of the same torques: base parameters in the places of those they keep, zero elsewhere."""
+    """Choose standard parameters of the same torques: base parameters in the places of those they keep, else zero."""
     standard = {name: ca.SX(1, 1) for name in model.result.model.parameter_names}
     return standard | dict(zip(model.result.base.standard, ca.vertsplit(chi), strict=True))
 
 
 def _terms(model: Identified, p: ca.SX, qd: ca.SX, load: ca.SX) -> ca.SX:
-    """Friction beyond viscous and Coulomb: ``f3 qd^3 + fl |load| sign(qd)`` (n,)."""
+    """Sum the friction beyond viscous and Coulomb: ``f3 qd^3 + fl |load| sign(qd)`` and their like."""
     tau = ca.SX(len(model.joints), 1)
     for k, name in enumerate(model.terms, start=model.result.base.count):
         kind, joint = name.split("_", 1)
@@ -102,7 +102,7 @@ def _terms(model: Identified, p: ca.SX, qd: ca.SX, load: ca.SX) -> ca.SX:
 
 
 def _regressor(model: Identified, whole: ca.SX, load: ca.SX, p: ca.SX, qd: ca.SX) -> ca.SX:
-    """``W`` (n, n_p) with ``whole = W p``; in the column of a load-dependent friction the load is that of ``p``."""
+    """Build ``W`` (n, n_p) with ``whole = W p``; load-dependent friction takes the load of ``p``."""
     base = model.result.base.count
     linear = whole - _terms(model, p, qd, load)
     columns = [ca.jacobian(linear, p[:base])] if base else []

@@ -93,20 +93,20 @@ def identified(result: Result) -> Identified:
 
 
 def identifier(name: str) -> str:
-    """A name that C, MATLAB and Python accept: ``five-bar`` becomes ``five_bar``."""
+    """Make a name that C, MATLAB and Python accept: ``five-bar`` becomes ``five_bar``."""
     plain = suffix(name.lower())
     return plain if re.match(r"[a-z]", plain) else f"robot_{plain}"
 
 
 def suffix(name: str) -> str:
-    """A name as the end of an identifier: ``1.5 kg`` becomes ``1_5_kg``."""
+    """Make a name the end of an identifier: ``1.5 kg`` becomes ``1_5_kg``."""
     return re.sub(r"\W", "_", name, flags=re.ASCII)
 
 
 def torques(
     model: Identified, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, values: np.ndarray | None = None
 ) -> np.ndarray:
-    """Torques (N, n) in N m or N along a path of the actuated joints, (N, n) each.
+    """Compute torques (N, n) in N m or N along a path of the actuated joints, (N, n) each.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def torques(
 
 
 def torques_of(model: Identified, motion: Motion, qd: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Torques (n, N) of a motion whose actuated velocities are ``qd`` (n, N), friction terms included."""
+    """Compute torques (n, N) of a motion whose actuated velocities are ``qd`` (n, N), friction included."""
     idm, base, joints = model.result.model, model.result.base, model.joints
     regressor, chi = idm.columns(base.standard), values[: base.count]
     tau = regressor.torques_along(idm.layout, motion, chi)
@@ -158,7 +158,7 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def not_known(model: Identified) -> tuple[str, ...]:
-    """A sentence on parameters that are not identifiable from the logs and enter as zero, if there are any."""
+    """Name the parameters that are not identifiable from the logs and enter as zero, if there are any."""
     lost = [name for name, each in model.result.parameters.items() if each.value is None]
     if not lost:
         return ()

@@ -78,12 +78,12 @@ class InputFile:
             self.edits.append((span.inner, span.inner, new))
 
     def _indent(self, at: int) -> bytes:
-        """White space at the beginning of the line of a place, if there is nothing else before it."""
+        """Return the white space at the beginning of the line of a place, if there is nothing else before it."""
         line = self.content[self.content.rfind(b"\n", 0, at) + 1 : at]
         return line if not line.strip() else b""
 
     def text(self) -> bytes:
-        """The file with all edits made."""
+        """Return the file with all edits made."""
         made = self.content
         for start, stop, new in sorted(self.edits, reverse=True):
             made = made[:start] + new + made[stop:]
@@ -122,7 +122,7 @@ def input_file(path: Path, robot: Robot) -> InputFile:
 
 
 def _spans(content: bytes) -> list[Span]:
-    """Spans of all elements, in the order in which they begin."""
+    """Find the spans of all elements, in the order in which they begin."""
     parser = ParserCreate()
     begun: list[int] = []
     stops: dict[int, int] = {}
@@ -144,14 +144,14 @@ def _spans(content: bytes) -> list[Span]:
 
 
 def _tag_end(content: bytes, start: int) -> int:
-    """Where a tag that begins at ``start`` ends; a > within quotes is none."""
+    """Find where a tag that begins at ``start`` ends; a > within quotes does not end it."""
     found = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>").match(content, start)
     assert found is not None
     return found.end()
 
 
 def _difference(found: Robot, robot: Robot) -> str:
-    """What distinguishes two robots' bodies, if anything does."""
+    """Find what distinguishes two robots' bodies, if anything does."""
     if found.bodies != robot.bodies:
         missing = [name for name in robot.bodies if name not in found.bodies]
         return f"'{missing[0]}' is missing there" if missing else f"it has {len(found.bodies)} bodies"

@@ -32,7 +32,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def symbol(name: str) -> str:
-    """A parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R."""
+    """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R."""
     kind, _, index = name.partition("_")
     plain = re.sub(r"R$", "", index) if index else ""
     subscript = r"\mathrm{" + _escaped(plain) + "}" + ("R" if index.endswith("R") else "")
@@ -78,7 +78,7 @@ def _sum(variable: str, constant: str) -> str:
 
 
 def _geometry(robot: Robot) -> str:
-    """Modified Denavit-Hartenberg parameters, as in the paper's Table 2."""
+    """Tabulate the modified Denavit-Hartenberg parameters, as in the paper's Table 2."""
     lines = []
     for joint in robot.joints:
         at = joint.placement
@@ -112,7 +112,7 @@ def _geometry(robot: Robot) -> str:
 
 
 def _parameters(result: Result) -> str:
-    """Drive gains and essential parameters with their relative standard deviations, as in the paper's Table 3."""
+    """Tabulate drive gains and essential parameters with relative standard deviations, as in the paper's Table 3."""
     lines = [_line(rf"g_{{\tau\,\mathrm{{{_escaped(joint)}}}}}", each) for joint, each in result.drive_gains.items()]
     lines += [_line(symbol(name), each) for name, each in {**result.essential, **result.friction}.items()]
     for payload in result.payloads:
@@ -129,7 +129,7 @@ def _line(name: str, each: Estimate) -> tuple[str, ...]:
 
 
 def _regroupings(result: Result) -> str:
-    """Each regrouped base parameter as an equation."""
+    """Write each regrouped base parameter as an equation."""
     lines = []
     for name, each in result.parameters.items():
         if each.regrouping not in ("", name):

@@ -79,7 +79,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def matlab_files(model: Identified) -> dict[str, str]:
-    """Texts of the function files, by file name."""
+    """Generate the function files: texts by file name."""
     made, name = functions(model), model.name
     files = {f"{name}_{kind}.m": _function_file(model, kind, made.outputs[kind]) for kind in OUTPUTS}
     files[f"{name}_currents.m"] = (
@@ -118,7 +118,7 @@ def _function_file(model: Identified, kind: str, function: ca.Function) -> str:
 
 
 def _kernel(function: ca.Function, name: str) -> str:
-    """CasADi's MATLAB code of a function, which takes zeros among its inputs for what they are."""
+    """Generate CasADi's MATLAB code of a function, in which zeros among its inputs are constants."""
     text = function.export_code("matlab").split("function y=nonzeros_gen")[0]
     text = re.sub(r"nonzeros_gen\((varargin\{\d+\})\)", r"\1(:)", text)
     text = re.sub(r"\bf(max|min)\(", r"\1(", text)

@@ -42,7 +42,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def imported() -> ModuleType:
-    """The module mujoco; raises GtauError where it is not installed."""
+    """Import the module mujoco; raises GtauError where it is not installed."""
     try:
         import mujoco
     except ImportError:
@@ -51,7 +51,7 @@ def imported() -> ModuleType:
 
 
 def compile_spec(spec: Any) -> Any:
-    """The MuJoCo model of a spec; raises GtauError where MuJoCo refuses it."""
+    """Compile a spec to a MuJoCo model; raises GtauError where MuJoCo refuses it."""
     try:
         return spec.compile()
     except ValueError as error:
@@ -60,13 +60,13 @@ def compile_spec(spec: Any) -> Any:
 
 
 def gain_prm(model: ConsistentModel, joint: str) -> tuple[float, float]:
-    """Gear of a joint's actuator (N m/A or N/A), and the current that makes up for the joint's offset (A)."""
+    """Return the gear of a joint's actuator (N m/A or N/A) and the current that cancels the joint's offset (A)."""
     gain = model.gains[joint]
     return gain, -model.of("off", joint) / gain
 
 
 def _polynomial(spec: Any) -> bool:
-    """Whether this MuJoCo has damping up to cubic in speed."""
+    """Decide whether this MuJoCo has damping up to cubic in speed."""
     probe = spec.worldbody.add_body()
     cubic = np.size(probe.add_joint().damping) == 3
     spec.delete(probe)
@@ -74,7 +74,7 @@ def _polynomial(spec: Any) -> bool:
 
 
 def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, float]]:
-    """The spec, and the standard parameters that it expresses."""
+    """Build the spec, and return the standard parameters that it expresses."""
     robot = model.result.robot
     spec = robot_spec(mujoco, robot, model.standard)
     spec.modelname = robot.name
@@ -99,7 +99,7 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
 
 
 def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
-    """Thin capsules from each body's origin to what hangs on it; they neither collide nor weigh."""
+    """Draw thin capsules from each body's origin to what hangs on it; they neither collide nor weigh."""
     ends = [(joint.antecedent, joint.placement) for joint in robot.joints]
     ends += [(end.body, end.placement) for closure in robot.closures for end in (closure.a, closure.b)]
     look = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": (0.35, 0.45, 0.6, 1.0)}
@@ -129,7 +129,7 @@ def _add_couplings(mujoco: ModuleType, spec: Any, robot: Robot) -> None:
 
 
 def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> None:
-    """One an actuated joint: torque = gear (ctrl + bias), with the drive gain as gear and the current as ctrl."""
+    """Add one actuator a motor: torque = gear (ctrl + bias), with the drive gain as gear and the current as ctrl."""
     for joint in model.result.robot.actuated:
         gear, bias = gain_prm(model, joint)
         actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -141,7 +141,7 @@ def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> Non
 
 
 def _add_home(spec: Any, compiled: Any, result: Result) -> None:
-    """The keyframe 'home', in which the loops are closed."""
+    """Add the keyframe 'home', in which the loops are closed."""
     layout, loops = result.model.layout, result.model.loops
     c = layout.home if loops is None else loops.home
     qpos = compiled.qpos0.copy()
@@ -156,7 +156,7 @@ def _add_home(spec: Any, compiled: Any, result: Result) -> None:
 
 
 def _text(spec: Any) -> str:
-    """The spec as XML, with all digits of its numbers, of which MuJoCo writes six."""
+    """Write the spec as XML, with all digits of its numbers, of which MuJoCo writes six."""
     root = ElementTree.fromstring(spec.to_xml())
     exact = {
         "body": ({body.name: body for body in spec.bodies}, ("pos", "quat")),
@@ -186,7 +186,7 @@ def _text(spec: Any) -> str:
 
 
 def digits(values: Any) -> str:
-    """Numbers as they are read back to the last digit."""
+    """Write numbers so that they are read back to the last digit."""
     numbers = [float(value) for value in np.atleast_1d(values)]
     return " ".join(repr(number) if number != int(number) else f"{number:.0f}" for number in numbers)
 
@@ -198,7 +198,7 @@ def _couplings(spec: Any) -> list[Any]:
 
 
 def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> list[str]:
-    """What the file lacks: friction terms, offsets, masslessness."""
+    """List what the file lacks: friction terms, offsets, massless bodies."""
     result = model.result
     said = term_notes(result, "MJCF", [name for name in result.friction if not (cubic and name.startswith("f3"))])
     unable = [name for name, value in model.standard.items() if name not in expressed and value]

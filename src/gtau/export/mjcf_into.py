@@ -69,7 +69,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
 
 
 def _bodies(element: Element) -> Iterator[Element]:
-    """Body elements in the order in which MuJoCo numbers them."""
+    """List body elements in the order in which MuJoCo numbers them."""
     for child in element:
         if child.tag == "body":
             yield child
@@ -90,7 +90,7 @@ def _joint_name(compiled: Any, number: int) -> str:
 
 
 def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, RigidBody]:
-    """Rigid bodies by number of the MuJoCo body, in its frame."""
+    """Compute rigid bodies by number of the MuJoCo body, in its frame."""
     robot, layout = model.result.robot, model.result.model.layout
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
@@ -157,7 +157,7 @@ def _put_springs(file: InputFile, model: ConsistentModel) -> Iterator[str]:
 
 
 def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
-    """Drive gains as gears of motors, and what to mind."""
+    """Put drive gains as gears of motors, and list what to mind."""
     put, left = [], []
     for actuator in (each for section in file.root.findall("actuator") for each in section if each.get("joint")):
         joint = actuator.get("joint", "")
@@ -175,7 +175,7 @@ def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
 
 
 def _allow_inertias(file: InputFile) -> list[str]:
-    """Let MuJoCo take the inertias of the file rather than those of the shapes."""
+    """Make MuJoCo take the inertias of the file rather than those of the shapes."""
     notes = []
     for compiler in file.root.findall("compiler"):
         if compiler.get("inertiafromgeom") == "true":

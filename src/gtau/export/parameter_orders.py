@@ -66,7 +66,7 @@ ORDERS = {
 
 
 def to_order(chi: Mapping[str, float], body: str, program: str) -> dict[str, float]:
-    """Parameters of a body by the names and in the order of ``program``.
+    """Arrange parameters of a body by the names and in the order of ``program``.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def to_order(chi: Mapping[str, float], body: str, program: str) -> dict[str, flo
 
 
 def from_order(values: Mapping[str, float] | Sequence[float], body: str, program: str) -> dict[str, float]:
-    """Standard parameters of gtau by name from those of ``program``: the inverse of :func:`to_order`."""
+    """Compute standard parameters of gtau by name from those of ``program``: the inverse of :func:`to_order`."""
     order = _order(program)
     named = dict(values) if isinstance(values, Mapping) else dict(zip(order.names, values, strict=True))
     listed = _listed(order, named)
@@ -129,7 +129,7 @@ def _about_origin(body: RigidBody) -> np.ndarray:
 
 
 def _named(order: Order, values: Sequence[float]) -> dict[str, float]:
-    """Values given as mass, first three, inertia in the program's order, under its names in its order."""
+    """Name values given as mass, first three, inertia in the program's order."""
     if order.names[0] == "XX":  # SYMORO begins with the inertia and ends with the mass
         values = [*values[4:], *values[1:4], values[0]]
     return dict(zip(order.names, map(float, values), strict=True))

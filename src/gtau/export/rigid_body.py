@@ -19,7 +19,7 @@ class RigidBody:
     inertia: np.ndarray
 
     def seen_from(self, rotation: np.ndarray, position: np.ndarray) -> RigidBody:
-        """The body in another frame, whose orientation (3, 3) and origin (3,) in this one are given."""
+        """Express the body in another frame, whose orientation (3, 3) and origin (3,) in this one are given."""
         center = rotation.T @ (self.center - position)
         return RigidBody(self.mass, center, rotation.T @ self.inertia @ rotation)
 
@@ -32,7 +32,7 @@ class RigidBody:
 
 
 def rigid_body(chi: Mapping[str, float], body: str) -> RigidBody:
-    """The body called ``body`` from standard parameters by name; those missing are zero."""
+    """Make the body called ``body`` from standard parameters by name; those missing are zero."""
     xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(f"{kind}_{body}", 0.0) for kind in INERTIAL)
     center = np.array([mx, my, mz]) / m if m else np.zeros(3)
     about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -40,7 +40,7 @@ def rigid_body(chi: Mapping[str, float], body: str) -> RigidBody:
 
 
 def inertial_parameters(body: RigidBody) -> dict[str, float]:
-    """The ten parameters by kind, at the frame's origin: the inverse of :func:`rigid_body`."""
+    """Compute the ten parameters by kind, at the frame's origin: the inverse of :func:`rigid_body`."""
     c = body.center
     about_origin = body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))
     values = (*about_origin[np.triu_indices(3)], *(body.mass * c), body.mass)

@@ -20,7 +20,7 @@ class Row:
     essential: bool = True
 
     def document(self) -> dict[str, object]:
-        """The row by column, None where there is no value; ``rel_std`` in per cent, a 95 % interval."""
+        """Describe the row by column, None where there is no value; ``rel_std`` in per cent, a 95 % interval."""
         each = self.estimate
         low, high = each.interval() or (None, None)
         return {
@@ -39,7 +39,7 @@ class Row:
 
 
 def rows(result: Result) -> Iterator[Row]:
-    """All estimates: gains, delays, base parameters (friction by itself), friction terms, payloads."""
+    """List all estimates: gains, delays, base parameters (friction by itself), friction terms, payloads."""
     yield from (Row("drive gain", each) for each in result.drive_gains.values())
     yield from (Row("delay", each) for each in result.delays.values())
     for name, each in result.parameters.items():

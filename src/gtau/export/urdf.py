@@ -58,7 +58,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def notes(model: ConsistentModel, name: str) -> list[str]:
-    """What the URDF lacks and where it stands instead."""
+    """List what the URDF lacks and where it stands instead."""
     robot = model.result.robot
     sprung = bool(robot.springs) or any(joint.spring is not None for joint in robot.joints)
     springs = " and springs" if sprung else ""
@@ -69,7 +69,7 @@ def notes(model: ConsistentModel, name: str) -> list[str]:
 
 
 def robot_element(model: ConsistentModel) -> Element:
-    """The robot as an XML element."""
+    """Build the robot as an XML element."""
     robot = model.result.robot
     _check(robot)
     turned = _to_vertical(robot)
@@ -115,7 +115,7 @@ def _check(robot: Robot) -> None:
 
 
 def _to_vertical(robot: Robot) -> Pose:
-    """Pose of the robot's ground in the root link, whose -z is gravity."""
+    """Compute the pose of the robot's ground in the root link, whose -z is gravity."""
     down = np.array(robot.gravity) / (np.linalg.norm(robot.gravity) or 1.0)
     axis, cosine = np.cross(down, (0.0, 0.0, -1.0)), -down[2]
     sine = float(np.linalg.norm(axis))
@@ -133,7 +133,7 @@ def _link(root: Element, name: str, body: RigidBody | None) -> None:
 
 
 def inertial_element(body: RigidBody) -> Element:
-    """``<inertial>`` of a rigid body in its link's frame."""
+    """Build the ``<inertial>`` of a rigid body in its link's frame."""
     element = Element("inertial")
     SubElement(element, "origin", xyz=_numbers(body.center), rpy="0 0 0")
     SubElement(element, "mass", value=_number(body.mass))
@@ -167,7 +167,7 @@ def _place(element: Element, placement: Placement, parent: str, child: str) -> N
 
 
 def _platform(root: Element, platform: Platform, turned: Pose, body: RigidBody) -> None:
-    """Slides along base axes, then hinges about base axes at home, and the platform's frame at the end."""
+    """Build slides along base axes, then hinges about base axes at home, and the platform's frame at the end."""
     home = platform.home
     placement = compose(turned, Pose(home.xyz))
     parent = ROOT
@@ -190,7 +190,7 @@ def _ends(robot: Robot) -> Iterator[tuple[str, Attachment]]:
 
 
 def _loops_text(robot: Robot) -> str:
-    """The loops in the form that gtau and the Gepetto models of parallel robots use."""
+    """Write the loops in the form that gtau and the Gepetto models of parallel robots use."""
     document = {
         "closed_loop": [[f"closure_{k}_a", f"closure_{k}_b"] for k in range(1, len(robot.closures) + 1)],
         "type": ["3d" if closure.kind == "connect" else "6d" for closure in robot.closures],
@@ -200,7 +200,7 @@ def _loops_text(robot: Robot) -> str:
 
 
 def drives_text(model: ConsistentModel) -> str:
-    """Drive gains, rotor inertias and what else the drives have, as YAML."""
+    """Write drive gains, rotor inertias and what else the drives have as YAML."""
     joints: dict[str, dict[str, object]] = {}
     for joint in model.result.robot.joints:
         unit = torque_unit(model.result.robot, joint.name)

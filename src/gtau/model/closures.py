@@ -66,7 +66,7 @@ def _acceleration(
 
 
 def assembly_errors(layout: Coordinates, c: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """How far closures and couplings are from holding, at any distance from a closed pose.
+    """Compute the errors of closures and couplings at any distance from a closed pose.
 
     Near one it is the residual of :func:`closure_expressions`. That of a weld whose frames are turned by an angle is
     its sine, zero again at half a turn; here it is twice the sine of half the angle.
@@ -111,7 +111,7 @@ def _scale(layout: Coordinates, length: float) -> np.ndarray:
 
 
 def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
-    """Configuration ``c`` with its quaternions made unit: those of a guess are not."""
+    """Normalise the quaternions of a configuration ``c``: those of a guess have other lengths."""
     parts = [c[: len(layout.robot.joints)]]
     for slots in layout.platforms:
         parts.append(c[slots.position])

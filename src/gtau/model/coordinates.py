@@ -25,7 +25,7 @@ class PlatformSlots:
     rates: slice
 
     def rotation(self, c: np.ndarray) -> np.ndarray:
-        """Orientation (3, 3) of the platform at a configuration (n_c,)."""
+        """Compute the orientation (3, 3) of the platform at a configuration (n_c,)."""
         from scipy.spatial.transform import Rotation
 
         if self.quaternion is None:
@@ -33,7 +33,7 @@ class PlatformSlots:
         return np.asarray(Rotation.from_quat(c[self.quaternion], scalar_first=True).as_matrix())
 
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """What moves the platform from a configuration (n_c,) to another, in its degrees of freedom, m and rad."""
+        """Compute the platform's displacement between configurations (n_c,), in its degrees of freedom, m and rad."""
         from scipy.spatial.transform import Rotation
 
         turned = Rotation.from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
@@ -69,7 +69,7 @@ class Coordinates:
         return c
 
     def retract(self, c: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Configurations (n_c, N) moved by small displacements (n_y, N)."""
+        """Move configurations (n_c, N) by small displacements (n_y, N)."""
         moved = c.copy()
         n_t = len(self.robot.joints)
         moved[:n_t] += step[:n_t]

@@ -142,7 +142,7 @@ def close_home(robot: Robot) -> Robot:
 
 
 def _nearest(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
-    """The closed configuration (n_c,) that is nearest to the one given, within the position limits if there is one."""
+    """Find the closed configuration (n_c,) nearest to the one given, within the position limits if there is one."""
     held = closed(errors, given, errors.passive)
     near = not errors.layout.robot.home_given or errors.apart(given, held).max() < FAR
     if near and is_closed(errors, held) and not _outside(errors, held):
@@ -171,7 +171,7 @@ def _nearest(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
 
 
 def _unwound(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """The configuration without full turns, which the couplings do not forgive."""
+    """Remove full turns from a configuration, which the couplings do not forgive."""
     coupled = {name for each in errors.layout.robot.couplings for name in (each.joint, *dict(each.ratios))}
     unwound = found.copy()
     for k, joint in enumerate(errors.layout.robot.joints):
@@ -192,7 +192,7 @@ def _scattered(errors: LoopErrors, given: np.ndarray, rng: np.random.Generator) 
 
 
 def _outside(errors: LoopErrors, c: np.ndarray) -> bool:
-    """Whether a joint in a loop is beyond its position limits."""
+    """Decide whether a joint in a loop is beyond its position limits."""
     return any(_excess(errors.layout.robot.joints[k], c[k]) > LIMITS for k in _looped_joints(errors))
 
 
@@ -201,13 +201,13 @@ def _looped_joints(errors: LoopErrors) -> list[int]:
 
 
 def _excess(joint: Joint, value: float) -> float:
-    """How far a coordinate is beyond its joint's position limits, rad or m."""
+    """Compute how far a coordinate is beyond its joint's position limits, rad or m."""
     low, high = joint.limits.position or (-np.inf, np.inf)
     return max(low - value, value - high, 0.0)
 
 
 def _within_limits(robot: Robot, looped: set[int]) -> Robot:
-    """The robot whose joints in no loop have their homes within their limits, with a note on those moved."""
+    """Move the homes of joints in no loop within their limits, with a note on those moved."""
     joints, moved = list(robot.joints), []
     for k, joint in enumerate(robot.joints):
         if k not in looped and joint.limits.position is not None and _excess(joint, joint.home) > LIMITS:
@@ -241,7 +241,7 @@ def _conditioned(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
 
 
 def _with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
-    """The closed configuration (n_c,) next to ``c`` whose motors stand at rounded positions, if there is one."""
+    """Find the closed configuration (n_c,) next to ``c`` whose motors stand at rounded positions, if there is one."""
     rounded = c.copy()
     rounded[errors.layout.actuated] = np.round(c[errors.layout.actuated], MOTOR_DECIMALS)
     found = closed(errors, rounded, errors.passive)
@@ -249,7 +249,7 @@ def _with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
 
 
 def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
-    """Different displacements (n_y,) that keep the loops closed, their largest entries 1; motors' first."""
+    """List displacements (n_y,) that keep the loops closed, their largest entries 1; motors' first."""
     _, G = errors(c)
     _, sigma, Vt = np.linalg.svd(G[:, errors.looped])
     null = Vt[int((sigma > 1e-7).sum()) :]
@@ -267,7 +267,7 @@ def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
 
 
 def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
-    """The robot whose home is ``c`` (n_c,), up to what the processor's rounding leaves alone."""
+    """Return the robot with home at ``c`` (n_c,), up to what the processor's rounding leaves alone."""
     c = np.round(c, DECIMALS) + 0.0
     platforms = []
     for slots in layout.platforms:
@@ -285,7 +285,7 @@ def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
 
 
 def _displacements(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> str:
-    """What moved, and by how much, the largest displacements first."""
+    """List what moved, and by how much, the largest displacements first."""
     layout, apart = errors.layout, errors.apart(given, found)
     parts = []
     for k, joint in enumerate(layout.robot.joints):

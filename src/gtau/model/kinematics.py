@@ -79,7 +79,7 @@ def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
 
 
 def poses(layout: Coordinates, c: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Orientation (3, 3) and origin (3,), in m, of every body in the base at a configuration (n_c,)."""
+    """Compute orientation (3, 3) and origin (3,), m, of every body in the base at a configuration (n_c,)."""
     found = frames(layout, ca.SX(c))
     return {name: (ca.evalf(at.R_0).full(), ca.evalf(at.p_0).full().ravel()) for name, at in found.items()}
 

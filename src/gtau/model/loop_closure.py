@@ -42,7 +42,7 @@ class LoopErrors:
     function: ca.Function
 
     def __call__(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Errors (rows,) and scaled Jacobian (rows, n_y) at ``c`` (n_c,)."""
+        """Evaluate errors (rows,) and scaled Jacobian (rows, n_y) at ``c`` (n_c,)."""
         error, G = self.function(c)
         return error.full().ravel(), G.full()
 
@@ -52,16 +52,16 @@ class LoopErrors:
         return np.intersect1d(self.looped, self.layout.passive)
 
     def moved(self, c: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """The configuration ``c`` (n_c,) after a scaled displacement (n_y,)."""
+        """Move the configuration ``c`` (n_c,) by a scaled displacement (n_y,)."""
         return self.layout.retract(c[:, None], (step * self.unit)[:, None])[:, 0]
 
     def condition(self, G: np.ndarray) -> float:
-        """Condition number of the scaled columns of the passive coordinates in loops."""
+        """Compute the condition number of the scaled columns of the passive coordinates in loops."""
         sigma = np.linalg.svd(G[:, self.passive], compute_uv=False)
         return float(sigma[0] / max(sigma[-1], 1e-12)) if sigma.size else 1.0
 
     def gap(self, c: np.ndarray) -> str:
-        """The loop that is furthest from closing at ``c`` (n_c,), and how far."""
+        """Find the loop that is furthest from closing at ``c`` (n_c,), and its error."""
         robot, start, gaps = self.layout.robot, 0, []
         welds = sum(closure.kind == "weld" for closure in robot.closures)
         both = self(c)[0]
@@ -81,7 +81,7 @@ class LoopErrors:
         return max(gaps)[1]
 
     def apart(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """How far the scaled coordinates (n_y,) of two configurations are apart, full turns left out."""
+        """Compute the distance between the scaled coordinates (n_y,) of two configurations, full turns left out."""
         layout, n_t = self.layout, len(self.layout.robot.joints)
         found = np.zeros(layout.n_y)
         change = after[:n_t] - before[:n_t]
@@ -93,7 +93,7 @@ class LoopErrors:
 
 
 def loop_errors(layout: Coordinates) -> LoopErrors:
-    """The errors of a robot's loops and their Jacobian, from its closure equations."""
+    """Compile the errors of a robot's loops and their Jacobian from its closure equations."""
     length = characteristic_length(layout.robot)
     unit = np.where(layout.angular, 1.0, length)
     c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
@@ -151,5 +151,5 @@ def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
 
 
 def is_closed(errors: LoopErrors, c: np.ndarray) -> bool:
-    """Whether the loops close at ``c`` (n_c,)."""
+    """Decide whether the loops close at ``c`` (n_c,)."""
     return bool(np.abs(errors(c)[0]).max(initial=0.0) < CLOSED)

@@ -67,12 +67,12 @@ class Motion:
     condition: np.ndarray
 
     def __getitem__(self, samples: slice) -> Motion:
-        """The motion at some of the samples."""
+        """Select the motion at some of the samples."""
         return Motion(*(each[..., samples] for each in (self.c, self.yd, self.ydd, self.J, self.condition)))
 
 
 def joined(parts: Sequence[Motion]) -> Motion:
-    """The motions of all ``parts``, one after the other."""
+    """Join the motions of all ``parts``, one after the other."""
     names = ("c", "yd", "ydd", "J", "condition")
     return Motion(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names))
 
@@ -92,16 +92,16 @@ class Loops:
         return np.where(self.layout.angular[self.layout.passive], 1.0, self.equations.length)
 
     def condition(self, c: np.ndarray) -> np.ndarray:
-        """Condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
+        """Compute the condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
         return self.equations.step(c)[-1]
 
     def newton(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual (rows, N) and scaled passive columns of ``G`` (rows, n_passive, N) at ``c`` (n_c, N)."""
+        """Evaluate residual (rows, N) and scaled passive columns of ``G`` (rows, n_passive, N) at ``c`` (n_c, N)."""
         residual, G_p, _ = self.columns(c)
         return residual, G_p
 
     def columns(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residual (rows, N) and scaled ``G`` of the passive and the actuated coordinates (rows, ., N)."""
+        """Evaluate residual (rows, N) and scaled ``G`` of the passive and the actuated coordinates (rows, ., N)."""
         rows, passive, actuated = self.equations.rows, len(self.layout.passive), len(self.layout.actuated)
         residual, G_p, G_a = np.split(self.equations.columns(c), np.cumsum([rows, rows * passive]))
         return residual, G_p.reshape(rows, passive, c.shape[1]), G_a.reshape(rows, actuated, c.shape[1])
@@ -169,7 +169,7 @@ def close_loops(robot: Robot) -> Loops:
 
 
 def _follower(loops: Loops, shortest: float) -> Follower:
-    """What the compiled loops work with; memory of its own for each thread."""
+    """Make what the compiled loops work with; memory of its own for each thread."""
     equations, n_c = loops.equations, loops.layout.n_c
     trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
     trial[:], made[:] = 0.0, 0.0
@@ -208,7 +208,7 @@ def follow(
     start: np.ndarray | None = None,
     segments: int = SEGMENTS,
 ) -> np.ndarray:
-    """Configurations (n_c, N) along the path ``q`` (n, N), all in the assembly mode of home.
+    """Find the configurations (n_c, N) along the path ``q`` (n, N), all in the assembly mode of home.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def differentiate(
     qdd: np.ndarray,
     labels: Labels | None = None,
 ) -> Motion:
-    """Velocities and accelerations of the whole tree from those of the actuated joints (eqs. 5 to 8).
+    """Compute velocities and accelerations of the whole tree from those of the actuated joints (eqs. 5 to 8).
 
     Parameters
     ----------

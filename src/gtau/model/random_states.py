@@ -26,7 +26,7 @@ def _range(joint: Joint, length: float) -> tuple[float, float]:
 
 
 def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, condition: float = REGULAR) -> Motion:
-    """Random states within the position limits, with the loops closed and away from singular poses.
+    """Draw random states within the position limits, with the loops closed and away from singular poses.
 
     Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and
     ten times that per second where there are none) as standard deviation. A pose that cannot be
@@ -84,7 +84,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
 def _regular(
     idm: InverseDynamics, bounds: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, condition: float
 ) -> Motion:
-    """The states (n, N) whose poses are within ``bounds`` and regular."""
+    """Select the states (n, N) whose poses are within ``bounds`` and regular."""
     if idm.loops is None:
         return idm.motion(q, qd, qdd)
     home = idm.loops.home[:, None]

@@ -23,10 +23,10 @@ class Engine(Protocol):
     """What moves the robot: :class:`~gtau.simulation.plant.Plant` or its like in MuJoCo."""
 
     def start(self, q: np.ndarray) -> PlantState:
-        """The state at rest at actuated positions."""
+        """Return the state at rest at actuated positions."""
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
-        """The state after a while under constant forces."""
+        """Advance the state under constant forces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ def write_log(run: Run, path: str | Path) -> None:
 
 
 def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:
-    """Positions (n,) as the sensors give them, from the latest states, newest first."""
+    """Compute positions (n,) as the sensors give them, from the latest states, newest first."""
     late = hardware.delay / period
     whole = late.astype(int)
     past, older = (

@@ -26,7 +26,7 @@ class Constraints:
 
 
 def constraints(loops: Loops) -> Constraints:
-    """Independent closure equations of a robot.
+    """Select independent closure equations of a robot.
 
     Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by
     QR with pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns
@@ -48,7 +48,7 @@ def constraints(loops: Loops) -> Constraints:
 
 
 def _axes_of_bodies(loops: Loops, c: ca.SX) -> ca.SX:
-    """Turns the closures' rows from base axes into those of each closure's second body."""
+    """Turn the closures' rows from base axes into those of each closure's second body."""
     frame, blocks = frames(loops.layout, c), []
     for closure in loops.layout.robot.closures:
         blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)

@@ -60,7 +60,7 @@ class ControlComparison:
 
 
 def models_of_gains(experiment: str | Path, identified: Mapping[str, float], progress: Progress) -> dict[str, Result]:
-    """Models identified by WLS with the manufacturer's, the identified and the wrong gains: by strategy.
+    """Identify models by WLS with the manufacturer's, the identified and the wrong gains: by strategy.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def compare_control(
 def controllers(
     reference: Reference, models: Mapping[str, Result], payload: Payload | None, simulation: Simulation
 ) -> dict[str, Controller]:
-    """The five laws, by strategy; the PIDs are tuned by the manufacturer's model at the start of the motion."""
+    """Make the five laws, by strategy; the PIDs are tuned by the manufacturer's model at the start of the motion."""
     computed = {
         name: computed_torque(reference, model, payload, simulation.bandwidth) for name, model in models.items()
     }
@@ -157,7 +157,7 @@ def controllers(
 
 
 def table(comparison: ControlComparison) -> str:
-    """The paper's Table 4: largest and rms tracking errors in micrometres or microradians."""
+    """Print the paper's Table 4: largest and rms tracking errors in micrometres or microradians."""
     joints, lines = comparison.joints, []
     unit = {"m": "µm", "rad": "µrad"}
     names = [f"{joint}, {unit[each]}" for joint, each in zip(joints, comparison.units, strict=True)]
@@ -177,7 +177,7 @@ def table(comparison: ControlComparison) -> str:
 
 
 def table_document(comparison: ControlComparison) -> list[dict[str, object]]:
-    """The table as JSON, SI units."""
+    """Write the table as JSON, SI units."""
     return [
         {
             "trajectory": each.trajectory,

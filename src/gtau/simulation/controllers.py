@@ -54,7 +54,7 @@ class Controller:
 
 
 def sample(trajectory: Trajectory, duration: float, rate: float) -> Reference:
-    """A trajectory sampled at ``rate`` Hz for ``duration`` s."""
+    """Sample a trajectory at ``rate`` Hz for ``duration`` s."""
     time = np.arange(round(duration * rate) + 1) / rate
     return Reference(time, *trajectory(time))
 
@@ -62,7 +62,7 @@ def sample(trajectory: Trajectory, duration: float, rate: float) -> Reference:
 def simple_pid(
     reference: Reference, inertia: np.ndarray, gains: np.ndarray, bandwidth: float = BANDWIDTH
 ) -> Controller:
-    """PID with an ``inertia`` (n, n), kg or kg m2, or one for every sample (N, n, n)."""
+    """Make a PID with an ``inertia`` (n, n), kg or kg m2, or one for every sample (N, n, n)."""
     inertias = np.broadcast_to(inertia, (*reference.q.shape, reference.q.shape[1]))
     return Controller(reference, inertias, np.zeros_like(reference.q), gains, 0.0, bandwidth)
 
@@ -70,14 +70,14 @@ def simple_pid(
 def pid_with_velocity(
     reference: Reference, inertia: np.ndarray, gains: np.ndarray, bandwidth: float = BANDWIDTH
 ) -> Controller:
-    """PID with the velocity of the reference fed forward."""
+    """Make a PID with the velocity of the reference fed forward."""
     return replace(simple_pid(reference, inertia, gains, bandwidth), weight=1.0)
 
 
 def computed_torque(
     reference: Reference, result: Result, payload: Payload | None = None, bandwidth: float = BANDWIDTH
 ) -> Controller:
-    """Computed torque with an identified model, evaluated along the reference, and that model's gains.
+    """Make a computed torque law of an identified model, evaluated along the reference, and that model's gains.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _value(result: Result, term: str) -> float:
 
 
 def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
-    """Base parameters (n_b,) of the identified robot with what is known of its payload."""
+    """Return the base parameters (n_b,) of the identified robot with what is known of its payload."""
     model, base = result.model, result.base
     chi = np.array([result.params[name] for name in base.names])
     if payload is not None:

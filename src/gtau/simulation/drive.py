@@ -51,12 +51,12 @@ class Hardware:
     current_quantum: np.ndarray
 
     def force(self, current: np.ndarray, q: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """Forces (n,) of held currents (n,) at positions ``q`` (n,), with the ripple's ``phase`` (n,) in rad."""
+        """Compute forces (n,) of held currents (n,) at ``q`` (n,), with the ripple's ``phase`` (n,) in rad."""
         return self.gain * current + self.ripple * np.sin(2 * np.pi * q / self.ripple_period + phase)
 
 
 def hardware(joints: Sequence[str], drives: Mapping[str, Drive], sensors: Mapping[str, Sensors]) -> Hardware:
-    """Drives and sensors in the order of ``joints``; a joint without sensors of its own has perfect ones."""
+    """Stack drives and sensors in the order of ``joints``; a joint without sensors of its own has perfect ones."""
     pairs = [(drives[joint], sensors.get(joint, Sensors())) for joint in joints]
     return Hardware(
         **{field.name: np.array([getattr(drive, field.name) for drive, _ in pairs]) for field in fields(Drive)},
@@ -65,6 +65,6 @@ def hardware(joints: Sequence[str], drives: Mapping[str, Drive], sensors: Mappin
 
 
 def rounded(values: np.ndarray, quantum: np.ndarray) -> np.ndarray:
-    """Values rounded to multiples of a quantum; a quantum of zero rounds nothing."""
+    """Round values to multiples of a quantum; a quantum of zero rounds nothing."""
     some = np.where(quantum > 0, quantum, 1.0)
     return np.where(quantum > 0, np.round(values / some) * some, values)

@@ -29,7 +29,7 @@ HELD = 10  # samples over which the controller keeps an inertia matrix
 
 
 def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> dict[str, float]:
-    """Standard parameters of a robot whose tool carries a payload; what the payload does not state is zero."""
+    """Add a payload to the standard parameters of the body that carries it; what it does not state is zero."""
     chi = dict(chi)
     if payload is not None:
         for kind, value in {"m": payload.mass or 0.0, **payload.parameters}.items():
@@ -41,7 +41,7 @@ def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> d
 def apparatus(
     simulation: Simulation, model: InverseDynamics, payload: Payload | None
 ) -> tuple[Engine, Plant, Hardware]:
-    """The robot with its payload: the engine that moves it, our own plant, and its drives and sensors."""
+    """Make the robot with its payload: the engine that moves it, our own plant, and its drives and sensors."""
     chi, width = loaded(simulation.parameters, model.robot, payload), simulation.friction_width.model_dump()
     plant = Plant(model, chi, width)
     drives = {joint: each.drive for joint, each in simulation.drives.items()}
@@ -128,7 +128,7 @@ def simulate_experiment(path: str | Path, out: str | Path, progress: Progress = 
 
 
 def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
-    """The experiment file of a simulation: what its logs hold, and what is to be known of them."""
+    """Write the experiment file of a simulation: what its logs hold, and what is to be known of them."""
     file = Path(simulation.robot)
     document: dict[str, Any] = {
         "robot": relpath(file, out) if file.is_file() else simulation.robot,

@@ -26,7 +26,7 @@ class SampledTrajectory:
     q: np.ndarray
 
     def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, velocities and accelerations (N, n)."""
+        """Evaluate positions, velocities and accelerations (N, n)."""
         from scipy.interpolate import make_interp_spline
 
         spline = make_interp_spline(self.time, self.q, k=5)
@@ -36,7 +36,7 @@ class SampledTrajectory:
 
 
 def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToPoint:
-    """Fifth-order moves through ``points`` (K, n), each as fast as the envelope lets it be, ``rest`` s between them."""
+    """Plan fifth-order moves through ``points`` (K, n), as fast as the envelope allows, ``rest`` s between them."""
     way = np.abs(np.diff(points, axis=0))
     # the greatest speed and acceleration of the polynomial are 15/8 and 10/sqrt(3)
     spans = np.maximum(1.875 * way / within.velocity, np.sqrt(10 / np.sqrt(3) * way / within.acceleration)).max(axis=1)
@@ -46,7 +46,7 @@ def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToP
 
 
 def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajectory, float]:
-    """The trajectory that a file describes, and its duration in s.
+    """Make the trajectory that a file describes, and return its duration in s.
 
     Parameters
     ----------

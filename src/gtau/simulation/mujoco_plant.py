@@ -78,7 +78,7 @@ class MujocoPlant:
         self._width = np.array([width[joint.kind] for joint in robot.joints])
 
     def start(self, q: np.ndarray) -> PlantState:
-        """The state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
+        """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
         loops, layout = self.model.loops, self.model.layout
         c = follow(loops, q[:, None])[:, 0] if loops else np.array(q, dtype=float)
         qpos = self._model.qpos0.copy()
@@ -90,7 +90,7 @@ class MujocoPlant:
         return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv))
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
-        """The state after ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
+        """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class MujocoPlant:
 
 
 def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:
-    """Coordinates of a platform's joints in MuJoCo, which count from its home pose."""
+    """Compute the coordinates of a platform's joints in MuJoCo, which count from its home pose."""
     platform, found = slots.platform, {}
     shift = c[slots.position] - platform.home.position
     for axis, dof in enumerate(TRANSLATIONS):
@@ -136,7 +136,7 @@ def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.nd
 
 
 def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:
-    """The ``MjSpec`` of a robot without Coulomb friction and actuators; every link bears its joint's name."""
+    """Build the ``MjSpec`` of a robot without Coulomb friction and actuators; every link bears its joint's name."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False  # ranges and rest positions of springs would count in degrees
     spec.option.gravity = robot.gravity

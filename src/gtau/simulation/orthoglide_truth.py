@@ -25,7 +25,7 @@ PASSIVE_FRICTION = {"2": (0.42, 0.30), "3": (0.28, 0.22), "4": (0.27, 0.21), "5"
 
 
 def drives() -> dict[str, dict[str, Any]]:
-    """Drives and sensors as in a simulation file: ball screws of 20 mm lead, 0.4 A at most."""
+    """List drives and sensors as in a simulation file: ball screws of 20 mm lead, 0.4 A at most."""
     return {
         joint: {
             "gain": gain,
@@ -41,7 +41,7 @@ def drives() -> dict[str, dict[str, Any]]:
 
 
 def standard_parameters() -> dict[str, float]:
-    """Standard parameters by name, SI units; those not named are zero."""
+    """List standard parameters by name, SI units; those not named are zero."""
     chi: dict[str, float] = {}
     for leg, bar in BARS.items():
         chi |= _leg(leg, bar)
@@ -50,7 +50,7 @@ def standard_parameters() -> dict[str, float]:
 
 
 def _leg(leg: str, bar: float) -> dict[str, float]:
-    """Foot and rotor (1), universal joint (2), bar (3), and the joint at the platform (4, 5) of a leg."""
+    """List foot and rotor (1), universal joint (2), bar (3), and the joint at the platform (4, 5) of a leg."""
     regrouped, fv, fs, off = AXES[f"1{leg}"]
     knuckle = 0.05  # kg, bodies 2 and 4; body 5 is lighter
     moment = bar * BAR_LENGTH / 2

@@ -88,7 +88,7 @@ class Plant:
             )
 
     def _mode(self, c: np.ndarray) -> float:
-        """Sign of the passive coordinates' determinant, which changes where a motion passes a singular pose."""
+        """Compute the sign of the passive coordinates' determinant, which changes at singular poses."""
         if self._passive is None:
             return 1.0
         n_passive = len(self.layout.passive)
@@ -101,12 +101,12 @@ class Plant:
         return self.model.loops.home if self.model.loops else self.layout.home
 
     def start(self, q: np.ndarray) -> PlantState:
-        """The state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
+        """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
         c = follow(self.model.loops, q[:, None])[:, 0] if self.model.loops else np.array(q, dtype=float)
         return PlantState(np.array(q, dtype=float), np.zeros(len(q)), c, np.zeros(len(q)))
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
-        """The state after ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
+        """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
 
         Raises
         ------
@@ -130,16 +130,16 @@ class Plant:
         return PlantState(c[self.layout.actuated], qd, c, qd)
 
     def acceleration(self, state: PlantState, force: np.ndarray) -> np.ndarray:
-        """Accelerations of the actuated joints (n,) in rad/s2 or m/s2."""
+        """Compute accelerations of the actuated joints (n,) in rad/s2 or m/s2."""
         return np.array(self._derivative(state.c, state.qd, force)[1]).ravel()
 
     def mass_matrix(self, c: np.ndarray) -> np.ndarray:
-        """Mass matrix seen by the actuated joints (n, n)."""
+        """Compute the mass matrix seen by the actuated joints (n, n)."""
         still = np.zeros(len(self.layout.actuated))
         return np.array(self._inertia(c, still)[0])
 
     def energy(self, state: PlantState) -> float:
-        """Kinetic and potential energy, J."""
+        """Compute kinetic and potential energy, J."""
         kinetic = state.qd @ self.mass_matrix(state.c) @ state.qd / 2
         return float(kinetic + float(self._potential(state.c)))
 
@@ -174,7 +174,7 @@ class Plant:
         return ca.Function("potential", [c], [potential])
 
     def _symbolic_dynamics(self, width: Mapping[str, float]) -> ca.Function:
-        """(c, yd, ydd, J) to the mass matrix and the torques of eq. (15)."""
+        """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15)."""
         layout, joints = self.layout, self.layout.robot.joints
         c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
         J_passive = ca.SX.sym("J", len(layout.passive), len(layout.actuated))
@@ -189,13 +189,13 @@ class Plant:
         return ca.Function("dynamics", [c, yd, ydd, J_passive], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
 
     def _selection(self, rows: np.ndarray) -> ca.DM:
-        """Places a vector (len(rows),) in the ``rows`` of one of (n_y,)."""
+        """Place a vector (len(rows),) in the ``rows`` of one of (n_y,)."""
         columns = list(range(len(rows)))
         return ca.DM.triplet(rows.tolist(), columns, ca.DM.ones(len(rows)), self.layout.n_y, len(rows))
 
     @cached_property
     def _inertia(self) -> ca.Function:
-        """(c, qd) to the mass matrix, the torques at zero qdd, and yd."""
+        """Compile (c, qd) to the mass matrix, the torques at zero qdd, and yd."""
         layout = self.layout
         c, qd = ca.MX.sym("c", layout.n_c), ca.MX.sym("qd", len(layout.actuated))
         J, drift = ca.MX(0, len(layout.actuated)), ca.MX(0, 1)
@@ -210,7 +210,7 @@ class Plant:
 
     @cached_property
     def _derivative(self) -> ca.Function:
-        """(c, qd, force) to c' and qdd."""
+        """Compile (c, qd, force) to c' and qdd."""
         layout, n = self.layout, len(self.layout.actuated)
         symbol, rate = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
         rates = ca.Function("rates", [symbol, rate], [configuration_rates(layout, symbol, rate)])
@@ -219,7 +219,7 @@ class Plant:
         return ca.Function("derivative", [c, qd, force], [rates(c, yd), ca.solve(M, force - tau, "qr")])
 
     def _symbolic_step(self) -> ca.Function:
-        """(c, qd, force, h) to c and qd after h s, on the closures, and the error of qd."""
+        """Compile (c, qd, force, h) to c and qd after h s, on the closures, and the error of qd."""
         layout, n = self.layout, len(self.layout.actuated)
         c, qd, force, h = (ca.MX.sym(s, k) for s, k in (("c", layout.n_c), ("qd", n), ("force", n), ("h", 1)))
         slopes: list[Any] = [ca.vertcat(*self._derivative(c, qd, force))]
@@ -231,7 +231,7 @@ class Plant:
         return ca.Function("step", [c, qd, force, h], [self._closed(x[: layout.n_c]), x[layout.n_c :], error])
 
     def _closed(self, c: ca.MX) -> ca.MX:
-        """One step of Newton's method back onto the closures, and quaternions of unit length."""
+        """Take one step of Newton's method back onto the closures, with quaternions of unit length."""
         layout = self.layout
         if self._constraints is None:
             return c

@@ -193,7 +193,7 @@ def read_simulation(path: str | Path) -> Simulation:
 
 
 def massless(simulation: Simulation, robot: Robot) -> tuple[str, ...]:
-    """Links and platforms of which the file names no mass, moment or inertia: they have none."""
+    """List links and platforms for which the file names no mass, moment or inertia, and which thus have none."""
     named = {name.split("_", 1)[1] for name in simulation.parameters if name.split("_", 1)[0] in INERTIAL}
     links = [joint.name for joint in robot.joints if joint.has_mass]
     return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)

@@ -33,7 +33,7 @@ class Envelope:
 
 
 def envelope(robot: Robot, share: float = 0.9) -> Envelope:
-    """A share of the limits of the actuated joints; ten times the speed in a second where no acceleration is given.
+    """Take a share of the actuated joints' limits; ten times the speed in a second where no acceleration is given.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def envelope(robot: Robot, share: float = 0.9) -> Envelope:
 
 
 def _blend(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fifth-order polynomial from 0 to 1, at rest at both ends of [0, 1], and its first two derivatives."""
+    """Evaluate the quintic from 0 to 1, at rest at both ends of [0, 1], and its first two derivatives."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
 
@@ -73,7 +73,7 @@ class Sines:
     duration: float
 
     def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, velocities and accelerations (N, n)."""
+        """Evaluate positions, velocities and accelerations (N, n)."""
         t = np.clip(time, 0.0, self.duration)
         omega = 2 * np.pi * self.frequency
         angle = t[:, None, None] * omega + self.phase
@@ -88,7 +88,7 @@ class Sines:
 
 
 def sines(within: Envelope, duration: float, rng: np.random.Generator) -> Sines:
-    """A random sum of sines, as large as the envelope lets it be.
+    """Draw a random sum of sines, as large as the envelope allows.
 
     Where a joint's acceleration would keep it small, its sines are slower instead, until its speed or reach is used.
     """
@@ -104,7 +104,7 @@ def sines(within: Envelope, duration: float, rng: np.random.Generator) -> Sines:
 
 
 def _peaks(motion: Sines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Greatest distances from the center, speeds and accelerations, (n,) each."""
+    """Find the greatest distances from the center, speeds and accelerations, (n,) each."""
     q, qd, qdd = motion(np.arange(0.0, motion.duration, 0.05 / FREQUENCIES[-1]))
     return np.abs(q - motion.center).max(axis=0), np.abs(qd).max(axis=0), np.abs(qdd).max(axis=0)
 
@@ -118,7 +118,7 @@ class PointToPoint:
     spans: np.ndarray
 
     def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, velocities and accelerations (N, n)."""
+        """Evaluate positions, velocities and accelerations (N, n)."""
         k = np.clip(np.searchsorted(self.starts, time, side="right") - 1, 0, len(self.starts) - 1)
         span = self.spans[k]
         s, sd, sdd = _blend((time - self.starts[k]) / span)
@@ -131,12 +131,12 @@ class PointToPoint:
 
 
 def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:
-    """Moves between random points, each as fast as the envelope lets it be, with a short rest between them."""
+    """Plan moves between random points, each as fast as the envelope allows, with a short rest between them."""
     return through(within, duration, (rng.uniform(-1.0, 1.0, len(within.center)) for _ in count()))
 
 
 def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], rest: float = REST) -> PointToPoint:
-    """Moves from the center through ``targets``, each as fast as the envelope lets it be.
+    """Plan moves from the center through ``targets``, each as fast as the envelope allows.
 
     Parameters
     ----------

@@ -18,5 +18,5 @@ def is_compiled() -> bool:
 
 
 def _own_cache() -> Path:
-    """Where Numba caches for a package in a folder that this user cannot write to."""
+    """Return where Numba caches for a package in a folder that this user cannot write to."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
