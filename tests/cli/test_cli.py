@@ -15,7 +15,7 @@ import bad_input
 import click.testing
 import pytest
 from bad_input import Case
-from five_bar_logs import EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
+from five_bar_logs import DESIGN, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_experiment, write_log
 from typer.testing import CliRunner
 
 import gtau.estimation.identify
@@ -32,11 +32,8 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A good experiment and the model identified from it."""
     folder = tmp_path_factory.mktemp("good")
     plant = Plant(delays=(1e-3, 1e-3), noise=0.01)
-    write_log(folder / "free.csv", plant.run("free", seed=1))
-    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
-    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3, seconds=6.0))
+    write_experiment(folder, plant)
     write_log(folder / "unknown.csv", plant.run("unknown", payload=LEAD, seed=4))
-    (folder / "experiment.yaml").write_text(EXPERIMENT)
     (folder / "weighing.yaml").write_text(WEIGHING)
     result = CliRunner().invoke(app, ["identify", str(folder / "experiment.yaml"), "--out", str(folder)])
     assert result.exit_code == 0, result.stderr
@@ -551,21 +548,6 @@ gtau.model.home.load_robot = swallow
     sentence = "interrupted; files that were not finished have not been written."
     assert (process.returncode, stderr) == (130, f"gtau: {sentence}\n")
     assert json.loads(stdout) == {"error": sentence}
-
-
-DESIGN = """
-robot: five-bar
-rate: 500
-period: 4
-harmonics: 4
-runs:
-  - payload: none
-  - payload: {name: disc, mass: 1.0}
-prior:
-  gains: {left: 1.5, right: 1.5}
-limits:
-  velocity: {left: 4, right: 4}
-"""
 
 
 def test_an_interrupted_search_is_a_result_that_says_so(here: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import polars
 import pytest
-from five_bar_logs import EXPERIMENT, STEEL, Plant, path, write_log
+from five_bar_logs import Plant, path, write_experiment
 
 import gtau
 from gtau.signals.experiment import as_payload
@@ -23,12 +23,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder, plant = tmp_path_factory.mktemp("python"), Plant(noise=0.01)
-    write_log(folder / "free.csv", plant.run("free", seed=1))
-    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
-    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3))
-    (folder / "experiment.yaml").write_text(EXPERIMENT)
-    return folder
+    return write_experiment(tmp_path_factory.mktemp("python"), Plant(noise=0.01)).parent
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from five_bar_logs import DESIGN
 from repetitions import repeated_gains
 from threadpoolctl import threadpool_limits
 from typer.testing import CliRunner
@@ -26,24 +27,6 @@ from gtau.report.excite_page import describe_design, design_page
 from gtau.signals.log_file import read_log
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-FIVE_BAR = """
-robot: five-bar
-rate: 500
-period: 4
-harmonics: 4
-runs:
-  - payload: none
-  - payload: {name: disc, mass: 1.0}
-prior:
-  gains: {left: 1.5, right: 1.5}
-limits:
-  velocity: {left: 4, right: 4}
-  jerk: {left: 2000, right: 2000}
-  workspace: {x: [0.11, 0.31], z: [0.14, 0.245]}
-  away_from_reversals: 0.6
-"""
-
-
 ORTHOGLIDE = """
 robot: orthoglide
 rate: 500
@@ -68,7 +51,7 @@ def write(folder: Path, text: str) -> Path:
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory) -> Design:
-    task, _ = read_design(write(tmp_path_factory.mktemp("design"), FIVE_BAR))
+    task, _ = read_design(write(tmp_path_factory.mktemp("design"), DESIGN))
     return design(task, starts=2)
 
 
@@ -116,7 +99,7 @@ def test_forecasts_hold_for_three_motors_and_six_axes(robot: str, rng: np.random
 
 
 def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path) -> None:
-    task, assumed = read_design(write(tmp_path, FIVE_BAR.replace("gains: {left: 1.5, right: 1.5}", "noise: {left: 9}")))
+    task, assumed = read_design(write(tmp_path, DESIGN.replace("gains: {left: 1.5, right: 1.5}", "noise: {left: 9}")))
     assert set(assumed) == {"parameters", "gains", "noise"}
     x = random_start(task, np.random.default_rng(1), 0.9)
     assert x is not None
@@ -134,13 +117,13 @@ def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path)
             if line.startswith(f"  {parameter['name']} ")
         )
         assert row.split()[3] == shown
-    known = read_design(write(tmp_path, FIVE_BAR))[1]
+    known = read_design(write(tmp_path, DESIGN))[1]
     assert not any(each["assumed"] for each in describe_design(start, known, [])["gains"])
 
 
 @pytest.mark.slow
 def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
-    path, out = write(tmp_path, FIVE_BAR + "motions: each run\n"), tmp_path / "out"
+    path, out = write(tmp_path, DESIGN + "motions: each run\n"), tmp_path / "out"
     done = CliRunner().invoke(app, ["excite", str(path), "--out", str(out), "--starts", "1"])
     assert done.exit_code == 0, done.output
     assert "2 motions" in done.output
@@ -182,7 +165,7 @@ def test_a_design_tells_twice_as_much_as_the_best_of_200_random_motions(tmp_path
 
 
 def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
-    low = FIVE_BAR.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
+    low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
     task, _ = read_design(write(tmp_path, low))
     with pytest.raises(GtauError, match=r"the current of joint '(left|right)'.* must be at most 0.01 A") as refusal:
         design(task, starts=1)
@@ -191,7 +174,7 @@ def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("asked", [1, 30, 60, 90])
 def test_a_stopped_design_is_the_best_so_far_and_within_the_limits(tmp_path: Path, asked: int) -> None:
-    task, _ = read_design(write(tmp_path, FIVE_BAR))
+    task, _ = read_design(write(tmp_path, DESIGN))
     kept: list[Design] = []
     steps: list[int] = []
 
@@ -208,7 +191,7 @@ def test_a_stopped_design_is_the_best_so_far_and_within_the_limits(tmp_path: Pat
 
 
 def test_progress_counts_iterations(tmp_path: Path) -> None:
-    task, _ = read_design(write(tmp_path, FIVE_BAR))
+    task, _ = read_design(write(tmp_path, DESIGN))
     seen: list[tuple[str, int, int]] = []
     found = design(task, starts=1, progress=lambda *each: seen.append(each))
     assert not found.cut_short
@@ -219,7 +202,7 @@ def test_progress_counts_iterations(tmp_path: Path) -> None:
 
 
 def test_a_search_stopped_before_it_has_found_anything_does_not_blame_the_limits(tmp_path: Path) -> None:
-    low = FIVE_BAR.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
+    low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
     task, _ = read_design(write(tmp_path, low))
     with pytest.raises(Stopped, match="the search was stopped before it had found a motion within the limits"):
         design(task, starts=3, stop=lambda: True)
@@ -235,11 +218,11 @@ def test_all_weak_parameters_are_listed_with_the_figures_of_the_table(found: Des
 
 
 def test_bodies_without_parameters_are_listed(tmp_path: Path) -> None:
-    given = FIVE_BAR.replace("prior:\n", "prior:\n  parameters: {m_left: 1.0, zz_left_forearm: 0.01, fv_right: 0.1}\n")
+    given = DESIGN.replace("prior:\n", "prior:\n  parameters: {m_left: 1.0, zz_left_forearm: 0.01, fv_right: 0.1}\n")
     _, assumed = read_design(write(tmp_path, given))
     assert assumed["massless"].startswith("no mass and inertia of right, right_forearm")
     assert "left" not in assumed["massless"]
-    assert "massless" not in read_design(write(tmp_path, FIVE_BAR))[1]
+    assert "massless" not in read_design(write(tmp_path, DESIGN))[1]
 
 
 @pytest.mark.parametrize(
@@ -269,7 +252,7 @@ def test_a_motion_that_tells_next_to_nothing_is_no_advice(found: Design, monkeyp
 
 
 def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
-    path = write(tmp_path, FIVE_BAR)
+    path = write(tmp_path, DESIGN)
     command = [
         "excite",
         str(path),
@@ -307,4 +290,4 @@ def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_design_files_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(GtauError, match=message):
-        read_design(write(tmp_path, FIVE_BAR.replace(old, new)))
+        read_design(write(tmp_path, DESIGN.replace(old, new)))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from five_bar_logs import EXPERIMENT, STEEL, Plant, five_bar, write_log
+from five_bar_logs import EXPERIMENT, STEEL, Plant, five_bar, write_experiment, write_log
 from numpy.testing import assert_allclose
 from robots_for_tests import seven_r, slider_crank
 from typer.testing import CliRunner
@@ -276,13 +276,7 @@ def test_distances_are_between_0_and_1(name: str, rng: np.random.Generator) -> N
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("logs")
-    plant = Plant(noise=0.01)
-    write_log(path / "free.csv", plant.run("free", seed=1))
-    write_log(path / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
-    write_log(path / "check.csv", plant.run("check", payload=STEEL, seed=3, seconds=6.0))
-    (path / "experiment.yaml").write_text(EXPERIMENT)
-    return path
+    return write_experiment(tmp_path_factory.mktemp("logs"), Plant(noise=0.01)).parent
 
 
 def run(*arguments: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from five_bar_logs import EXPERIMENT, JOINTS, STEEL, Plant, write_log
+from five_bar_logs import JOINTS, Plant, write_experiment
 
 import gtau
 from gtau.errors import GtauError
@@ -23,13 +23,7 @@ PRIOR = {"left": 2.4, "right": 4.1}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("notebook")
-    plant = Plant(noise=0.01)
-    write_log(folder / "free.csv", plant.run("free", seed=1))
-    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
-    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3))
-    (folder / "experiment.yaml").write_text(EXPERIMENT)
-    return folder
+    return write_experiment(tmp_path_factory.mktemp("notebook"), Plant(noise=0.01)).parent
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
+from five_bar_logs import EXPERIMENT, Plant, write_experiment, write_log
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
@@ -102,9 +102,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which every command has written its report."""
     folder = tmp_path_factory.mktemp("reports")
     plant = Plant(delays=(1e-3, 1e-3), noise=0.01)
-    write_log(folder / "free.csv", plant.run("free", seed=1))
-    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
-    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3, seconds=6.0))
+    write_experiment(folder, plant)
     write_log(folder / "unknown.csv", plant.run("unknown", payload=LEAD, seed=4))
     experiment = EXPERIMENT.replace("name: steel", 'name: "<b>steel & co"')
     (folder / "experiment.yaml").write_text(experiment)

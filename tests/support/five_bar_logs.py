@@ -95,3 +95,29 @@ runs:
 validation:
   - {log: check.csv, payload: {name: steel, mass: 1.2}}
 """
+
+DESIGN = """
+robot: five-bar
+rate: 500
+period: 4
+harmonics: 4
+runs:
+  - payload: none
+  - payload: {name: disc, mass: 1.0}
+prior:
+  gains: {left: 1.5, right: 1.5}
+limits:
+  velocity: {left: 4, right: 4}
+  jerk: {left: 2000, right: 2000}
+  workspace: {x: [0.11, 0.31], z: [0.14, 0.245]}
+  away_from_reversals: 0.6
+"""
+
+
+def write_experiment(folder: Path, plant: Plant) -> Path:
+    """Write a run without and one with the known payload, one for validation, and the file that describes them."""
+    write_log(folder / "free.csv", plant.run("free", seed=1))
+    write_log(folder / "loaded.csv", plant.run("loaded", payload=STEEL, seed=2))
+    write_log(folder / "check.csv", plant.run("check", payload=STEEL, seed=3, seconds=6.0))
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    return folder / "experiment.yaml"
