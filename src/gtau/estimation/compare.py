@@ -105,8 +105,10 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
     def row(estimator: Estimator) -> Row:
         start = perf_counter()
         try:
-            given = Given(gains_for(estimator, robot, runs, experiment.prior_gains), experiment.priors, progress)
-            result = estimate(dataset, estimator, given, prior_gains=experiment.prior_gains)
+            given = Given(
+                gains_for(estimator, robot, runs, experiment.expected_gains), experiment.expected_parameters, progress
+            )
+            result = estimate(dataset, estimator, given, prior_gains=experiment.expected_gains)
         except GtauError as refusal:
             return Row(estimator.name, refusal=str(refusal))
         seconds, gains = perf_counter() - start, list(result.drive_gains.values())
@@ -120,7 +122,7 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
     with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
         dataset = reduce_runs(robot, runs, progress=progress)
         require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], "ml")
-        chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or experiment.prior_gains]
+        chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or experiment.expected_gains]
         rows = []
         for k, estimator in enumerate(chosen):
             progress("estimators", k, len(chosen))

@@ -24,6 +24,7 @@ from gtau.estimation.thresholds import ACCURACY
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
+from gtau.signals.data_sheets import Drive, data_sheet_notes
 from gtau.signals.experiment import Experiment, Prior, check_robot, read_experiment
 from gtau.signals.run import Run
 
@@ -90,13 +91,14 @@ def identify(
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
     chosen = None if method is None else estimator_of(method)
     if isinstance(source, Robot):
-        robot, runs = source, _given_runs(runs)
+        robot, runs, drives = source, _given_runs(runs), {}
     else:
         experiment = _experiment_alone(source, runs)
         robot = load_robot(experiment.robot)
         check_robot(experiment, robot)
         runs = read_runs(experiment, experiment.runs, progress)
-        prior_gains, priors = prior_gains or experiment.prior_gains, priors or experiment.priors
+        prior_gains, priors = prior_gains or experiment.expected_gains, priors or experiment.expected_parameters
+        drives = experiment.drives
     estimator = chosen or _default_estimator(runs, as_paper)
     _check_combination(estimator, as_paper, consistent)
     gains = gains_for(estimator, robot, runs, prior_gains)
@@ -114,7 +116,13 @@ def identify(
         outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
         if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
             require_felt_payload(dataset.system(Friction()))
-        return result
+        return replace(result, notes=(*_data_sheet_notes(drives, result), *result.notes))
+
+
+def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[str, ...]:
+    gains = {f"gain_{joint}": gain for joint, gain in result.drive_gains.items() if gain.std is not None}
+    found = {name: (each.value, each.std) for name, each in (gains | dict(result.parameters)).items()}
+    return data_sheet_notes(drives, result.robot, found)
 
 
 def _given_runs(runs: Sequence[Run] | None) -> Sequence[Run]:

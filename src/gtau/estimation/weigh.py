@@ -59,13 +59,13 @@ def weigh(
     robot = model.robot
     if not any(run.payload is not None and run.payload.mass is None for run in described.runs):
         raise GtauError(f"{experiment}: no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
-    if gains == "prior" and described.signals.kind == "current" and not described.prior_gains:
+    if gains == "prior" and described.signals.kind == "current" and not described.expected_gains:
         raise GtauError(f"{experiment} has no 'prior_gains'; add them, or weigh with the identified gains.")
     bare = any(run.payload is None for run in described.runs)
     chosen = [run for run in described.runs if run.payload is None or run.payload.mass is None or not bare]
     runs = read_runs(described, chosen, progress)
     if gains == "prior":
-        g_tau, covariance = given_gains(robot, runs, described.prior_gains, "wls"), None
+        g_tau, covariance = given_gains(robot, runs, described.expected_gains, "wls"), None
     else:
         g_tau = np.array([model.drive_gains[joint].value for joint in robot.actuated], dtype=float)
         rows = [model.covariance_names.index(f"gain_{joint}") for joint in robot.actuated]

@@ -15,7 +15,7 @@ from gtau.model.coordinates import Coordinates
 from gtau.model.kinematics import Frame, Twist, accelerations, attached_frame, attached_velocity, frames, twists
 from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robot, Spring
 
-TOUCHING = 1e-9  # m: points nearer than this have no line between them, and a spring no direction
+TOUCHING = 1e-9  # m: the length of a spring whose points coincide, where the line between them has no direction
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
@@ -48,8 +48,8 @@ def _wrench(chi: dict[str, ca.SX], body: str, twist: Twist, acceleration: Twist)
 def spring_length(spring: Spring, frame: dict[str, Frame]) -> tuple[ca.SX, ca.SX]:
     """Express the distance of a spring's points and the unit vector (3,) from its first to its second, in base axes."""
     line = attached_frame(spring.b, frame)[1] - attached_frame(spring.a, frame)[1]
-    length = ca.sqrt(ca.sumsqr(line))
-    return length, line / ca.fmax(length, TOUCHING)
+    length = ca.sqrt(ca.sumsqr(line) + TOUCHING**2)
+    return length, line / length
 
 
 def _lengthening(spring: Spring, direction: ca.SX, frame: dict[str, Frame], twist: dict[str, Twist]) -> ca.SX:

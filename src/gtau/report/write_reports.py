@@ -34,7 +34,7 @@ def write_identification(result: Result, path: Path, folder: Path, seconds: floa
 
     experiment = read_experiment(path)
     validation = read_runs(experiment, experiment.validation, progress)
-    evidence = gather(result, result.data, validation, experiment.prior_gains, progress)
+    evidence = gather(result, result.data, validation, experiment.expected_gains, progress)
     of = Provenance(command_line(), inputs_of(path, experiment), settings_of(result), seconds)
     return _write(identification_report(evidence, of), folder)
 
@@ -46,7 +46,7 @@ def write_validation(
     from gtau.report.validation_report import evidence_of, validation_report
 
     experiment = read_experiment(path)
-    evidence = evidence_of(result, validations, experiment.prior_gains)
+    evidence = evidence_of(result, validations, experiment.expected_gains)
     inputs = (("model", model), *inputs_of(path, experiment, runs=False))
     return _write(validation_report(evidence, Provenance(command_line(), inputs, settings_of(result), seconds)), folder)
 
@@ -66,7 +66,7 @@ def write_weighing(
     experiment = read_experiment(path)
     inputs = (("model", model), *inputs_of(path, experiment))
     of = Provenance(command_line(), inputs, {**settings_of(result), "drive gains": gains}, seconds)
-    return _write(payload_report(result, payloads, gains, experiment.prior_gains, of), folder)
+    return _write(payload_report(result, payloads, gains, experiment.expected_gains, of), folder)
 
 
 def write_comparison(found: EstimatorComparison, path: Path, folder: Path, seconds: float) -> Path:
@@ -77,7 +77,7 @@ def write_comparison(found: EstimatorComparison, path: Path, folder: Path, secon
     robot = load_robot(experiment.robot)
     units = {joint: f"{torque_unit(robot, joint)}/A" for joint in found.joints}
     of = Provenance(command_line(), inputs_of(path, experiment), {}, seconds)
-    return _write(comparison_report(found, robot.name, units, experiment.prior_gains, of), folder)
+    return _write(comparison_report(found, robot.name, units, experiment.expected_gains, of), folder)
 
 
 def write_check_report(checked: ExperimentCheck, path: Path, folder: Path, seconds: float) -> Path:

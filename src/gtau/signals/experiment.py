@@ -26,6 +26,7 @@ from gtau.robots.floating import refuse_floating
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
+from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.formats import is_log_folder
 from gtau.signals.samples import Part
 from gtau.signals.settings import CHOSEN, PreparationSettings
@@ -188,7 +189,8 @@ class Experiment(Keys):
     """An experiment file; its paths are relative to the working directory or absolute once read.
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
-    ``priors`` say what is known of standard parameters, by name, ``preparation`` what is set of it by hand.
+    ``priors`` say what is known of standard parameters, by name, ``drives`` what data sheets say of motors and gears,
+    by joint, and ``preparation`` what is set of it by hand.
     """
 
     robot: AnySource
@@ -196,6 +198,7 @@ class Experiment(Keys):
     units: Units = Units()
     prior_gains: dict[str, FiniteFloat] = Field(default_factory=dict)
     priors: dict[str, Prior] = Field(default_factory=dict)
+    drives: dict[str, Drive] = Field(default_factory=dict)
     preparation: PreparationSettings = CHOSEN
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
@@ -241,6 +244,38 @@ class Experiment(Keys):
         if zero:
             raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N/A) of its drive")
         return gains
+
+    @field_validator("drives")
+    @classmethod
+    def _drives_of_signals(cls, drives: dict[str, Drive], info: ValidationInfo) -> dict[str, Drive]:
+        signals: Signals | None = info.data.get("signals")
+        if signals is None:
+            return drives
+        _known_joints(drives, signals)
+        for joint, drive in drives.items():
+            if drive.gain is not None and signals.kind == "torque":
+                raise ValueError(
+                    f"the signals hold torques, which need no gains; remove the 'torque_constant' of '{joint}'"
+                )
+            if drive.gain is not None and joint in info.data.get("prior_gains", {}):
+                raise ValueError(f"joint '{joint}' has a 'prior_gains' too; remove it, or its 'torque_constant' here")
+            if drive.inertia is not None and f"ia_{joint}" in info.data.get("priors", {}):
+                raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
+        return drives
+
+    @property
+    def expected_gains(self) -> dict[str, float]:
+        """Gains known beforehand, N m/A or N/A: ``prior_gains``, and those of data sheets."""
+        sheets = {joint: drive.gain[0] for joint, drive in self.drives.items() if drive.gain is not None}
+        return self.prior_gains | sheets
+
+    @property
+    def expected_parameters(self) -> dict[str, Prior]:
+        """What is known of standard parameters beforehand: ``priors``, and rotor inertias of data sheets."""
+        sheets = {f"ia_{joint}": drive.inertia for joint, drive in self.drives.items()}
+        return self.priors | {
+            name: Prior(value=each[0], std=each[1]) for name, each in sheets.items() if each is not None
+        }
 
     @field_validator("runs", "validation")
     @classmethod
@@ -320,12 +355,13 @@ def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
 
 
 def check_robot(experiment: Experiment, robot: Robot) -> None:
-    """Check that an experiment's signals and units suit its robot.
+    """Check that an experiment's signals, units and drives suit its robot.
 
     Raises
     ------
     GtauError
-        The signals' joints are not the actuated ones, or a position unit does not suit its joint.
+        The signals' joints are not the actuated ones, a position unit does not suit its joint, or a gear of ``drives``
+        is among the robot's couplings too.
     """
     signals = experiment.signals
     refuse_floating(robot, "identification from logs is")
@@ -346,3 +382,4 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
                 f"units.position is '{units.of_position(joint)}' for joint '{joint}', which is {kind}; write "
                 f"{'rad or deg' if kind == 'revolute' else 'm or mm'} (units may differ by joint: {{{joint}: ...}})."
             )
+    check_drives(experiment.drives, robot)
