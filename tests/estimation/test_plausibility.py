@@ -11,6 +11,7 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
+from gtau.estimation.grades import Grade
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.model.home import load_robot
@@ -93,9 +94,11 @@ def test_positions_in_another_unit(kind: str) -> None:
 def test_metres_and_radians_declared_as_mm_and_deg(folder: Path) -> None:
     text = EXPERIMENT.replace("runs:", "units: {position: deg}\nruns:", 1)
     (folder / "deg.yaml").write_text(text)
-    for use in (identify, check_logs):
-        with pytest.raises(GtauError, match=r"look like rad declared as deg; write rad under units\.position"):
-            use(folder / "deg.yaml")
+    with pytest.raises(GtauError, match=r"look like rad declared as deg; write rad under units\.position") as refused:
+        identify(folder / "deg.yaml")
+    checked = check_logs(folder / "deg.yaml")
+    assert checked.worst == Grade.STOPS
+    assert f"{checked.notes[0]}." == str(refused.value)  # the same finding in the same words
 
 
 def _rate(folder: Path) -> float:

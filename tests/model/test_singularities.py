@@ -279,9 +279,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_experiment(tmp_path_factory.mktemp("logs"), Plant(noise=0.01)).parent
 
 
-def run(*arguments: str) -> str:
+def run(*arguments: str, code: int = 0) -> str:
     result = CliRunner().invoke(app, list(arguments))
-    assert result.exit_code == 0, result.stderr
+    assert result.exit_code == code, result.stderr
     return result.stdout
 
 
@@ -291,13 +291,13 @@ def test_a_check_tells_of_joints_that_have_too_few_rows(folder: Path, tmp_path: 
         position = moving.position * [1, 0] + [0, moving.position[0, 1]]  # its second motor stands still
         write_log(tmp_path / f"{name}.csv", replace(moving, position=position))
     (tmp_path / "experiment.yaml").write_text(EXPERIMENT)
-    said = " ".join(run("check", str(tmp_path / "experiment.yaml")).split())
+    said = " ".join(run("check", str(tmp_path / "experiment.yaml"), code=2).split())
     refused = CliRunner().invoke(app, ["identify", str(tmp_path / "experiment.yaml")])
     assert refused.exit_code == 2
     found = re.search(r"joint '(\w+)' has (\d+) usable rows in all runs together", refused.stderr)
     assert found is not None, refused.stderr
     assert found[0] in said
-    assert json.loads(run("check", str(folder / "experiment.yaml"), "--json"))["notes"] == []
+    assert json.loads(run("check", str(folder / "experiment.yaml"), "--json"))["findings"] == []
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -348,7 +348,8 @@ def test_a_check_counts_rows_and_repairs(folder: Path) -> None:
     assert log["joints"][1]["usable"] == 0
     assert 0.4 < log["joints"][0]["usable"] < 1.0
     assert log["joints"][0]["unit"] == "rad"
-    assert any("line 701" in note for note in log["notes"])
+    findings = [(each["grade"], each["source"]) for each in document["findings"] if "line 701" in each["what"]]
+    assert findings == [("for information", "resting")]
     assert log["samples"] == 5000
     assert log["rate"] == pytest.approx(500.0)
     text = run("check", str(folder / "resting.yaml"))
@@ -358,10 +359,9 @@ def test_a_check_counts_rows_and_repairs(folder: Path) -> None:
 
 def test_a_check_names_where_the_loops_do_not_close(folder: Path) -> None:
     (folder / "swapped.yaml").write_text(EXPERIMENT.replace("left: q1, right: q2", "left: q2, right: q1"))
-    result = CliRunner().invoke(app, ["check", str(folder / "swapped.yaml")])
-    assert result.exit_code == 2
-    assert result.stderr.count("\n") == 1
-    assert "of run 'free'" in result.stderr
+    findings = json.loads(run("check", str(folder / "swapped.yaml"), "--json", code=2))["findings"]
+    refused = [each["what"] for each in findings if each["grade"] == "stops the identification"]
+    assert "of run 'free'" in refused[0]
 
 
 def test_figures_without_matplotlib_are_left_out_and_the_table_is_not(

@@ -28,16 +28,22 @@ def check(
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Check the logs before identifying: repairs, sampling rate, motion, usable rows, distance to singularities."""
+    """Check the logs before identifying: whether they can be used, what is worth mending, what was repaired.
+
+    The exit code follows the worst finding: 2 if it stops the identification, 3 if it is worth mending, otherwise 0.
+    """
     with refusals(json_):
         refuse_as_folder(out)
         refuse_as_folder(figure)
         start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
+            from gtau.estimation.grades import EXIT_CODES
+            from gtau.parallel.cache import cache_folder, caching_map
+            from gtau.parallel.executor import in_order, serial_map
             from gtau.report.log_page import describe_logs, log_page, write_check
 
-            checked = check_logs(experiment, progress)
+            checked = check_logs(experiment, progress, in_order(caching_map(serial_map, cache_folder())))
         written: list[Path] = []
         notes: list[str] = []
         if out is not None:
@@ -57,3 +63,5 @@ def check(
         else:
             typer.echo(log_page(document))
             typer.echo("\n".join([*(f"written: {path}" for path in written), *notes]), nl=bool(written))
+        if code := EXIT_CODES[checked.worst]:
+            raise typer.Exit(code)

@@ -1,7 +1,8 @@
-"""What the logs of an experiment hold, before anything is identified from them."""
+"""The gate before an identification: what the logs of an experiment hold, and everything that is wrong with them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,10 +10,14 @@ import numpy as np
 
 from gtau import display
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.plausibility import require_felt_payload
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.regression.dataset import prepare_runs
+from gtau.estimation.grades import Grade, by_grade, grade_of
+from gtau.estimation.regression.dataset import Dataset, Mapper, model_of, prepare_runs, reduce_runs, robot_notes
+from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.system import FEWEST_ROWS
+from gtau.estimation.regression.system import FEWEST_ROWS, require_scale
+from gtau.estimation.results.remarks import near_singularities, not_separated
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -21,8 +26,9 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.bandwidth import JointSpectrum, spectra
 from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import check_robot, read_experiment
-from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation
+from gtau.signals.experiment import Experiment, LoggedRun, check_robot, read_experiment
+from gtau.signals.notes import Kind, Note
+from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, moving_spectra
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import BLOCK, Store
 
@@ -46,14 +52,13 @@ class JointCheck:
 
 @dataclass(frozen=True, eq=False)
 class LogCheck:
-    """One log: what was repaired (``notes``), its joints, and at its decimated samples positions (K, n) and distances.
+    """One log: its joints, and at its decimated samples positions (K, n), what is used of them, and distances.
 
     ``rows`` is the number of decimated samples, ``validation`` whether the file lists the run under that key.
     """
 
     run: Run
     validation: bool
-    notes: tuple[str, ...]
     rows: int
     joints: tuple[JointCheck, ...]
     position: np.ndarray
@@ -66,56 +71,141 @@ class LogCheck:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentCheck:
-    """All logs of an experiment, and how they are prepared."""
+    """The logs of an experiment that can be read, how they are prepared, and ``notes`` on all that was found.
+
+    ``preparation`` is None where none of the logs for the identification can be read.
+    """
 
     robot: Robot
-    preparation: Preparation
+    preparation: Preparation | None
     logs: tuple[LogCheck, ...]
+    notes: tuple[Note, ...]
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What an identification would refuse, of all its runs together."""
-        used = [log for log in self.logs if not log.validation]
-        rows = {
-            each[0].joint: sum(round(joint.usable * log.rows) for joint, log in zip(each, used, strict=True))
-            for each in zip(*(log.joints for log in used), strict=True)
-        }
-        return tuple(
-            f"joint '{joint}' has {count} usable rows in all runs together, too few for an identification (at least "
-            f"{FEWEST_ROWS}): add runs in which it moves, or longer ones"
-            for joint, count in rows.items()
-            if count < FEWEST_ROWS
-        )
+    def worst(self) -> Grade:
+        """Grade of the worst finding."""
+        return next(iter(by_grade(self.notes)), Grade.INFORMATION)
 
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)
         return html
 
 
-def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck:
-    """Read and prepare all logs of an experiment file, without identifying.
+def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = map) -> ExperimentCheck:
+    """Find everything in the logs of an experiment file that an identification would refuse, suffer from or mention.
+
+    A log that cannot be used does not keep the others from being checked. ``mapper`` reduces the runs as in
+    :func:`gtau.identify`.
 
     Raises
     ------
     GtauError
-        Where a file is wrong, a log cannot be used, or the robot's loops cannot be closed along it.
+        Where the experiment file or the robot's file is wrong.
     """
     experiment = read_experiment(path)
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
-    model = InverseDynamics(robot)
-    listed = (*experiment.runs, *experiment.validation)
-    runs = [arrange(run, model.actuated) for run in read_runs(experiment, listed, progress)]
-    count = len(experiment.runs)
-    preparation = choose_preparation(runs[:count])
-    checked = []
-    for k, run in enumerate(runs):
-        progress("checking logs", k, len(runs))
-        own = preparation.at(run.rate)
-        (prepared,) = prepare_runs(model, [run], own)
-        checked.append(_check(model, prepared, own.decimator, validation=k >= count))
-    progress("checking logs", len(runs), len(runs))
-    return ExperimentCheck(robot, preparation, tuple(checked))
+    model, of_robot = model_of(robot), robot_notes(robot, loaded=any(run.payload for run in experiment.runs))
+    listed, count = (*experiment.runs, *experiment.validation), len(experiment.runs)
+    kinds = [Kind.REFUSED] * count + [Kind.VALIDATION] * len(experiment.validation)
+    read, notes = _read(experiment, listed, kinds, model, progress)
+    used = [run for run in read[:count] if run is not None]
+    if not used:
+        return ExperimentCheck(robot, None, (), (*of_robot, *notes))
+    preparation = choose_preparation(used)
+    checked, prepared_runs = [], []
+    for k, run in enumerate(read):
+        progress("checking logs", k, len(read))
+        if run is None:
+            continue
+        try:
+            (prepared,) = prepare_runs(model, [run], preparation)
+            log = _check(model, prepared, prepared.preparation.decimator, validation=k >= count)
+        except GtauError as error:
+            notes.append(refusal(error, kinds[k], run.name))
+            continue
+        checked.append(log)
+        notes += [note.of(run.name) for note in (*run.notes, *prepared.notes)]
+        notes += near_singularities(log.nearest)
+        prepared_runs += [prepared] if k < count else []
+    progress("checking logs", len(read), len(read))
+    notes += few_rows([log for log in checked if not log.validation])
+    if not any(grade_of(note) == Grade.STOPS for note in notes):
+        dataset = reduce_runs(
+            robot, [each.run for each in prepared_runs], preparation, progress=progress, mapper=mapper
+        )
+        notes += _together(dataset, experiment.prior_gains)
+    return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes))
+
+
+def _read(
+    experiment: Experiment,
+    listed: Sequence[LoggedRun],
+    kinds: Sequence[Kind],
+    model: InverseDynamics,
+    progress: Progress,
+) -> tuple[list[Run | None], list[Note]]:
+    """The runs, None for those that cannot be used, and why they cannot."""
+    runs: list[Run | None] = []
+    notes = []
+    for k, each in enumerate(listed):
+
+        def advance(what: str, done: int, total: int, k: int = k) -> None:
+            progress(what, k * total + done, len(listed) * total)
+
+        try:
+            (run,) = read_runs(experiment, [each], advance)
+            run = arrange(run, model.actuated)
+            moving_spectra(run)
+            runs.append(run)
+        except GtauError as error:
+            runs.append(None)
+            notes.append(refusal(error, kinds[k]))
+    return runs, notes
+
+
+def refusal(error: GtauError, kind: Kind = Kind.REFUSED, source: str = "") -> Note:
+    """What an identification refuses, as a note; its sentence names the log itself where no ``source`` is given."""
+    what, _, action = str(error).rstrip(".").rpartition("; ")
+    return Note(kind, what or action, action if what else "", source="" if source in what else source)
+
+
+def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
+    """A note on every joint with fewer rows in all logs together than an identification needs."""
+    notes = []
+    for each in zip(*(log.joints for log in logs), strict=True):
+        rows = sum(round(joint.usable * log.rows) for joint, log in zip(each, logs, strict=True))
+        if rows < FEWEST_ROWS:
+            what = (
+                f"joint '{each[0].joint}' has {rows} usable rows in all runs together, away from its reversals and gaps"
+            )
+            notes.append(Note(Kind.ROWS, what, "add runs in which it moves, or longer ones", joint=each[0].joint))
+    return notes
+
+
+def _together(dataset: Dataset, prior_gains: Mapping[str, float]) -> list[Note]:
+    """What only all runs together show: the scale of the gains, the payload's effect, parameters not separable."""
+    system = dataset.system(Friction())
+    notes = not_separated(system.unexcited)
+    if dataset.runs[0].kind == "torque":
+        return notes
+    payloads = [run.payload for run in dataset.runs]
+    unknown = next((each.name for each in payloads if each is not None and each.mass is None), None)
+    if unknown is not None and all(each is None or each.mass is None for each in payloads):
+        what = f"no payload has a known mass, so these logs cannot give the drive gains; they can weigh '{unknown}'"
+        return [*notes, Note(Kind.READING, what, "run 'gtau payload MODEL.json' with them")]
+    try:
+        require_scale(dataset.robot, system, payloads, "ml")
+    except GtauError as error:
+        if set(dataset.robot.actuated) <= set(prior_gains):
+            what = "no known payload fixes the scale of the drive gains"
+            return [*notes, Note(Kind.READING, what, "use --method wls, which takes the prior_gains of the file")]
+        return [*notes, refusal(error, Kind.SCALE)]
+    try:
+        require_felt_payload(system)
+    except GtauError as error:
+        notes.append(refusal(error, Kind.MODEL))
+    return notes
 
 
 def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, validation: bool) -> LogCheck:
@@ -157,7 +247,6 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     return LogCheck(
         run=run,
         validation=validation,
-        notes=(*run.notes, *prepared.notes),
         rows=rows,
         joints=tuple(JointCheck(joint, (low, high), *rest) for joint, low, high, *rest in columns),
         position=positions.array(),

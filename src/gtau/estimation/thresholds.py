@@ -166,6 +166,22 @@ UNFELT_PAYLOAD = Threshold(
     "UR10e logs",
 )
 
+# What is found in the logs
+COSTLY_REPAIR = Threshold(
+    0.02,
+    "share of the samples that a repair drops or interpolates, from which it is worth mending",
+    "up to 0.001 (shared logs, but for those recorded by polling)",
+    "0.05 and more are refused",
+    "a choice between the two",
+)
+NEAR_SINGULAR = Threshold(
+    0.05,
+    "distance to a singularity of type 2, below which errors of the model are magnified",
+    "0.49 (Orthoglide)",
+    "0.001 is refused",
+    "a choice: errors are magnified twentyfold",
+)
+
 # What is known beside the data
 PRIOR_FACTOR = Threshold(
     2.0,

@@ -5,17 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
+from gtau.estimation.grades import Grade, by_grade
 from gtau.report import provenance
 from gtau.report.evidence import payload_words
 from gtau.report.html.document import Section
-from gtau.report.html.elements import Cell, Column, bullets, folded, number, paragraph, table, text, verdict
+from gtau.report.html.elements import Cell, Column, folded, number, table, text, verdict
 from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, key, zoom_tools
 from gtau.report.identification_report import page
+from gtau.report.log_page import gate_words
 from gtau.report.provenance import Provenance
+from gtau.report.result_sections import notes_section
 from gtau.report.robot_drawing import robot_drawing
 from gtau.report.run_sections import COLOURS, distances_part, logs_section
 from gtau.report.style import joint_label
 from gtau.robots.robot import Robot
+from gtau.signals.samples import counted
 
 
 def check_report(checked: ExperimentCheck, of: Provenance) -> str:
@@ -30,8 +34,10 @@ def check_report(checked: ExperimentCheck, of: Provenance) -> str:
         Section("joints", "Joints", "\n".join(_joints(log, checked.robot) for log in checked.logs)),
         Section("motion", "Motion", _motion(checked, arrays)),
         Section("robot", "Robot and singular poses", robot + distances_part(nearest, distances, starts, arrays)),
-        logs_section([log.run for log in checked.logs], checked.robot, preparation.bandwidth, preparation.cutoff),
-        _notes(checked),
+        logs_section([log.run for log in checked.logs], checked.robot, preparation.bandwidth, preparation.cutoff)
+        if preparation
+        else None,
+        notes_section(checked.notes),
         provenance.section(of),
     )
     lead = [f"{len(checked.logs)} logs; nothing has been identified from them yet."]
@@ -41,11 +47,11 @@ def check_report(checked: ExperimentCheck, of: Provenance) -> str:
 def _verdict(checked: ExperimentCheck) -> Section:
     used = [log for log in checked.logs if not log.validation]
     seconds = sum(float(log.run.time[-1] - log.run.time[0]) for log in used)
-    if checked.notes:
-        words, grade = "An identification would refuse these logs.", "bad"
-    else:
-        words, grade = f"The logs can be used: {len(used)} runs with {seconds:.4g} s in all.", "good"
-    return Section("verdict", "Verdict", verdict(grade, words, checked.notes))
+    colour = {Grade.STOPS: "bad", Grade.MEND: "weak", Grade.INFORMATION: "good"}[checked.worst]
+    notes = by_grade(checked.notes)
+    said = [f"{counted(len(used), 'run')} of {seconds:.4g} s in all for the identification"]
+    said += [*notes.get(Grade.STOPS, ()), *notes.get(Grade.MEND, ())]
+    return Section("verdict", "Verdict", verdict(colour, gate_words(checked.notes), said))
 
 
 def _joints(log: LogCheck, robot: Robot) -> str:
@@ -101,11 +107,6 @@ def _motion(checked: ExperimentCheck, arrays: Arrays) -> str:
                 drawn.append(chart(arrays, time, lines, f"position, {unit}", f"motion-{k}", height=210))
         parts.append(folded(log.run.name, "\n".join(drawn), shown=k == 0))
     return "\n".join(parts)
-
-
-def _notes(checked: ExperimentCheck) -> Section:
-    parts = [f"<h3>{log.run.name}</h3>{bullets(log.notes)}" for log in checked.logs if log.notes]
-    return Section("notes", "Repairs and notes", "\n".join(parts) or paragraph("Nothing was repaired or left out."))
 
 
 def _unit(robot: Robot, joint: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.results.remarks import findings
 from gtau.report import provenance
 from gtau.report.evidence import Evidence
 from gtau.report.html.document import Page, Section, render
@@ -37,7 +38,7 @@ def identification_report(evidence: Evidence, of: Provenance) -> str:
         motion_section(evidence, arrays),
         logs_section([each.run for each in evidence.runs], result.robot, preparation.bandwidth, preparation.cutoff),
         alternatives_section(evidence),
-        notes_section(result.notes),
+        notes_section(findings(result)),
         provenance.section(of),
     )
     return page(

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import textwrap
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
+from gtau.estimation.grades import Grade, by_grade, from_document, to_document
 from gtau.estimation.results.singularity_distances import write_distances
+from gtau.estimation.results.summary import findings_lines
+from gtau.estimation.thresholds import NEAR_SINGULAR
 from gtau.report.style import BLACK, LINES, has_matplotlib, joint_label, light_grid, new_figure, save_figure, styled
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit
+from gtau.signals.notes import Note
+from gtau.signals.samples import counted
 from gtau.signals.storage import block, spans
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH = 80
-NEAR = 0.05  # distance to a singularity that the page warns of
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 
 
@@ -29,14 +34,16 @@ def describe_logs(checked: ExperimentCheck) -> dict[str, Any]:
     preparation = checked.preparation
     return {
         "robot": checked.robot.name,
-        "preparation": {
+        "worst": checked.worst.value if checked.notes else None,
+        "findings": [to_document(note) for members in by_grade(checked.notes).values() for note in members],
+        "preparation": preparation
+        and {
             "bandwidth": preparation.bandwidth,
             "cutoff": preparation.cutoff,
             "decimation": preparation.decimator.factor,
             "decimator": preparation.decimator.kind,
         },
         "logs": [_describe(log, checked.robot) for log in checked.logs],
-        "notes": list(checked.notes),
     }
 
 
@@ -68,7 +75,6 @@ def _describe(log: LogCheck, robot: Robot) -> dict[str, Any]:
             {"type": each.type, "distance": each.distance, "time": each.time, "pose": dict(each.pose)}
             for each in log.nearest
         ],
-        "notes": list(log.notes),
     }
 
 
@@ -77,19 +83,32 @@ def _unit(robot: Robot, joint: str) -> str:
 
 
 def log_page(document: dict[str, Any]) -> str:
-    """The document as text."""
-    preparation = document["preparation"]
-    low_pass = "none" if preparation["cutoff"] is None else f"{preparation['cutoff']:.3g} Hz"
-    lines = textwrap.wrap(
-        f"{document['robot']}: bandwidth {preparation['bandwidth']:.3g} Hz, position filter {low_pass}, decimation "
-        f"{preparation['decimation']} ({preparation['decimator']})",
-        WIDTH,
-    )
+    """The document as text: the logs, the findings by grade, and in the last line what to expect of them."""
+    lines = []
+    if preparation := document["preparation"]:
+        low_pass = "none" if preparation["cutoff"] is None else f"{preparation['cutoff']:.3g} Hz"
+        lines += textwrap.wrap(
+            f"{document['robot']}: bandwidth {preparation['bandwidth']:.3g} Hz, position filter {low_pass}, decimation "
+            f"{preparation['decimation']} ({preparation['decimator']})",
+            WIDTH,
+        )
     for log in document["logs"]:
         lines += ["", *_log_lines(log)]
-    for note in document["notes"]:
-        lines += ["", *textwrap.wrap(note, WIDTH)]
-    return "\n".join(line.rstrip() for line in lines)
+    notes = [from_document(each) for each in document["findings"]]
+    if notes:
+        lines += ["", *findings_lines(notes)]
+    lines += ["", *textwrap.wrap(gate_words(notes), WIDTH)]
+    return "\n".join(line.rstrip() for line in lines).lstrip("\n")
+
+
+def gate_words(notes: Sequence[Note]) -> str:
+    """What to expect of an identification from these logs, in one sentence."""
+    found = by_grade(notes)
+    if stops := found.get(Grade.STOPS):
+        return f"gtau identify will refuse these logs: {counted(len(stops), 'finding')} to resolve first."
+    if mend := found.get(Grade.MEND):
+        return f"gtau identify can use these logs; {counted(len(mend), 'finding')} worth mending before."
+    return "gtau identify can use these logs as they are."
 
 
 def _log_lines(log: dict[str, Any]) -> list[str]:
@@ -118,15 +137,10 @@ def _log_lines(log: dict[str, Any]) -> list[str]:
             f"{each['command_unit']:<4}{bandwidth:>10}{100 * each['usable']:>13.0f} %"
         )
     for each in log["singularities"]:
-        pose = ", ".join(f"q_{joint} = {value:.4g}" for joint, value in each["pose"].items())
-        line = (
-            f"nearest to a singularity of {TYPES[each['type']]}: {each['distance']:.3g} at {each['time']:.4g} s, {pose}"
-        )
+        line = f"nearest to a singularity of {TYPES[each['type']]}: {each['distance']:.2g} at {each['time']:.4g} s"
+        if each["type"] == 2:  # those of type 1 do not matter to an identification
+            line += "".join(f", q_{joint} = {value:.4g}" for joint, value in each["pose"].items())
         lines += textwrap.wrap(line, WIDTH, initial_indent="  ", subsequent_indent="    ")
-        if each["type"] == 2 and each["distance"] < NEAR:
-            lines.append("    so near that errors of the model are magnified; keep the motion away from it")
-    for note in log["notes"]:
-        lines += textwrap.wrap(f"- {note}", WIDTH, initial_indent="  ", subsequent_indent="    ")
     return lines
 
 
@@ -152,7 +166,7 @@ def log_figure(log: LogCheck, robot: Robot) -> Figure:
             if not np.isnan(drawn).all():
                 below.plot(times, drawn, label=name, **style)
         if robot.closures:  # other robots have no singularities of type 2, at which alone it matters
-            below.axhline(NEAR, color=BLACK, linewidth=0.8, linestyle=":", label=f"{NEAR:g}, near")
+            below.axhline(NEAR_SINGULAR, color=BLACK, linewidth=0.8, linestyle=":", label=f"{NEAR_SINGULAR:g}, near")
         below.set_ylim(0.0, 1.05)
         below.set_ylabel("distance to singularity")
         below.set_xlabel("time from the start of the run, s")

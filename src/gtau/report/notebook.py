@@ -16,11 +16,11 @@ from gtau.estimation.results.result import Result
 from gtau.report.comparison_report import comparison_table, headline
 from gtau.report.evidence import Evidence, gather, settings_of
 from gtau.report.html.document import asset, style
-from gtau.report.html.elements import Cell, Column, escape, number, paragraph, table, text, verdict
+from gtau.report.html.elements import Cell, Column, escape, number, table, text, verdict
 from gtau.report.html.series import Arrays, Line, chart, envelope, key, stretches, zoom_tools
 from gtau.report.plots import Plots
 from gtau.report.provenance import Provenance
-from gtau.report.result_sections import gains_section, interval_cell, payloads_section, verdict_section
+from gtau.report.result_sections import findings_table, gains_section, interval_cell, payloads_section, verdict_section
 from gtau.report.style import joint_label
 
 BUCKETS = 1000  # of a chart in a notebook
@@ -123,7 +123,6 @@ def _(shown: ExperimentCheck, arrays: Arrays) -> str:
             number(log.run.rate, 5),
             number(float(log.run.time[-1] - log.run.time[0]), 4),
             Cell(f"{100 * min(joint.usable for joint in log.joints):.0f}", True),
-            text("; ".join(log.notes)),
         ]
         for log in shown.logs
     ]
@@ -133,6 +132,5 @@ def _(shown: ExperimentCheck, arrays: Arrays) -> str:
         Column("rate, Hz", True),
         Column("duration, s", True),
         Column("samples used, % (least of the joints)", True),
-        Column("repairs"),
     ]
-    return table(columns, rows) + "".join(paragraph(note) for note in shown.notes)
+    return table(columns, rows) + findings_table(shown.notes)

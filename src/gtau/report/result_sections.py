@@ -10,10 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.grades import by_grade
 from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate
 from gtau.estimation.results.headline import headline
+from gtau.estimation.results.remarks import remarks
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.summary import remarks
 from gtau.report.evidence import (
     GOOD_OUTCOMES,
     Evidence,
@@ -25,17 +26,18 @@ from gtau.report.html.elements import (
     Cell,
     Column,
     badge,
-    bullets,
     escape,
     facts,
     number,
     paragraph,
     plain,
+    sentence,
     table,
     text,
     verdict,
 )
 from gtau.report.style import joint_label
+from gtau.signals.notes import Note
 
 STRONG = 0.9  # correlation from which on a pair is listed
 LISTED = 20
@@ -384,7 +386,25 @@ def _share(part: float) -> str:
     return "&lt; 0.1" if 0 < part < 0.001 else f"{100 * part:.1f}"
 
 
-def notes_section(notes: Sequence[str], title: str = "Repairs and notes") -> Section:
-    """Everything that was repaired, left out or noticed."""
-    shown = bullets(notes) or paragraph("Nothing was repaired or left out.")
-    return Section("notes", title, shown)
+def notes_section(notes: Sequence[Note]) -> Section:
+    """Everything that was found, by grade: what, where, and what to do."""
+    shown = findings_table(notes) or paragraph("Nothing was repaired, left out or noticed.")
+    return Section("notes", "Findings", shown)
+
+
+def findings_table(notes: Sequence[Note]) -> str:
+    """Notes as a table, the worst first; empty without notes."""
+    rows = [
+        [badge(grade.value), text(_where(note)), text(sentence(note.what)), text(note.action and sentence(note.action))]
+        for grade, members in by_grade(notes).items()
+        for note in members
+    ]
+    columns = [Column("grade"), Column("where"), Column("what was found"), Column("what to do")]
+    return table(columns, rows, css="findings") if rows else ""
+
+
+def _where(note: Note) -> str:
+    """Log or robot, joint, time and size of a finding, as far as they are known."""
+    share = None if note.share is None else f"{100 * note.share:.2g} % of the samples"
+    time = None if note.time is None else f"{note.time:.4g} s"
+    return ", ".join(part for part in (note.source, note.joint and joint_label(note.joint), time, share) if part)

@@ -10,6 +10,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.log_file import LogFile, read_log
+from gtau.signals.notes import Kind, Note
 from gtau.signals.storage import block, spans, store
 
 LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
@@ -27,7 +28,7 @@ class Aligned:
     command: np.ndarray
     longest: float
     rows: range
-    note: str | None
+    note: Note | None
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Commands (M, n) at other instants (M,), on lines between stamps; nan where they are missing."""
@@ -111,15 +112,15 @@ def align(
     steps = [float(np.median(np.diff(each))) for each in (finite, own)]
     apart = _distances(finite, own)
     longest = LONGEST_STEP * max(steps)
-    note = None
+    said = ""
     if apart > CLOSE * min(steps) or len(rows) < len(clock):
-        note = (
+        said = (
             f"aligned the {what} with the positions on lines between their stamps ({1 / steps[1]:.4g} Hz; positions "
             f"{1 / steps[0]:.4g} Hz; usually {apart * 1e3:.2g} ms from a position to the closest)"
         )
         if out := len(clock) - len(rows):
-            note += f"; left out {out} positions before the first or after the last of them"
-    return Aligned(own, commands, longest, rows, note)
+            said += f"; left out {out} positions before the first or after the last of them"
+    return Aligned(own, commands, longest, rows, Note(Kind.READING, said) if said else None)
 
 
 def seconds(stamps: np.ndarray, scale: float) -> np.ndarray:

@@ -16,6 +16,7 @@ from gtau.errors import GtauError
 from gtau.signals.clipping import clipped
 from gtau.signals.clock import Clock, clock_of
 from gtau.signals.held import holds_of
+from gtau.signals.notes import Kind, Note
 from gtau.signals.quantiles import Quantiles
 from gtau.signals.resampling import MISSING_STEP, Resampling, UniformSamples, uniform
 from gtau.signals.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
@@ -62,7 +63,7 @@ def check(
         0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a
         tenth of the samples, a position that jumps, no moving joint, or values that cannot be right.
     """
-    notes: list[str] = []
+    notes: list[Note] = []
     samples = complete(source, blocks, notes, part)
     _refuse_stuck(samples, notes)
     _refuse_standing_time(samples)
@@ -78,7 +79,7 @@ def check(
     return uniform(samples, instants, wraps, grid, settings.clock is not None, notes)
 
 
-def _refuse_stuck(samples: Samples, notes: list[str]) -> None:
+def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
     source, n = samples.source, len(samples.source.joints)
     low, high = (np.concatenate(pair) for pair in zip(*map(extremes, (samples.position, samples.command)), strict=True))
     for column, least, most in zip(source.columns, low, high, strict=False):
@@ -99,7 +100,7 @@ def _refuse_stuck(samples: Samples, notes: list[str]) -> None:
             )
     if still.any():
         names = _quoted([joint for joint, s in zip(source.joints, still, strict=True) if s])
-        notes.append(f"the position of joint {names} never changes: it yields no rows")
+        notes.append(Note(Kind.REST, f"the position of joint {names} never changes: it yields no rows"))
 
 
 def _refuse_standing_time(samples: Samples) -> None:
@@ -115,7 +116,7 @@ def _quoted(names: Sequence[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 
-def drop_repeated(samples: Samples, notes: list[str], clock: Literal["stamps", "regular"] | None = None) -> Samples:
+def drop_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None = None) -> Samples:
     """Drop samples with the time and values of the one before.
 
     Where samples with the same time have different values they are kept, all of them: their stamps are late.
@@ -152,7 +153,8 @@ def drop_repeated(samples: Samples, notes: list[str], clock: Literal["stamps", "
     if not repeated:
         return samples
     places = source.places([samples.rows[i] for i in repeated[:5]], len(repeated))
-    notes.append(f"dropped {counted(len(repeated), 'repeated row')} ({places})")
+    what = f"dropped {counted(len(repeated), 'repeated row')} ({places})"
+    notes.append(Note(Kind.REPAIR, what, share=len(repeated) / len(time)))
 
     def without(array: np.ndarray) -> np.ndarray:
         parts = (
@@ -166,7 +168,7 @@ def drop_repeated(samples: Samples, notes: list[str], clock: Literal["stamps", "
     return samples
 
 
-def _wraps(samples: Samples, notes: list[str]) -> np.ndarray:
+def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
     """Whether each joint's angle jumps by a turn, (n,)."""
     position, source = samples.position, samples.source
     wraps = np.zeros(len(source.joints), dtype=bool)
@@ -175,7 +177,7 @@ def _wraps(samples: Samples, notes: list[str]) -> np.ndarray:
         wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
     if wraps.any():
         names = _quoted([joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap])
-        notes.append(f"unwrapped the angle of joint {names}, which jumped by a turn")
+        notes.append(Note(Kind.READING, f"unwrapped the angle of joint {names}, which jumped by a turn"))
     return wraps
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import Samples, ahead, counted, extremes
 from gtau.signals.storage import block, spans
 
@@ -13,7 +14,7 @@ PILE_UP = 5.0  # times as many samples at the extreme value as at the one next t
 MAX_CLIPPED = 0.1
 
 
-def clipped(samples: Samples, notes: list[str]) -> list[tuple[int, float]]:
+def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
     """Joints, and levels where their commands stand although they move, as behind a limit of the drive.
 
     Raises
@@ -36,7 +37,9 @@ def clipped(samples: Samples, notes: list[str]) -> list[tuple[int, float]]:
                     f"{source.name}: the command of joint '{joint}' is clipped at {level:.4g} in "
                     f"{at} of {count} samples; record it again with slower motions or a higher limit of the drive."
                 )
-            notes.append(f"the command of joint '{joint}' is clipped at {level:.4g}: masked {counted(at, 'sample')}")
+            what = f"the command of joint '{joint}' is clipped at {level:.4g}: masked {counted(at, 'sample')}"
+            action = "log again with smaller accelerations, or a higher limit of the drive"
+            notes.append(Note(Kind.CLIPPED, what, action, joint=joint, share=at / count))
             found.append((j, level))
     return found
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import Samples, ahead
 from gtau.signals.storage import block
 
@@ -66,18 +67,20 @@ class Holds:
         """Whether every sample is new."""
         return self.stale == (0, 0)
 
-    def notes(self, count: int, rate: float) -> list[str]:
+    def notes(self, count: int, rate: float) -> list[Note]:
         """What to report of a log of ``count`` samples at ``rate`` Hz."""
         found = []
         groups = (self.position, self.stale[0], "positions"), (self.command, self.stale[1], "commands")
         for each, stale, what in groups:
             if stale and each.period > 1:
-                found.append(
+                slow = (
                     f"the {what} are held: new ones come at about {rate / each.period:.4g} Hz, every {each.period} "
                     "samples; interpolated between them"
                 )
+                found.append(Note(Kind.HELD, slow, f"log the {what} at the rate at which they change"))
             elif stale:
-                found.append(f"{stale} samples of the {what} are stale (repeat the one before): interpolated")
+                few = f"{stale} samples of the {what} are stale (repeat the one before): interpolated"
+                found.append(Note(Kind.REPAIR, few, "log in the controller's own cycle", share=stale / count))
         return found
 
 

@@ -14,6 +14,7 @@ from gtau.signals.aligned import Aligned, align, seconds
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.formats.table import Place
 from gtau.signals.log_file import ALL, LogFile, read_log
+from gtau.signals.notes import Note
 from gtau.signals.samples import Source
 
 
@@ -35,7 +36,7 @@ class Logged:
     time_scale: float
     rate: float | None
     aligned: Aligned | None
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
     @property
     def places(self) -> tuple[tuple[Place, ...], ...]:
@@ -117,7 +118,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         first_line=first.first_line + (aligned.rows.start if aligned else 0),
         line_word=first.line_word,
     )
-    notes = [f"{file.path.name}: {note}" if len(files) > 1 else note for file in files for note in file.table.notes]
+    notes = [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
     return Logged(
         files=tuple(files),
         source=source,

@@ -19,6 +19,7 @@ from gtau.signals.filters import (
     filter_margin,
     position_filter,
 )
+from gtau.signals.notes import Kind, Note
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
 
@@ -113,7 +114,7 @@ class PreparedRun:
     friction_speed_ratios : ndarray
         (n_y, n) Speeds of joints whose friction acts in the rows of the motors for which the entry is not zero, from
         the motors' speeds; of each motor's own joint, and of others in coupled chains.
-    notes : tuple of str
+    notes : tuple of Note
         What was left out.
     """
 
@@ -123,7 +124,7 @@ class PreparedRun:
     moves: np.ndarray
     speeds: np.ndarray
     friction_speed_ratios: np.ndarray
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     def __len__(self) -> int:
         return len(self.kept)
@@ -359,23 +360,26 @@ def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarra
     )
 
 
-def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation) -> Iterator[str]:
+def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation) -> Iterator[Note]:
     """What a user should know of the motion and its noise."""
+    noisy = []
     for joint, each in zip(run.joints, found, strict=True):
         if not each.moves:
-            yield f"joint '{joint}' hardly moves: its rows are left out"
+            yield Note(Kind.REST, f"joint '{joint}' hardly moves: its rows are left out", joint=joint)
         elif each.signal_to_noise < NOISY:
-            yield (
-                f"the motion of joint '{joint}' hardly stands out from the noise of its position, which makes up "
-                f"{100 / np.sqrt(max(each.signal_to_noise, 1)):.0f} % of its rms speed: inertias come out too small; "
-                "move it faster, or use --method iv or didim"
-            )
-    if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:
-        yield (
-            f"the bandwidth of the motion, {preparation.bandwidth:.3g} Hz, is close to the Nyquist frequency, "
-            f"{run.rate / 2:.4g} Hz: speeds and accelerations are inaccurate; log at "
-            f"{10 * preparation.bandwidth:.0f} Hz or more, or move more slowly"
+            noisy.append(f"'{joint}' ({100 / np.sqrt(max(each.signal_to_noise, 1)):.0f} %)")
+    if noisy:
+        what = (
+            f"noise of the position makes up a good part of the rms speed of joint{'s' * (len(noisy) > 1)} "
+            f"{', '.join(noisy)}: inertias come out too small"
         )
+        yield Note(Kind.NOISE, what, "move faster, or use --method iv or didim")
+    if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:
+        what = (
+            f"the bandwidth of the motion, {preparation.bandwidth:.3g} Hz, is close to the Nyquist frequency, "
+            f"{run.rate / 2:.4g} Hz: speeds and accelerations are inaccurate"
+        )
+        yield Note(Kind.RATE, what, f"log at {10 * preparation.bandwidth:.0f} Hz or more, or move more slowly")
 
 
 def _valid(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.signals.clock import Clock
 from gtau.signals.held import Holds
+from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import MAX_MISSING, Samples, counted
 from gtau.signals.storage import Store, block, spans, store
 
@@ -31,7 +32,7 @@ class UniformSamples:
     position: np.ndarray
     command: np.ndarray
     valid: np.ndarray
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     findings: Findings
 
 
@@ -85,7 +86,7 @@ class Resampling:
 
 
 def uniform(
-    samples: Samples, instants: np.ndarray, wraps: np.ndarray, grid: Resampling, given: bool, notes: list[str]
+    samples: Samples, instants: np.ndarray, wraps: np.ndarray, grid: Resampling, given: bool, notes: list[Note]
 ) -> UniformSamples:
     """Put samples taken at their ``instants`` onto a uniform ``grid``; of a clock that was ``given`` or found.
 
@@ -130,34 +131,38 @@ def uniform(
             f"{clock.longest * 1e3:.3g} ms); record it at a steady rate."
         )
     if missing:
-        note = f"interpolated {counted(missing, 'missing sample')}"
-        notes.append(note + (f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""))
+        what = f"interpolated {counted(missing, 'missing sample')}"
+        what += f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""
+        notes.append(Note(Kind.REPAIR, what, "log every cycle of the controller", share=missing / count))
     notes += _of_clock(clock, given)
     notes += grid.holds.notes(count, clock.rate)
     if grid.delay:
-        notes.append(f"moved the commands {grid.delay * 1e3:.4g} ms forward, as preparation.delay says")
+        what = f"moved the commands {grid.delay * 1e3:.4g} ms forward, as preparation.delay says"
+        notes.append(Note(Kind.READING, what))
     return UniformSamples(time, positions.array(), commands.array(), masks.array(), tuple(notes), findings)
 
 
-def _of_clock(clock: Clock, given: bool) -> list[str]:
+def _of_clock(clock: Clock, given: bool) -> list[Note]:
     """What to report of a clock that is not simply the time column."""
     why = "as preparation.clock says" if given else "which makes the positions smoother"
     if not clock.regular:
         if not given:
             why = "the stamps are the instants of the samples, as the positions are no smoother at a regular rate"
-        return [
+        what = (
             f"resampled from irregular steps of {clock.shortest * 1e3:.3g} to {clock.longest * 1e3:.3g} ms "
             f"to a uniform {clock.rate:.2f} Hz: {why}"
-        ]
+        )
+        return [Note(Kind.READING, what)]
     if not clock.late:
         return []
     how = "come in packets" if clock.packets else "scatter"
     if clock.packets and not given:
         why = "as packets are"
-    return [
+    what = (
         f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at a regular "
         f"{clock.rate:.2f} Hz instead, {why}"
-    ]
+    )
+    return [Note(Kind.READING, what)]
 
 
 def _landmarks(array: np.ndarray) -> np.ndarray:

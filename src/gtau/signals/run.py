@@ -16,6 +16,7 @@ from gtau.signals.experiment import Payload, as_payload
 from gtau.signals.frames import as_log
 from gtau.signals.log_set import find_logs
 from gtau.signals.log_slice import Excerpt, Log, read_excerpt, stamps_of
+from gtau.signals.notes import Note
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.storage import Placed, block, spans, store
@@ -41,7 +42,7 @@ class Run:
     command: np.ndarray = field(repr=False)
     kind: Literal["current", "torque"] = "current"
     payload: Payload | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     valid: np.ndarray = field(default_factory=lambda: np.ones((0, 0), dtype=bool), repr=False)
     settings: PreparationSettings = CHOSEN
     # What is made by dataclasses.replace has neither:
@@ -150,7 +151,7 @@ def _from(log: Log | None, run: Run) -> Run:
     return run
 
 
-Known = tuple[str, tuple[str, ...], Literal["current", "torque"], Payload | None, tuple[str, ...]]
+Known = tuple[str, tuple[str, ...], Literal["current", "torque"], Payload | None, tuple[Note, ...]]
 
 
 def _again(known: Known, excerpt: Excerpt) -> Run:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.signals.notes import Kind, Note
 from gtau.signals.storage import Store, block, spans
 
 MIN_SAMPLES = 100
@@ -151,7 +152,7 @@ def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -
     return samples, Incomplete(count, empty, bad_count, bad, bad_column, numbers.tolist())
 
 
-def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str], part: Part = WHOLE) -> Samples:
+def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], part: Part = WHOLE) -> Samples:
     """The samples none of whose values is missing; raises GtauError where there are too few."""
     samples, lacking = gathered(source, blocks, part)
     if not lacking.count and part != WHOLE:
@@ -161,7 +162,7 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str], par
         )
     refuse_short(source, lacking.count)
     if lacking.empty:
-        notes.append(f"left out {counted(lacking.empty, 'row')} that hold other signals only")
+        notes.append(Note(Kind.READING, f"left out {counted(lacking.empty, 'row')} that hold other signals only"))
     for column, number in zip(source.columns, lacking.numbers, strict=True):
         if not number:
             entry = source.texts.get(column, "")
@@ -181,7 +182,8 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[str], par
         )
     if lacking.of_rows:
         places = source.places(lacking.first, lacking.of_rows)
-        notes.append(f"dropped {counted(lacking.of_rows, 'row')} with missing or non-numeric values ({places})")
+        what = f"dropped {counted(lacking.of_rows, 'row')} with missing or non-numeric values ({places})"
+        notes.append(Note(Kind.REPAIR, what, share=lacking.of_rows / lacking.count))
     return samples
 
 

@@ -17,6 +17,7 @@ from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds import MISFIT_GIVEN
+from gtau.signals.notes import Kind, Note
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,7 @@ class Diagnosis:
     gains: tuple[Verdict, ...]
     delays: tuple[Verdict, ...]
     payloads: Mapping[str, Verdict]
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     accuracy: float
 
 
@@ -93,13 +94,17 @@ def _given_verdicts(fit: Fit, findings: Findings) -> tuple[Verdict, ...]:
     return tuple(found)
 
 
-def _small_refutations(fit: Fit, findings: Findings, accuracy: float) -> list[str]:
+def _small_refutations(fit: Fit, findings: Findings, accuracy: float) -> list[Note]:
     """What the data refute of the description where no gain moves by more than the accuracy."""
     if not fit.free_gains:
         return []
     return [
-        f"{100 * each.share:.0f} % of the residual variance would go with {each.subject}, which would move no gain by "
-        f"more than {100 * float(np.abs(each.moves).max()):.2g} %: {each.advice}"
+        Note(
+            Kind.MODEL,
+            f"{100 * each.share:.0f} % of the residual variance would go with {each.subject}, which would move no "
+            f"gain by more than {100 * float(np.abs(each.moves).max()):.2g} %",
+            each.advice,
+        )
         for each in findings.refuted
         if np.abs(each.moves).max() <= accuracy
     ]

@@ -14,6 +14,7 @@ from gtau.estimation.regression.legs import identical_legs
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds import LEG_DIFFERENCE, LEG_DIFFERENCE_STD, LEG_PROBABILITY
 from gtau.robots.robot import Robot
+from gtau.signals.notes import Kind, Note
 
 FRICTION = ("fv", "fs", "off")  # these always differ, and the table of parameters shows them
 
@@ -133,7 +134,7 @@ def _in_leg(word: str, leg: tuple[str, ...]) -> str:
     return f"{kind}_[{leg.index(joint)}]" if joint in leg else re.sub(r"^(\d+\.\d{3})\d*$", r"\1", word)
 
 
-def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance: np.ndarray) -> list[str]:
+def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance: np.ndarray) -> list[Note]:
     """Whether legs of the same geometry differ in what they are built of (the paper's check after section 3.1).
 
     Their frictions always differ, and the table shows them.
@@ -155,7 +156,7 @@ def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance:
         return []
     relative, name, each = max(differences, key=lambda difference: difference[0])
     size = f"{relative:.0f} %" if relative < 1000 else "more than ten times"
-    return [
-        f"legs of the same geometry differ, most in {name} of leg '{each.leg[0]}' ({size} off the mean of "
-        "the others): check that they are built alike"
-    ]
+    what = (
+        f"legs of the same geometry differ, most in {name} of leg '{each.leg[0]}' ({size} off the mean of the others)"
+    )
+    return [Note(Kind.MODEL, what, "check that they are built alike")]

@@ -28,6 +28,7 @@ from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds import RIPPLE_SHARE
+from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
@@ -127,7 +128,7 @@ def _left(pieces: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray]:
     return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))
 
 
-def ripple_notes(found: PositionRipple, joints: Sequence[str], solution: Solution) -> list[str]:
+def ripple_notes(found: PositionRipple, joints: Sequence[str], solution: Solution) -> list[Note]:
     """What repeats at the same positions, and what that does to the gains."""
     if not found.found:
         return []
@@ -135,9 +136,10 @@ def ripple_notes(found: PositionRipple, joints: Sequence[str], solution: Solutio
     moves = 100 * np.abs(found.moves[-2 * len(joints) : -len(joints)] / solution.gains)
     k = int(np.argmax(moves))
     of_gains = f" (that of the gain of joint '{joints[k]}' {moves[k]:.2g} %)" if moves[k] else ""
-    return [
+    what = (
         f"residuals repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance at joint "
         f"'{joints[j]}'): ripple of the motors, cables or springs, which the model lacks. They repeat in every run, so "
         "the scatter between blocks does not show them; the standard deviations include how far the estimates move "
         f"when they are modelled{of_gains}"
-    ]
+    )
+    return [Note(Kind.MODEL, what, joint=joints[j])]

@@ -23,6 +23,7 @@ from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import Payload
+from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, prepare
 from gtau.signals.run import Run, arrange
 
@@ -107,11 +108,10 @@ class Dataset:
         return tuple(each.run for each in self.prepared)
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[Note, ...]:
         """What is odd in the robot, and what was repaired or left out of each run."""
-        robot = oddities(self.robot) + (tool_note(self.robot) if any(run.payload for run in self.runs) else ())
-        runs = (f"{each.run.name}: {note}" for each in self.prepared for note in (*each.run.notes, *each.notes))
-        return (*(f"robot '{self.robot.name}': {note}" for note in robot), *runs)
+        runs = (note.of(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
+        return (*robot_notes(self.robot, loaded=any(run.payload for run in self.runs)), *runs)
 
     def system(
         self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None
@@ -161,6 +161,12 @@ class Dataset:
             progress("model along the runs", done, total)
         of_run = iter(factors)
         return replace(self, factors=tuple(joined([next(of_run) for _ in run]) for run in parts))
+
+
+def robot_notes(robot: Robot, loaded: bool) -> list[Note]:
+    """What is odd in a robot's description; where a payload is carried (``loaded``), also which body was assumed."""
+    found = oddities(robot) + (tool_note(robot) if loaded else ())
+    return [Note(Kind.ROBOT, note, source=f"robot '{robot.name}'") for note in found]
 
 
 def cut(samples: int, shard: int = SHARD) -> list[range]:

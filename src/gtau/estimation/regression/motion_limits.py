@@ -11,6 +11,7 @@ from gtau.errors import GtauError
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.columns import SampleRate
+from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import PreparedRun
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
@@ -40,7 +41,7 @@ def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
     lowest, highest = np.min([low for low, _ in extremes], axis=0), np.max([high for _, high in extremes], axis=0)
     speeds = np.sqrt(np.diag(prepared.speeds))
     _check_units(robot, prepared.run, highest - lowest, speeds)
-    notes: list[str] = []
+    notes: list[Note] = []
     for name, low, high, speed in zip(prepared.run.joints, lowest, highest, speeds, strict=True):
         notes += _judge(prepared.run.name, robot.joint(name), float(low), float(high), float(speed))
     return replace(prepared, notes=(*prepared.notes, *notes))
@@ -86,7 +87,7 @@ def clock_advice(run: Run) -> str:
     return "correct the unit of the time (units: {time: ...})"
 
 
-def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[str]:
+def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[Note]:
     unit = "rad" if joint.kind == "revolute" else "m"
     other = "deg" if joint.kind == "revolute" else "mm"
     repair = (
@@ -101,7 +102,8 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
         if excess > FAR_BEYOND:
             raise GtauError(f"run '{run}': {moved}, far outside {limits}; {repair}")
         if excess > BEYOND:
-            yield f"{moved}, outside {limits}"
+            action = "check the zero of its position, or correct the limits in the robot file"
+            yield Note(Kind.LIMITS, f"{moved}, outside {limits}", action, joint=joint.name)
     if joint.limits.velocity is not None and speed > TOO_FAST * joint.limits.velocity:
         raise GtauError(
             f"run '{run}': joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), "

@@ -14,6 +14,7 @@ from gtau.estimation.results.estimate import AlternativeMoves, Estimate, Named, 
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
+from gtau.signals.notes import Note
 from gtau.signals.preparation import Preparation
 from gtau.signals.run import Run
 
@@ -47,8 +48,8 @@ class IdentifiedModel:
         How the logs were filtered and decimated.
     statistics : dict
         Further figures of the method.
-    notes : tuple of str
-        What was repaired, left out, or is not to be trusted.
+    notes : tuple of Note
+        What was repaired, left out, or is not to be trusted; :mod:`gtau.estimation.grades` grades them.
     consistency : Consistency, optional
         Standard parameters that rigid bodies can have, where they were asked for.
     alternatives : tuple of AlternativeMoves
@@ -79,7 +80,7 @@ class IdentifiedModel:
     preparation: Preparation
     statistics: Mapping[str, float]
     runs: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     consistency: Consistency | None = None
     alternatives: tuple[AlternativeMoves, ...] = ()
     singularities: tuple[NearestPose, ...] = ()

@@ -15,6 +15,8 @@ from gtau.documents.kinds import MODEL, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
+from gtau.estimation.grades import from_document as read_note
+from gtau.estimation.grades import to_document as note_document
 from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
@@ -57,7 +59,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "statistics": dict(result.statistics),
         "alternatives": [asdict(each) for each in result.alternatives],
         "singularities": [asdict(each) for each in result.singularities],
-        "notes": list(result.notes),
+        "notes": [note_document(note) for note in result.notes],
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
         "robot_file": native_text(result.robot),
         "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
@@ -251,7 +253,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
         ),
         statistics=document["statistics"],
         runs=tuple(document["runs"]),
-        notes=tuple(document["notes"]),
+        notes=tuple(map(read_note, document["notes"])),
         consistency=None if document["standard"] is None else _read_standard(document["standard"]),
         alternatives=tuple(AlternativeMoves(**each) for each in document["alternatives"]),
         singularities=tuple(NearestPose(**each) for each in document["singularities"]),

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.grades import by_grade
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate
 from gtau.estimation.results.headline import headline
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.remarks import VISIBLE, findings
 from gtau.estimation.results.singularity_distances import NearestPose
-from gtau.estimation.thresholds import INFLATED
+from gtau.signals.notes import Note
 
 WIDTH = 80
 NOTES = 5  # that the short summary shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
 NOT_SHOWN = 1000.0  # per cent: with a larger standard deviation the value is not shown
-VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 ONLY_IN_SUMS = "  * known only in sums with others: the torques need it, but its own value is not identifiable"
 TYPES = {1: "serial", 2: "parallel"}
 OF_TORQUES = " (the logs hold torques, whose gain is 1)"
@@ -87,7 +88,7 @@ def summary(result: IdentifiedModel) -> str:
         lines += ["-" * WIDTH, *_consistency_lines(result.consistency)]
     if "singular_ratio" in result.statistics:
         lines.append(f"  ratio of the two smallest singular values of W_tot: {result.statistics['singular_ratio']:.2f}")
-    lines += ["=" * WIDTH, *_notes([*remarks(result), *result.notes])]
+    lines += ["=" * WIDTH, *findings_lines(findings(result))]
     return "\n".join(line.rstrip() for line in lines)
 
 
@@ -104,9 +105,9 @@ def short_summary(result: IdentifiedModel) -> str:
         ]
     if result.consistency is not None:
         lines.append(f"Physically consistent parameters: torque residuals {_growth(_overall(result.consistency))}.")
-    notes = [*remarks(result), *result.notes]
-    lines += ["=" * WIDTH, *_notes(notes[:NOTES])]
-    more = len(notes) - NOTES
+    notes = findings(result)
+    lines += ["=" * WIDTH, *findings_lines(notes, NOTES)]
+    more = len(same_in_several(notes)) - NOTES
     lines.append(
         (f"{more} more notes, all" if more > 0 else "All")
         + " parameters and the fit of each joint: --verbose, or model.json."
@@ -211,34 +212,25 @@ def _growth(loss: float) -> str:
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
 
 
-def remarks(result: IdentifiedModel) -> list[str]:
-    """What is not good beside the gains, and what to do about it."""
-    sentences = []
-    for payload in {each.name: each for each in result.payloads}.values():
-        if payload.verdict.outcome != Outcome.GOOD:
-            sentences.append(f"payload '{payload.name}' {payload.verdict.sentence}")
-    lack = result.statistics["lack_of_fit"]
-    if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
-        sentences.append(
-            f"residuals are autocorrelated: standard errors are {lack:.1f} times those of white noise, so the model "
-            "lacks something, such as friction of another kind, ripple of the motors, cables or elasticity"
-        )
-    absurd = [each for each in result.parameters.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
-    if absurd:
-        listed = ", ".join(f"{each.name} = {each.value:.3g} {each.unit}" for each in absurd[:3])
-        more = f" and {len(absurd) - 3} more" if len(absurd) > 3 else ""
-        sentences.append(f"parameters that no robot can have: {listed}{more}; {absurd[0].verdict.advice}")
-    lost = [name for name, each in result.parameters.items() if each.value is None]
-    if lost:
-        sentences.append(
-            f"these motions cannot separate {', '.join(lost)} from the parameters listed before: no value is given; "
-            "add runs that move all joints in other ways"
-        )
-    return sentences
-
-
-def _notes(notes: Iterable[str]) -> list[str]:
+def findings_lines(notes: Sequence[Note], most: int | None = None) -> list[str]:
+    """Notes as a list by grade, the worst first, of which no more than ``most`` are shown."""
     lines: list[str] = []
-    for note in notes:
-        lines += textwrap.wrap(f"- {note}", WIDTH, subsequent_indent="  ")
+    left = len(notes) if most is None else most
+    for grade, members in by_grade(same_in_several(notes)).items():
+        shown, left = members[:left], max(left - len(members), 0)
+        lines += [f"{grade.value.capitalize()}:"] if shown else []
+        for note in shown:
+            lines += textwrap.wrap(f"- {note}", WIDTH, subsequent_indent="  ")
     return lines
+
+
+def same_in_several(notes: Sequence[Note]) -> list[Note]:
+    """Notes of which those that say the same of several logs are one."""
+    sources: dict[tuple[str, str], list[str]] = {}
+    for note in notes:
+        sources.setdefault((note.what, note.action), []).append(note.source)
+    first = {(note.what, note.action): note for note in reversed(notes)}
+    return [
+        Note(note.kind, *key, source=", ".join(dict.fromkeys(filter(None, sources[key]))), share=note.share)
+        for key, note in ((key, first[key]) for key in sources)
+    ]

@@ -13,6 +13,9 @@ GRADES = {
     "not identifiable": "bad",
     "contradictory": "bad",
     "refused": "bad",
+    "stops the identification": "bad",
+    "worth mending": "weak",
+    "for information": "plain",
 }
 """Outcome of a verdict to the colour and the mark that it is shown with."""
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.signals.notes import Note
 
 if TYPE_CHECKING:
     import polars as pl
@@ -39,7 +40,7 @@ class Table:
     line_word: str = "row"
     numbered: bool = False
     places: list[Place] = field(default_factory=list)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     unusable: Mapping[str, str] = field(default_factory=dict)
 
 

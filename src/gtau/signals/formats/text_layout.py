@@ -11,6 +11,7 @@ from pathlib import Path
 
 from gtau.documents.kinds import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
+from gtau.signals.notes import Kind, Note
 
 SEPARATORS = ";\t, "  # a semicolon or tab first: their files may hold decimal commas
 MISSING = ("", "na", "n/a", "null", "none", "nan")
@@ -31,7 +32,7 @@ class Layout:
     numbered: bool
     first_line: int
     first_byte: int
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,11 @@ def layout_of(path: Path) -> Layout:
     before = next((line.end for line in lines if line.number == begin - 1), len(BOM) if _has_bom(path) else 0)
     names = _names(header.fields, width) if header else tuple(str(k + 1) for k in range(width))
     skipped = [line.number for line in written if line.number < begin and (header is None or line != header)]
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     if skipped:
         where = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
         named = f", took the names of its columns from line {header.number}" if header else ""
-        notes = (f"skipped {where} before the table{named}",)
+        notes = (Note(Kind.READING, f"skipped {where} before the table{named}"),)
     return Layout((first or header or written[0]).separator, names, header is None, begin, before, notes)
 
 

@@ -1,0 +1,122 @@
+"""The gate: findings by grade, said alike by check and identify."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+from tests.support.five_bar_logs import STEEL, Plant, write_log
+from typer.testing import CliRunner
+
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.estimation.check_logs import check_logs
+from gtau.estimation.grades import EXIT_CODES, GRADES, Grade, by_grade, from_document, grade_of, to_document
+from gtau.estimation.identify import identify
+from gtau.estimation.results.remarks import findings
+from gtau.estimation.results.summary import findings_lines
+from gtau.signals.notes import Kind, Note
+
+EXPERIMENT = """
+robot: five-bar
+signals: {time: t, position: {left: q1, right: q2}, current: {left: v1, right: v2}}
+runs:
+  - log: free.csv
+  - {log: loaded.csv, payload: {name: steel, mass: 1.2}}
+"""
+
+
+def test_every_kind_has_a_grade_and_repairs_are_graded_by_what_they_cost() -> None:
+    assert set(GRADES) == set(Kind)
+    assert set(EXIT_CODES) == set(Grade)
+    small, large = (Note(Kind.REPAIR, f"interpolated {share}", share=share) for share in (0.001, 0.04))
+    stuck = Note(Kind.REFUSED, "stuck", "record it again")
+    assert (grade_of(small), grade_of(large)) == (Grade.INFORMATION, Grade.MEND)
+    assert list(by_grade([small, large, stuck])) == list(Grade)  # the worst first
+    assert by_grade([small, small]) == {Grade.INFORMATION: [small]}
+
+
+def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
+    note = Note(Kind.CLIPPED, "clipped", "slow down", joint="a", time=2.0, share=0.01).of("log.csv").of("run")
+    assert note == "run: log.csv: clipped; slow down"
+    for copy in (pickle.loads(pickle.dumps(note)), from_document(json.loads(json.dumps(to_document(note))))):
+        assert copy == note
+        assert vars(copy) == vars(note)
+
+
+def test_what_several_logs_share_is_said_once_and_no_more_than_asked_for() -> None:
+    notes = [Note(Kind.RATE, "slow", "log faster", source=name) for name in ("a", "b")]
+    notes.insert(0, Note(Kind.REST, "rests", source="a"))
+    assert findings_lines(notes) == ["Worth mending:", "- a, b: slow; log faster", "For information:", "- a: rests"]
+    assert findings_lines(notes, 1) == ["Worth mending:", "- a, b: slow; log faster"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("gate")
+    for name, payload, seed in (("free", None, 1), ("loaded", STEEL, 2)):
+        write_log(path / f"{name}.csv", Plant(noise=0.01).run(name, 6.0, payload, seed))
+    (path / "good.yaml").write_text(EXPERIMENT)
+    return path
+
+
+def damaged(folder: Path, name: str, old: str, new: str) -> Path:
+    assert old in EXPERIMENT
+    path = folder / f"{name}.yaml"
+    path.write_text(EXPERIMENT.replace(old, new))
+    return path
+
+
+def test_every_log_that_is_refused_is_a_finding_in_the_words_of_identify(folder: Path) -> None:
+    header, *rows = (folder / "free.csv").read_text().splitlines()
+    (folder / "stuck.csv").write_text("\n".join([header, *(row.rsplit(",", 1)[0] + ",0.5" for row in rows)]))
+    path = damaged(folder, "stuck", "free.csv", "stuck.csv")
+    header, *rows = (folder / "loaded.csv").read_text().splitlines()
+    (folder / "back.csv").write_text("\n".join([header, *rows[:1000], *rows[500:]]))
+    path.write_text(path.read_text().replace("loaded.csv", "back.csv"))
+    checked = check_logs(path)
+    with pytest.raises(GtauError) as refused:
+        identify(path)
+    stops = by_grade(checked.notes)[Grade.STOPS]
+    assert str(refused.value) == f"{stops[0]}."
+    assert "is stuck at 0.5" in stops[0].what
+    assert stops[0].action.startswith("give the column")
+    assert "back.csv, line 1002: time goes back from" in stops[1]
+    assert (checked.worst, checked.logs, checked.preparation) == (Grade.STOPS, (), None)
+
+
+def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Path) -> None:
+    path = damaged(folder, "scale", ", payload: {name: steel, mass: 1.2}", "")
+    (note,) = check_logs(path).notes
+    with pytest.raises(GtauError) as refused:
+        identify(path)
+    assert (note.kind, f"{note}.") == (Kind.SCALE, str(refused.value))
+    path.write_text(path.read_text() + "prior_gains: {left: 2.5, right: 4}\n")
+    (given,) = check_logs(path).notes
+    assert grade_of(given) == Grade.INFORMATION
+    assert "--method wls" in given.action
+    (unknown,) = check_logs(damaged(folder, "unknown", ", mass: 1.2", "")).notes
+    assert grade_of(unknown) == Grade.INFORMATION
+    assert "gtau payload" in unknown.action
+
+
+def test_the_exit_code_follows_the_worst_grade_and_identify_repeats_the_findings(folder: Path) -> None:
+    def code(path: Path) -> int:
+        return CliRunner().invoke(app, ["check", str(path), "--json"]).exit_code
+
+    header, *rows = (folder / "free.csv").read_text().splitlines()
+    currents = [row.split(",", 3)[3] for row in rows]
+    held = [f"{row.rsplit(',', 2)[0]},{currents[k - k % 10]}" for k, row in enumerate(rows)]
+    (folder / "held.csv").write_text("\n".join([header, *held]))
+    path = damaged(folder, "held", "free.csv", "held.csv")
+    assert code(folder / "good.yaml") == 0
+    assert code(path) == 3
+    assert code(damaged(folder, "missing", "free.csv", "missing.csv")) == 2
+    notes = check_logs(path).notes
+    (note,) = (note for note in notes if note.kind == Kind.HELD)
+    assert "every 10 samples" in note.what
+    result = identify(path)
+    assert set(notes) <= set(findings(result))
+    assert str(note) in " ".join(result.summary(verbose=False).split())
