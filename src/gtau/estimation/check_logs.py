@@ -134,7 +134,7 @@ def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = m
         dataset = reduce_runs(
             robot, [each.run for each in prepared_runs], preparation, progress=progress, mapper=mapper
         )
-        notes += _together(dataset, experiment.prior_gains)
+        notes += _together(dataset, experiment.expected_gains)
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes))
 
 

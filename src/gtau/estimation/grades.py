@@ -36,6 +36,7 @@ GRADES: Mapping[Kind, Grade] = {
     Kind.READING: Grade.INFORMATION,
     Kind.REST: Grade.INFORMATION,
     Kind.ROBOT: Grade.INFORMATION,
+    Kind.DATA_SHEET: Grade.INFORMATION,
 }
 """Grade of each kind of note."""
 

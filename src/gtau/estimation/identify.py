@@ -26,6 +26,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.data_sheets import Drive, data_sheet_notes
 from gtau.signals.experiment import Experiment, Prior, check_robot, read_experiment
+from gtau.signals.notes import Note
 from gtau.signals.run import Run
 
 
@@ -119,7 +120,7 @@ def identify(
         return replace(result, notes=(*_data_sheet_notes(drives, result), *result.notes))
 
 
-def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[str, ...]:
+def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
     gains = {f"gain_{joint}": gain for joint, gain in result.drive_gains.items() if gain.std is not None}
     found = {name: (each.value, each.std) for name, each in (gains | dict(result.parameters)).items()}
     return data_sheet_notes(drives, result.robot, found)

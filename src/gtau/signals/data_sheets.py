@@ -12,6 +12,7 @@ from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit, unit_of
 from gtau.signals.columns import Keys, Positive
+from gtau.signals.notes import Kind, Note
 
 TOLERANCE = 0.1  # standard deviation of a torque constant or rotor inertia: data sheets state tolerances of 10 %
 EFFICIENCY = 0.85  # of a gear whose efficiency nobody gives: 0.65 to 1 is within two standard deviations
@@ -78,7 +79,7 @@ def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
 
 def data_sheet_notes(
     drives: Mapping[str, Drive], robot: Robot, found: Mapping[str, tuple[float | None, float | None]]
-) -> tuple[str, ...]:
+) -> tuple[Note, ...]:
     """Notes on what data sheets say beside what was found (value and standard deviation) of gains and ``ia``.
 
     Parameters
@@ -100,8 +101,9 @@ def data_sheet_notes(
             if expected is None or value is None:
                 continue
             off = (value - expected[0]) / np.hypot(expected[1], std or 0.0)
-            said.append(
+            words = (
                 f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} +- {expected[1]:.2g} "
                 f"{unit} is by the data sheet (apart by {abs(off):.1f} standard deviations)"
             )
+            said.append(Note(Kind.DATA_SHEET, words, joint=joint))
     return tuple(said)

@@ -26,6 +26,7 @@ class Kind(StrEnum):
     READING = "reading"  # how the log was read: its clock, its layout
     REST = "joint at rest"
     ROBOT = "robot description"
+    DATA_SHEET = "data sheet"
 
 
 class Note(str):
