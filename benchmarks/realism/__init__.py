@@ -1,0 +1,1 @@
+"""Robots, and ways in which their logs depart from the model, for benchmarks/calibration.py."""

@@ -1,0 +1,287 @@
+"""One thing at a time in which a log departs from the model, or a description from the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.robots.robot import Mdh, Pose, Robot
+from gtau.simulation.trajectories import Envelope, PointToPoint, Trajectory, point_to_point, sines, through
+
+Deflection = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+STRIBECK_SPEED = 0.1  # rad/s
+GEAR = 100.0  # turns of the wave generator in a turn of the joint
+
+
+@dataclass(frozen=True)
+class Departure:
+    """What differs from the model; all off is the baseline.
+
+    Attributes
+    ----------
+    rate : float, optional
+        Of the log, Hz, where it is not the plant's own.
+    motion : callable
+        Makes a trajectory from an envelope, a duration and random numbers.
+    torque : callable, optional
+        Torques (N, n) added to the motors' from (time, q, qd, torques).
+    deflection : callable, optional
+        By how much the motors' positions, which are logged, lead the links', (N, n) in rad, from the torques that the
+        transmissions carry (N, n), the inertia about each joint (n,), and the rate.
+    current, position, stamps : callable, optional
+        Change what is logged, from (currents, rate, rng), (positions, rng) and (time, rng).
+    robot : callable, optional
+        The robot that identification is told of.
+    mass : float
+        Factor of the payload's mass that is declared.
+    centre_off : float, optional
+        The payload's centre is declared, so many m off along x; without it only the mass is.
+    wrong : bool
+        Whether a description is wrong that no log can be blamed for.
+    invisible : str
+        Why no data can show it, where none can.
+    """
+
+    rate: float | None = None
+    motion: Callable[[Envelope, float, np.random.Generator], Trajectory] = sines
+    torque: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    deflection: Deflection | None = None
+    current: Callable[[np.ndarray, float, np.random.Generator], np.ndarray] | None = None
+    position: Callable[[np.ndarray, np.random.Generator], np.ndarray] | None = None
+    stamps: Callable[[np.ndarray, np.random.Generator], np.ndarray] | None = None
+    robot: Callable[[Robot], Robot] | None = None
+    mass: float = 1.0
+    centre_off: float | None = None
+    wrong: bool = False
+    invisible: str = ""
+
+
+# What is logged
+
+
+def bits(number: int) -> Departure:
+    quantum = 2 * np.pi / 2**number
+    return Departure(position=lambda q, rng: np.round(q / quantum) * quantum)
+
+
+def low_passed(lag: float) -> Departure:
+    def filtered(v: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
+        from scipy.signal import lfilter, lfilter_zi
+
+        a = np.exp(-1 / (lag * rate))
+        b, den = [1 - a], [1.0, -a]
+        return lfilter(b, den, v, axis=0, zi=lfilter_zi(b, den)[:, None] * v[:1])[0]
+
+    return Departure(current=filtered)
+
+
+def held(period: float) -> Departure:
+    def steps(v: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
+        samples = max(round(period * rate), 2)
+        return v[np.arange(len(v)) // samples * samples]
+
+    return Departure(current=steps)
+
+
+def noisy(share: float) -> Departure:
+    return Departure(
+        current=lambda v, rate, rng: v + share * np.sqrt(np.mean(v**2, axis=0)) * rng.standard_normal(v.shape)
+    )
+
+
+def quantised(share: float) -> Departure:
+    return Departure(current=lambda v, rate, rng: (step := share * np.abs(v).max(axis=0)) * np.round(v / step))
+
+
+def saturating(share: float) -> Departure:
+    return Departure(current=lambda v, rate, rng: v * (1 + share * np.abs(v) / np.abs(v).max(axis=0)))
+
+
+def jitter(share: float) -> Departure:
+    def late(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        step = time[1] - time[0]
+        return np.maximum.accumulate(time + share * step * rng.uniform(0, 1, len(time))) + 1e-9 * np.arange(len(time))
+
+    return Departure(stamps=late)
+
+
+def stale(share: float) -> Departure:
+    def repeated(q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        again = np.flatnonzero(rng.uniform(size=len(q)) < share)
+        out = q.copy()
+        out[again[again > 0]] = q[again[again > 0] - 1]
+        return out
+
+    return Departure(position=repeated)
+
+
+# How the robot moves
+
+
+def one_joint(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:
+    """Each joint in turn, the others at rest."""
+
+    def targets() -> Iterator[np.ndarray]:
+        n = len(within.center)
+        now, k = np.zeros(n), 0
+        while True:
+            now = now.copy()
+            now[k % n] = rng.uniform(0.3, 1.0) * (-1.0 if now[k % n] > 0 else 1.0)
+            k += 1
+            yield now
+
+    return through(within, duration, targets())
+
+
+def pick_and_place(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:
+    """The same cycle over and over: down, up, across, down, up, across, with 0.3 s of rest after each."""
+    ends = rng.uniform(-0.8, 0.8, (2, len(within.center)))
+    above = ends + 0.2 * rng.choice([-1.0, 1.0], len(within.center))
+    cycle = [above[0], ends[0], above[0], above[1], ends[1], above[1]]
+
+    def targets() -> Iterator[np.ndarray]:
+        while True:
+            yield from cycle
+
+    return through(within, duration, targets(), rest=0.3)
+
+
+# What the drives do beside the model
+
+
+def friction(torques: np.ndarray) -> np.ndarray:
+    """A friction torque of common size (n,): a tenth of the rms torque."""
+    return 0.1 * np.sqrt(np.mean(torques**2, axis=0))
+
+
+def cooling(share: float) -> Departure:
+    return Departure(torque=lambda time, q, qd, tau: -share * (time / time[-1])[:, None] * friction(tau) * np.sign(qd))
+
+
+def thinning(share: float) -> Departure:
+    """Viscous friction, of half the torque at the rms speed, that falls along a run."""
+
+    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        slope = 5.0 * friction(tau) / np.sqrt(np.mean(qd**2, axis=0))
+        return -share * (time / time[-1])[:, None] * slope * qd
+
+    return Departure(torque=torque)
+
+
+def ripple(share: float, periods: float) -> Departure:
+    return Departure(
+        torque=lambda time, q, qd, tau: share * np.sqrt(2 * np.mean(tau**2, axis=0)) * np.sin(periods * q + 1.0)
+    )
+
+
+def strain_wave(share: float) -> Departure:
+    """Two ripples a turn of the wave generator, and one half as large."""
+
+    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        shape = np.sin(2 * GEAR * q + 1.0) + 0.5 * np.sin(GEAR * q)
+        return share * np.sqrt(2 * np.mean(tau**2, axis=0)) * shape
+
+    return Departure(torque=torque)
+
+
+STRIBECK = Departure(
+    torque=lambda time, q, qd, tau: 0.5 * friction(tau) * np.sign(qd) * np.exp(-np.abs(qd) / STRIBECK_SPEED)
+)
+LOAD_FRICTION = Departure(torque=lambda time, q, qd, tau: 0.05 * np.abs(tau) * np.sign(qd))
+
+
+def elastic(frequency: float) -> Departure:
+    """Transmissions on which the inertia about each joint swings at this frequency, Hz."""
+    return Departure(deflection=lambda tau, inertia, rate: tau / (inertia * (2 * np.pi * frequency) ** 2))
+
+
+def backlash(gap: float) -> Departure:
+    """The motor crosses the gap (rad) within some 40 ms where the torque that it transmits changes sign."""
+
+    def across(tau: np.ndarray, inertia: np.ndarray, rate: float) -> np.ndarray:
+        from scipy.ndimage import gaussian_filter1d
+
+        return gap / 2 * gaussian_filter1d(np.sign(tau), 0.01 * rate, axis=0)
+
+    return Departure(deflection=across)
+
+
+# What is said of the robot
+
+
+def zeros(degrees: float) -> Departure:
+    return Departure(position=lambda q, rng: q + np.radians(degrees) * (-1.0) ** np.arange(q.shape[1]), wrong=True)
+
+
+def tilted(degrees: float) -> Departure:
+    def tilt(robot: Robot) -> Robot:
+        """Gravity turned towards the base's x axis, which is horizontal in all robots here."""
+        gravity, angle = np.array(robot.gravity), np.radians(degrees)
+        turned = np.cos(angle) * gravity + np.sin(angle) * np.linalg.norm(gravity) * np.array([1.0, 0.0, 0.0])
+        return replace(robot, gravity=tuple(map(float, turned)))
+
+    return Departure(robot=tilt, wrong=True)
+
+
+def stretched(robot: Robot, factor: float) -> Robot:
+    """The robot with its longest link of a moving joint another length."""
+
+    def length(k: int) -> float:
+        joint = robot.joints[k]
+        return 0.0 if joint.antecedent == "ground" else float(np.linalg.norm(joint.placement.position))
+
+    longest = max(range(len(robot.joints)), key=length)
+    joint = robot.joints[longest]
+    place = joint.placement
+    if isinstance(place, Mdh):
+        place = replace(place, d=factor * place.d, r=factor * place.r, b=factor * place.b)
+    elif isinstance(place, Pose):
+        place = replace(place, xyz=tuple(factor * x for x in place.xyz))
+    return replace(
+        robot, joints=(*robot.joints[:longest], replace(joint, placement=place), *robot.joints[longest + 1 :])
+    )
+
+
+SCALE = "with a single payload its mass scales all gains, and nothing else in the data depends on it"
+DEPARTURES: dict[str, Departure] = {
+    "none": Departure(),
+    "stamps late by up to 30 % of a step": jitter(0.3),
+    "5 % stale positions": stale(0.05),
+    "encoders of 20 bits": bits(20),
+    "encoders of 18 bits": bits(18),
+    "encoders of 16 bits": bits(16),
+    "encoders of 14 bits": bits(14),
+    "encoders of 12 bits": bits(12),
+    "20 Hz": Departure(rate=20.0),
+    "50 Hz": Departure(rate=50.0),
+    "2 kHz": Departure(rate=2000.0),
+    "4 kHz": Departure(rate=4000.0),
+    "point to point": Departure(motion=point_to_point),
+    "pick and place": Departure(motion=pick_and_place),
+    "one joint at a time": Departure(motion=one_joint),
+    "current low-passed at 5 ms": low_passed(0.005),
+    "current low-passed at 20 ms": low_passed(0.02),
+    "current low-passed at 50 ms": low_passed(0.05),
+    "current held for 10 ms": held(0.01),
+    "current noisy by 3 %": noisy(0.03),
+    "current in steps of 1 %": quantised(0.01),
+    "torque constants falling by 5 %": saturating(0.05),
+    "Stribeck friction": STRIBECK,
+    "load-dependent friction of 5 %": LOAD_FRICTION,
+    "Coulomb friction falling by 5 % along a run": cooling(0.05),
+    "Coulomb friction falling by 20 % along a run": cooling(0.2),
+    "viscous friction falling by 20 % along a run": thinning(0.2),
+    "ripple of 1 %, 20 periods a turn": ripple(0.01, 20.0),
+    "strain-wave ripple of 1 %, 200 periods a turn": strain_wave(0.01),
+    "joints elastic at 30 Hz": elastic(30.0),
+    "joints elastic at 10 Hz": elastic(10.0),
+    "backlash of 1 mrad": backlash(1e-3),
+    "encoder zeros off by 1 degree": zeros(1.0),
+    "encoder zeros off by 3 degrees": zeros(3.0),
+    "base tilted by 3 degrees": tilted(3.0),
+    "a link 1 % longer": Departure(robot=lambda robot: stretched(robot, 1.01), wrong=True),
+    "payload declared 30 mm off-centre": Departure(centre_off=0.03, wrong=True),
+    "mass of the payload said 5 % too large": Departure(mass=1.05, wrong=True, invisible=SCALE),
+}

@@ -1,0 +1,93 @@
+"""Logs of a plant with one departure, and the gains behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.signals.run import Run, read_run
+from realism.departures import Departure
+from realism.plants import Plant
+
+LOADED = (False, True, False, True)
+NOISE = 0.003  # of a joint's rms current
+DRIFT = 0.02  # relative change of friction from run to run
+DRIVE = ("ia", "fv", "fs", "off")
+
+
+def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run], np.ndarray]:
+    """Runs in turn without and with the payload, spoilt by one departure, and the true gains (n,)."""
+    rng, model = np.random.default_rng([11, seed]), plant.model
+    chi, n, rate = plant.parameters(model, rng), len(model.actuated), departure.rate or plant.rate
+    gains = rng.uniform(*np.broadcast_to(plant.gains, (n, 2)).T)
+    time = np.arange(round(plant.seconds * rate) + 1) / rate
+    runs = []
+    for k, loaded in enumerate(LOADED):
+        motion = departure.motion(plant.within(model.robot), plant.seconds, rng)(time)
+        now = {name: value * (1 + DRIFT * k * name.startswith(("fv_", "fs_"))) for name, value in chi.items()}
+        if loaded:
+            carried = {f"{kind}_{model.robot.tool}": value for kind, value in plant.payload().items()}
+            now |= {name: now[name] + value for name, value in carried.items() if name in model.parameter_names}
+        q, qd, tau = _drive(model, now, motion, departure, rate)
+        if departure.torque is not None:
+            tau = tau + departure.torque(time, q, qd, tau)
+        v = (tau + NOISE * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)) / gains
+        v = v if departure.current is None else departure.current(v, rate, rng)
+        q = q if departure.position is None else departure.position(q, rng)
+        stamps = time if departure.stamps is None else departure.stamps(time, rng)
+        runs.append(_run(model, f"run {k + 1}", stamps, q, v, _declared(plant, departure) if loaded else None))
+    return runs, gains
+
+
+def _drive(
+    model: InverseDynamics,
+    chi: dict[str, float],
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    departure: Departure,
+    rate: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and torques (N, n) of the motors, which lead the links where the transmissions give way."""
+    if departure.deflection is None:
+        return motion[0], motion[1], model.torques(*motion, chi)
+    of_motors = {f"{kind}_{joint}" for kind in DRIVE for joint in model.actuated}
+    carried = model.torques(*motion, {name: value for name, value in chi.items() if name not in of_motors})
+    q = motion[0] + departure.deflection(carried, _inertias(model, chi, motion[0]), rate)
+    qd = np.gradient(q, 1 / rate, axis=0)
+    qdd = np.gradient(qd, 1 / rate, axis=0)
+    ia, fv, fs, off = (np.array([chi.get(f"{kind}_{joint}", 0.0) for joint in model.actuated]) for kind in DRIVE)
+    return q, qd, carried + ia * qdd + fv * qd + fs * np.sign(qd) + off
+
+
+def _inertias(model: InverseDynamics, chi: dict[str, float], q: np.ndarray) -> np.ndarray:
+    """Inertia (n,) of rotor and links about each joint at the mean pose, the other joints held."""
+    n = q.shape[1]
+    still = {name: value for name, value in chi.items() if not name.startswith(("fv_", "fs_", "off_"))}
+    poses, rest = np.tile(q.mean(axis=0), (n, 1)), np.zeros((n, n))
+    return np.diag(model.torques(poses, rest, np.eye(n), still) - model.torques(poses, rest, rest, still))
+
+
+def _declared(plant: Plant, departure: Departure) -> dict[str, object]:
+    """The payload as the experiment file describes it."""
+    payload: dict[str, object] = {"name": "disc", "mass": plant.mass * departure.mass}
+    if departure.centre_off is not None:
+        centre = np.array(plant.centre) + departure.centre_off * np.array([1.0, 0.0, 0.0])
+        payload["parameters"] = dict(zip(("mx", "my", "mz"), map(float, plant.mass * centre), strict=True))
+    return payload
+
+
+def _run(
+    model: InverseDynamics, name: str, stamps: np.ndarray, q: np.ndarray, v: np.ndarray, payload: dict | None
+) -> Run:
+    """The run as it is read from a table, with the checks of a log."""
+    n = len(model.actuated)
+    names = [f"{what}{j}" for what in ("q", "v") for j in range(n)]
+    table = pl.DataFrame(dict(zip(["t", *names], [stamps, *q.T, *v.T], strict=True)))
+    signals = {
+        "time": "t",
+        "position": {joint: f"q{j}" for j, joint in enumerate(model.actuated)},
+        "current": {joint: f"v{j}" for j, joint in enumerate(model.actuated)},
+    }
+    return replace(read_run(table, signals, payload), name=name)
