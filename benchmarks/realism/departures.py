@@ -10,6 +10,7 @@ import numpy as np
 from gtau.robots.robot import Mdh, Pose, Robot
 from gtau.simulation.trajectories import Envelope, PointToPoint, Trajectory, point_to_point, sines, through
 
+Torque = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Deflection = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 STRIBECK_SPEED = 0.1  # rad/s
 GEAR = 100.0  # turns of the wave generator in a turn of the joint
@@ -26,7 +27,7 @@ class Departure:
     motion : callable
         Makes a trajectory from an envelope, a duration and random numbers.
     torque : callable, optional
-        Torques (N, n) added to the motors' from (time, q, qd, torques).
+        Torques (N, n) added to the motors' from (time, q, qd, torques, the part of these that the links take).
     deflection : callable, optional
         By how much the motors' positions, which are logged, lead the links', (N, n) in rad, from the torques that the
         transmissions carry (N, n), the inertia about each joint (n,), and the rate.
@@ -46,7 +47,7 @@ class Departure:
 
     rate: float | None = None
     motion: Callable[[Envelope, float, np.random.Generator], Trajectory] = sines
-    torque: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    torque: Torque | None = None
     deflection: Deflection | None = None
     current: Callable[[np.ndarray, float, np.random.Generator], np.ndarray] | None = None
     position: Callable[[np.ndarray, np.random.Generator], np.ndarray] | None = None
@@ -157,13 +158,16 @@ def friction(torques: np.ndarray) -> np.ndarray:
 
 
 def cooling(share: float) -> Departure:
-    return Departure(torque=lambda time, q, qd, tau: -share * (time / time[-1])[:, None] * friction(tau) * np.sign(qd))
+    """Coulomb friction that falls along a run."""
+    return Departure(
+        torque=lambda time, q, qd, tau, carried: -share * (time / time[-1])[:, None] * friction(tau) * np.sign(qd)
+    )
 
 
 def thinning(share: float) -> Departure:
     """Viscous friction, of half the torque at the rms speed, that falls along a run."""
 
-    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray) -> np.ndarray:
         slope = 5.0 * friction(tau) / np.sqrt(np.mean(qd**2, axis=0))
         return -share * (time / time[-1])[:, None] * slope * qd
 
@@ -172,14 +176,16 @@ def thinning(share: float) -> Departure:
 
 def ripple(share: float, periods: float) -> Departure:
     return Departure(
-        torque=lambda time, q, qd, tau: share * np.sqrt(2 * np.mean(tau**2, axis=0)) * np.sin(periods * q + 1.0)
+        torque=lambda time, q, qd, tau, carried: (
+            share * np.sqrt(2 * np.mean(tau**2, axis=0)) * np.sin(periods * q + 1.0)
+        )
     )
 
 
 def strain_wave(share: float) -> Departure:
     """Two ripples a turn of the wave generator, and one half as large."""
 
-    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray) -> np.ndarray:
         shape = np.sin(2 * GEAR * q + 1.0) + 0.5 * np.sin(GEAR * q)
         return share * np.sqrt(2 * np.mean(tau**2, axis=0)) * shape
 
@@ -187,9 +193,14 @@ def strain_wave(share: float) -> Departure:
 
 
 STRIBECK = Departure(
-    torque=lambda time, q, qd, tau: 0.5 * friction(tau) * np.sign(qd) * np.exp(-np.abs(qd) / STRIBECK_SPEED)
+    torque=lambda time, q, qd, tau, carried: 0.5 * friction(tau) * np.sign(qd) * np.exp(-np.abs(qd) / STRIBECK_SPEED)
 )
-LOAD_FRICTION = Departure(torque=lambda time, q, qd, tau: 0.05 * np.abs(tau) * np.sign(qd))
+LOAD_FRICTION = Departure(torque=lambda time, q, qd, tau, carried: 0.05 * np.abs(carried) * np.sign(qd))
+LOSSES = Departure(
+    torque=lambda time, q, qd, tau, carried: 0.05 * np.abs(tau) * np.sign(qd),
+    invisible="where friction exceeds what the links take, the motor drives nearly always, and a gear that loses a share "
+    "of all that it transmits is the same as a smaller gain",
+)
 
 
 def elastic(frequency: float) -> Departure:
@@ -269,7 +280,8 @@ DEPARTURES: dict[str, Departure] = {
     "current in steps of 1 %": quantised(0.01),
     "torque constants falling by 5 %": saturating(0.05),
     "Stribeck friction": STRIBECK,
-    "load-dependent friction of 5 %": LOAD_FRICTION,
+    "friction of 5 % of the links' torque": LOAD_FRICTION,
+    "friction of 5 % of the whole torque": LOSSES,
     "Coulomb friction falling by 5 % along a run": cooling(0.05),
     "Coulomb friction falling by 20 % along a run": cooling(0.2),
     "viscous friction falling by 20 % along a run": thinning(0.2),

@@ -31,9 +31,9 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
         if loaded:
             carried = {f"{kind}_{model.robot.tool}": value for kind, value in plant.payload().items()}
             now |= {name: now[name] + value for name, value in carried.items() if name in model.parameter_names}
-        q, qd, tau = _drive(model, now, motion, departure, rate)
+        q, qd, tau, carried = _drive(model, now, motion, departure, rate)
         if departure.torque is not None:
-            tau = tau + departure.torque(time, q, qd, tau)
+            tau = tau + departure.torque(time, q, qd, tau, carried)
         v = (tau + NOISE * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)) / gains
         v = v if departure.current is None else departure.current(v, rate, rng)
         q = q if departure.position is None else departure.position(q, rng)
@@ -48,17 +48,20 @@ def _drive(
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
     departure: Departure,
     rate: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, velocities and torques (N, n) of the motors, which lead the links where the transmissions give way."""
-    if departure.deflection is None:
-        return motion[0], motion[1], model.torques(*motion, chi)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and torques of the motors, and the torques that the links take; (N, n) each.
+
+    Where the transmissions give way, the motors lead the links.
+    """
     of_motors = {f"{kind}_{joint}" for kind in DRIVE for joint in model.actuated}
     carried = model.torques(*motion, {name: value for name, value in chi.items() if name not in of_motors})
-    q = motion[0] + departure.deflection(carried, _inertias(model, chi, motion[0]), rate)
-    qd = np.gradient(q, 1 / rate, axis=0)
-    qdd = np.gradient(qd, 1 / rate, axis=0)
+    q, qd, qdd = motion
+    if departure.deflection is not None:
+        q = q + departure.deflection(carried, _inertias(model, chi, q), rate)
+        qd = np.gradient(q, 1 / rate, axis=0)
+        qdd = np.gradient(qd, 1 / rate, axis=0)
     ia, fv, fs, off = (np.array([chi.get(f"{kind}_{joint}", 0.0) for joint in model.actuated]) for kind in DRIVE)
-    return q, qd, carried + ia * qdd + fv * qd + fs * np.sign(qd) + off
+    return q, qd, carried + ia * qdd + fv * qd + fs * np.sign(qd) + off, carried
 
 
 def _inertias(model: InverseDynamics, chi: dict[str, float], q: np.ndarray) -> np.ndarray:

@@ -13,20 +13,24 @@ from realism.plants import PLANTS
 
 ACCURACY = 0.03
 NONE = "none"
-COLUMNS = "worst error, % | rms z | 95 % intervals that hold | good | good and off | contradictory"
-RULE = "---: | ---: | ---: | ---: | ---: | ---:"
+COLUMNS = "worst error, % | rms z | 95 % intervals that hold | good | good and off | contradictory | not identifiable"
+RULE = " | ".join(7 * ["---:"])
 
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Gains pooled over experiments, (k,) each: relative error, its z, whether intervals hold, and outcomes."""
+    """Gains pooled over experiments, (k,) each: relative error, its z, whether intervals hold, and outcomes.
+
+    Errors and intervals are those of gains that are good or weak: of the others users are told not to take the number.
+    """
 
     error: np.ndarray
     z: np.ndarray
     holds: np.ndarray
     random_holds: np.ndarray
     good: np.ndarray
-    contradictory: np.ndarray
+    contradictory: int
+    lost: int
 
     @property
     def silent(self) -> np.ndarray:
@@ -34,28 +38,29 @@ class Gains:
         return self.good & (np.abs(self.error) > ACCURACY)
 
     def row(self) -> str:
-        if not len(self.error):
-            return "refused | | | | |"
-        return (
-            f"{100 * np.abs(self.error).max():.2g} | {rms(self.z):.2f} | {count(self.holds)} | {self.good.sum()} | "
-            f"{self.silent.sum()} | {self.contradictory.sum()}"
-        )
+        if len(self.error):
+            believed = f"{100 * np.abs(self.error).max():.2g} | {rms(self.z):.2f} | {count(self.holds)}"
+        else:
+            believed = "| | "
+        return f"{believed} | {self.good.sum()} | {self.silent.sum()} | {self.contradictory} | {self.lost}"
 
 
 def pooled(records: Sequence[dict]) -> Gains:
     gains = [gain for record in records for gain in record["gains"]]
+    outcomes = [gain["outcome"] for gain in gains]
+    gains = [gain for gain in gains if gain["outcome"] in (Outcome.GOOD, Outcome.WEAK)]
     value, truth, truth_std, std, low, high, half = (
         np.array([gain[key] for gain in gains], dtype=float)
         for key in ("value", "truth", "truth_std", "std", "low", "high", "random_half")
     )
-    outcomes = np.array([gain["outcome"] for gain in gains], dtype=object)
     return Gains(
         value / truth - 1,
         (value - truth) / np.hypot(std, truth_std),
         (low < truth) & (truth < high),
         np.abs(value - truth) < half,
-        outcomes == Outcome.GOOD,
-        outcomes == Outcome.CONTRADICTORY,
+        np.array([gain["outcome"] == Outcome.GOOD for gain in gains], dtype=bool),
+        outcomes.count(Outcome.CONTRADICTORY),
+        outcomes.count(Outcome.NOT_IDENTIFIABLE),
     )
 
 
@@ -98,13 +103,13 @@ def goals(made: Sequence[dict], real: Sequence[dict]) -> str:
             f"| nothing departs: intervals of the random part hold | 93 to 97 % | {share(clean.random_holds)}, "
             f"{count(clean.random_holds)} |",
             f"| the same, of both parts | | {share(clean.holds)}, rms z {rms(clean.z):.2f} |",
-            f"| the same, contradictory | none | {count(clean.contradictory)} |",
+            f"| the same, contradictory | none | {clean.contradictory} |",
         ]
     if len(logs.z):
         lines += [
             f"| logs or drives depart: intervals hold | at least 90 % | {share(logs.holds)}, {count(logs.holds)}, "
             f"rms z {rms(logs.z):.2f} |",
-            f"| the same, contradictory | | {count(logs.contradictory)} |",
+            f"| the same, contradictory | | {logs.contradictory} |",
         ]
     if len(wrong.z):
         lines.append(f"| a description is wrong: intervals hold | | {share(wrong.holds)}, {count(wrong.holds)} |")
@@ -161,7 +166,8 @@ def _off(gain: dict) -> float:
 
 def _is_missed(gain: dict) -> bool:
     silent = gain["outcome"] == Outcome.GOOD and _off(gain) > ACCURACY
-    return silent or not gain["low"] < gain["truth"] < gain["high"]
+    believed = gain["outcome"] in (Outcome.GOOD, Outcome.WEAK)
+    return silent or (believed and not gain["low"] < gain["truth"] < gain["high"])
 
 
 def _miss(gain: dict) -> str:
