@@ -198,8 +198,8 @@ STRIBECK = Departure(
 LOAD_FRICTION = Departure(torque=lambda time, q, qd, tau, carried: 0.05 * np.abs(carried) * np.sign(qd))
 LOSSES = Departure(
     torque=lambda time, q, qd, tau, carried: 0.05 * np.abs(tau) * np.sign(qd),
-    invisible="where friction exceeds what the links take, the motor drives nearly always, and a gear that loses a share "
-    "of all that it transmits is the same as a smaller gain",
+    invisible="where friction exceeds what the links take, the motor drives nearly always, and a gear that loses a "
+    "share of all that it transmits is the same as a smaller gain",
 )
 
 
