@@ -1,0 +1,248 @@
+"""What a log holds: its columns by kind of signal, from their names, ranges and derivatives."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.robots.robot import Robot
+from gtau.signals.checks import LARGEST_RATE, LEAST_RATE
+from gtau.signals.column_names import ColumnName, taken_apart
+from gtau.signals.formats.table import Table
+from gtau.signals.log_file import find_columns, read_log
+
+ROWS = 200_000  # of a log that are looked at
+DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
+COMMANDS = ("current", "torque", "command", "motor")  # kinds of columns, those preferred first
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns of one kind of signal, one for each joint, by the joint's label in their names."""
+
+    kind: str | None
+    stem: str
+    columns: Mapping[str, str]
+    reference: bool = False
+    unit: str | None = None
+
+    @property
+    def first(self) -> str:
+        """Its first column."""
+        return next(iter(self.columns.values()))
+
+    @property
+    def listed(self) -> str:
+        """The columns in a few words: the first and the last of them."""
+        names = list(self.columns.values())
+        return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+
+
+@dataclass(frozen=True)
+class LogContents:
+    """A log with its columns by kind, and the numbers of the first rows (N,) by column."""
+
+    path: Path
+    table: Table
+    values: Mapping[str, np.ndarray]
+    time: tuple[str, ...]
+    groups: tuple[Group, ...]
+    reasons: Mapping[str, str]
+
+    @classmethod
+    def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
+        """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
+        table = find_columns(path)
+        joints = robot.actuated if robot else ()
+        names = [taken_apart(name, joints) for name in table.columns if name and table.columns.count(name) == 1]
+        if table.numbered:
+            return _numbered(path, table, len(joints))
+        groups = _grouped(names)
+        wanted = [each for each in names if each.kind not in (None, "other")] or names
+        topics = _topics(table)
+        if len(topics) > 1:
+            of_kind = (_topic(each.first, topics) for each in groups if each.kind in kinds)
+            main = next((each for each in of_kind if each != but), None)
+            wanted = [each for each in wanted if _topic(each.name, topics) == main] or wanted[:1]
+            groups = [each for each in groups if _topic(each.first, topics) == main]
+        values = _values(path, [each.name for each in wanted])
+        time = _time_columns(wanted, values)
+        return cls(path, table, values, time, tuple(_told_apart(groups, values, path)), {})
+
+    def of_another_topic(self, robot: Robot | None) -> LogContents | None:
+        """The commands of a bag whose positions are in this topic."""
+        topics = _topics(self.table)
+        positions = self.group("position")
+        if len(topics) < 2 or positions is None:
+            return None
+        other = LogContents.read(self.path, robot, COMMANDS, but=_topic(positions.first, topics))
+        return other if other.command_group() else None
+
+    @property
+    def rows(self) -> int:
+        """Number of rows that were read."""
+        return max((len(each) for each in self.values.values()), default=0)
+
+    def group(self, kind: str) -> Group | None:
+        """The columns of a kind, measured ones before references, of most joints first."""
+        found = [each for each in self.groups if each.kind == kind and set(each.columns.values()) <= set(self.values)]
+        return min(found, key=lambda each: (each.reference, -len(each.columns)), default=None)
+
+    def command_group(self) -> Group | None:
+        """Currents before torques, and torques of joints before those of motors."""
+        position = self.group("position")
+        found = [self.group(kind) for kind in COMMANDS]
+        groups = [each for each in found if each is not None]
+        alike = [each for each in groups if position is None or len(each.columns) >= len(position.columns)]
+        return next(iter(alike or groups), None)
+
+    def seconds(self) -> np.ndarray:
+        """Time in its own unit."""
+        time = self.values[self.time[0]]
+        return time if len(self.time) == 1 else time + 1e-9 * self.values[self.time[1]]
+
+    def time_unit(self) -> tuple[str, str]:
+        """Unit of the time column, the first in which the rate is one at which drives are logged, and why."""
+        step = float(np.median(np.diff(self.seconds())))
+        written = taken_apart(self.time[0]).unit
+        for unit, factor in TIME_UNITS.items():
+            if step > 0 and LEAST_RATE <= 1 / (step * factor) <= LARGEST_RATE and written in (None, unit):
+                return unit, f"steps of {step:.4g} {unit}: {1 / (step * factor):.4g} Hz"
+        return "s", f"steps of {step:.4g}, which is no rate of a drive in s, ms, us or ns; correct the column"
+
+    def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
+        """Sampling rate that makes the logged velocities the positions' derivatives, Hz, and why."""
+        velocities = self.group("velocity")
+        if velocities is None:
+            return None, "not in the log"
+        up = down = 0.0
+        for label, column in positions.columns.items():
+            if label in velocities.columns:
+                q, qd = self.values[column], self.values[velocities.columns[label]]
+                step = (q[2:] - q[:-2]) / 2
+                up, down = up + float(np.nansum(step * qd[1:-1])), down + float(np.nansum(step * step))
+        rate = up / down if down else 0.0
+        if not LEAST_RATE <= rate <= LARGEST_RATE:
+            return None, "not in the log"
+        nearest = min(
+            (50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000), key=lambda x: abs(x - rate)
+        )
+        rounded = float(nearest) if abs(nearest - rate) < 0.03 * nearest else float(f"{rate:.4g}")
+        return rounded, f"no time column; {velocities.listed} are the derivatives of the positions at {rate:.4g} Hz"
+
+
+def _topics(table: Table) -> list[str]:
+    """Topics of a bag, each of which has its stamps; those within others first."""
+    found = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
+    return sorted(found, key=len, reverse=True)
+
+
+def _topic(name: str, topics: Sequence[str]) -> str:
+    return next((topic for topic in topics if name.startswith(f"{topic}/")), "")
+
+
+def _values(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    log = read_log(path, names)
+    parts, count = [], 0
+    for values, _ in log.blocks(range(ROWS)):
+        parts.append(values)
+        count += len(values)
+    table = np.vstack(parts) if parts else np.empty((0, len(log.names)))
+    return {name: table[:, k] for k, name in enumerate(log.names)}
+
+
+def _grouped(names: Sequence[ColumnName]) -> list[Group]:
+    groups: dict[str, list[ColumnName]] = {}
+    for each in names:
+        if each.kind != "time":
+            groups.setdefault(each.stem, []).append(each)
+    return [
+        Group(of[0].kind, stem, {each.label: each.name for each in of}, of[0].reference, of[0].unit)
+        for stem, of in groups.items()
+    ]
+
+
+def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """The column that grows, of those named so; or the seconds and the nanoseconds."""
+    times = [each.name for each in names if each.kind == "time" and not each.label]
+    parts = [name for name in times if re.search(r"nano|nsec", name, re.IGNORECASE)]
+    if parts and len(times) > len(parts):
+        return next(name for name in times if name not in parts), parts[0]
+    growing = [name for name in times if _grows(values[name])]
+    stamped = [name for name in growing if "stamp" in name.lower()]
+    return tuple((stamped or growing)[:1])
+
+
+def _grows(column: np.ndarray) -> bool:
+    step = np.diff(column[np.isfinite(column)])
+    return len(step) > 0 and bool((step >= 0).all()) and float((step > 0).mean()) > 0.5
+
+
+def _told_apart(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
+    """Commands named alike that are the positions' derivatives are velocities; a file's name names its columns."""
+    positions = next((each for each in groups if each.kind == "position" and not each.reference), None)
+    of_file = taken_apart(path.stem).kind
+    found = []
+    for each in groups:
+        if each.kind is None and of_file in ("position", "current", "torque") and len(groups) == 1:
+            each = replace(each, kind=of_file)
+        if each.kind == "command" and positions is not None and _derivative(positions, each, values) > DERIVATIVE:
+            each = replace(each, kind="velocity")
+        found.append(each)
+    return found
+
+
+def _derivative(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
+    """Usual correlation of others with the positions' numerical derivatives."""
+    pairs = [
+        (values[column], values[others.columns[label]])
+        for label, column in positions.columns.items()
+        if label in others.columns and column in values and others.columns[label] in values
+    ]
+    return float(np.median([correlation(q, other) for q, other in pairs])) if pairs else 0.0
+
+
+def correlation(position: np.ndarray, other: np.ndarray) -> float:
+    """Correlation of a column (N,) with the numerical derivative of another, 0 where one of them never changes."""
+    slope, value = (position[2:] - position[:-2]), other[1:-1]
+    whole = np.isfinite(slope) & np.isfinite(value)
+    if whole.sum() < 10 or not np.ptp(slope[whole]) or not np.ptp(value[whole]):
+        return 0.0
+    return float(np.corrcoef(slope[whole], value[whole])[0, 1])
+
+
+def _numbered(path: Path, table: Table, joints: int) -> LogContents:
+    """A log without header: time grows, velocities are derivatives of columns as many to the left as joints."""
+    values = _values(path, table.columns)
+    names = list(table.columns)
+    time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()
+    rest = names[len(time) :]
+    best, width = 0.0, 0
+    for n in [joints] if joints else range(1, min(len(rest) // 2, 12) + 1):
+        if 2 * n <= len(rest):
+            scores = [correlation(values[rest[k]], values[rest[n + k]]) for k in range(n)]
+            if (score := float(np.median(scores))) > max(best, DERIVATIVE):
+                best, width = score, n
+    if not width:
+        raise GtauError(
+            f"{path} has no header, and among its {len(names)} columns no positions are recognised by their "
+            "velocities; write a first line with names (t,q1,q2,current1,current2), or give the robot (--robot)."
+        )
+    kinds = ["position", "velocity"]
+    blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]
+    for block in blocks[2:]:
+        still = any(not np.ptp(values[name]) for name in block)
+        slopes = [correlation(values[qd], values[other]) for qd, other in zip(blocks[1], block, strict=True)]
+        kinds.append("other" if still else "acceleration" if np.median(slopes) > DERIVATIVE else "command")
+    groups = [
+        Group(kind, f"block {k + 1}", {str(i + 1): name for i, name in enumerate(block)})
+        for k, (kind, block) in enumerate(zip(kinds, blocks, strict=True))
+    ]
+    reasons = {"velocity": f"columns {groups[1].listed} are their derivatives (correlation {best:.3f})"}
+    return LogContents(path, table, values, time, tuple(groups), reasons)
