@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from robots_for_tests import CLOSED, four_bar, hexapod, palletizer, random_samples
@@ -18,7 +20,7 @@ from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.robot import Robot
+from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
 from gtau.signals.experiment import Payload
 
 DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
@@ -103,7 +105,12 @@ def test_slopes_of_loads_agree_with_differences(task: DesignProblem, rng: np.ran
     assert {"position", "velocity", "acceleration", "jerk", "current", "x", "z", "time"} <= kinds
 
 
-@pytest.mark.parametrize("robot", [four_bar(), hexapod(), palletizer()], ids=lambda robot: robot.name)
+def sprung() -> Robot:
+    ends = Attachment("ground", Pose((0.1, 0.3, 0.1))), Attachment(four_bar().joints[-1].name, Pose((0.1, 0.02, 0.0)))
+    return replace(four_bar(), name="sprung", springs=(Spring("coil", *ends, SPRING),))
+
+
+@pytest.mark.parametrize("robot", [four_bar(), hexapod(), palletizer(), sprung()], ids=lambda robot: robot.name)
 def test_slopes_through_closures_agree_with_differences(robot: Robot, rng: np.random.Generator) -> None:
     model = InverseDynamics(robot)
     back = pullback(model)

@@ -209,7 +209,7 @@ BAD: list[tuple[str, str, str]] = [
     ),
     (
         "tendon",
-        BODY % ("", '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
+        BODY % ('<site name="s"/><site name="w"/>', '<tendon><spatial name="t"><site site="s"/><site site="w"/></spatial></tendon>'
                     '<actuator><motor name="m" tendon="t"/></actuator>'),
         ": no actuator drives a joint (joint=...)",
     ),
@@ -483,3 +483,51 @@ def test_straight_tendons_are_springs_between_points(tmp_path: Path, rng: np.ran
         data.qpos, data.qvel = position, speed
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(-(data.qfrc_passive + data.qfrc_actuator), expected, rtol=1e-9, atol=1e-8)
+
+
+GRIPPER = """<mujoco><worldbody><body name="palm">
+  <body name="l" pos="0 0.1 0"><inertial mass="0.3" pos="0 0.1 0" diaginertia="1e-2 1e-2 1e-2"/>
+  <joint name="left" type="slide" axis="0 1 0.5"/></body>
+  <body name="r" pos="0 -0.1 0"><inertial mass="0.5" pos="0 0.1 0" diaginertia="1e-2 1e-2 1e-2"/>
+  <joint name="right" type="slide" axis="0 -1 0.5"/></body></body></worldbody>
+  <equality><joint joint1="left" joint2="right" polycoef="0.01 2 0 0 0"/></equality>
+  <tendon><fixed name="both"><joint joint="left" coef="0.3"/><joint joint="right" coef="0.5"/></fixed></tendon>
+  <actuator><position name="jaws" tendon="both"/></actuator></mujoco>"""
+
+
+def test_the_motor_of_a_gripper_pulls_a_fixed_tendon(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Its position is MuJoCo's length of the tendon, and its force moves the fingers as MuJoCo's does."""
+    robot = load(GRIPPER, tmp_path)
+    assert robot.actuated == ("jaws",)
+    assert robot.joint("jaws").parameters == "drive"
+    assert any("'jaws' is the motor that pulls 'left', 'right' by a fixed tendon" in note for note in robot.notes)
+    model = mujoco.MjModel.from_xml_string(GRIPPER)
+    data = mujoco.MjData(model)
+    motion = InverseDynamics(robot).motion(*rng.uniform(-0.1, 0.1, (3, 1, 6)))
+    chi = {"m_left": 0.3, "m_right": 0.5}
+    values = np.array([chi.get(name, 0.0) for name in InverseDynamics(robot).parameter_names])
+    tau = InverseDynamics(robot).full.torques_along(coordinates(robot), motion, values)[0]
+    for k in range(6):
+        data.qpos, data.qvel = motion.c[:2, k], motion.yd[:2, k]
+        mujoco.mj_forward(model, data)
+        assert data.ten_length[0] == pytest.approx(motion.c[2, k], abs=1e-12)
+        assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-12)
+        effort = np.zeros(2)
+        mujoco.mj_mulM(model, data, effort, motion.ydd[:2, k].copy())
+        effort += data.qfrc_bias
+        assert tau[k] * motion.yd[2, k] == pytest.approx(effort @ motion.yd[:2, k], rel=1e-9)
+
+
+def test_a_linkage_on_the_ground_is_no_moving_base(tmp_path: Path) -> None:
+    """A passive bar that carries a link but not the motor stays, though the base is fixed."""
+    text = """<mujoco><worldbody>
+      <body name="crank"><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="crank" axis="0 1 0"/></body>
+      <body name="rocker" pos="0.5 0 0"><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+      <joint name="rocker" axis="0 1 0"/>
+      <body name="bar" pos="0 0 0.3"><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+      <joint name="bar" axis="0 1 0"/></body>
+      </body></worldbody><equality><connect body1="bar" body2="crank" anchor="-0.5 0 -0.1"/></equality>
+      <actuator><motor joint="crank"/></actuator></mujoco>"""
+    (tmp_path / "linkage.xml").write_text(text)
+    robot = load_robot(tmp_path / "linkage.xml", base="fixed")
+    assert [joint.name for joint in robot.joints] == ["crank", "rocker", "bar"]

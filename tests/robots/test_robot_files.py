@@ -149,7 +149,10 @@ def test_load_robot_accepts_what_people_have(tmp_path: Path) -> None:
         ("missing.yaml", "missing.yaml cannot be read: no such file or directory"),
         ("missing.urdf", "missing.urdf: the file cannot be read (no such file or directory)"),
         ("arm.xacro", "expand it with 'xacro arm.xacro > arm.urdf'"),
-        ("robot.sdf", "robot.sdf is an SDF file, which is not read, since it does not say which joints have motors"),
+        (
+            "robot.sdf",
+            "robot.sdf is an SDF file, which is not read; make an MJCF file of it by 'sdf2mjcf robot.sdf robot.xml'",
+        ),
         (__file__, "ends in none of .yaml, .urdf, .xml (MJCF), .par or .csv; give it the ending of what it holds."),
     ],
 )

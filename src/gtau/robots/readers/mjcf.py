@@ -26,6 +26,7 @@ from gtau.robots.readers.mjcf_ties import (
     pose_in,
     site_springs,
     tendon_coupling,
+    tendon_motors,
 )
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice
 from gtau.robots.readers.urdf import turning
@@ -144,6 +145,16 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     if loose := [platform.name for platform in platforms if platform.name not in tied]:
         notes.append(f"nothing holds the free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)}: left out")
     driven, pulled = actuated_joints(file, tendons, notes)
+    if pulled and not driven:  # a gripper alone
+        for motor, coupling in tendon_motors(file, tendons, {joint.name: joint.kind for joint in joints}):
+            joints.append(motor)
+            couplings.append(coupling)
+            driven.add(motor.name)
+            notes.append(
+                f"'{motor.name}' is the motor that pulls {listed([name for name, _ in coupling.ratios])} by a fixed "
+                "tendon; its position is the tendon's length"
+            )
+        pulled = set()
     slaves = {coupling.joint for coupling in couplings}
     actuated = driven.union(base_rows(floating)) if file.actuators else {joint.name for joint in joints} - slaves
     weightless = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
@@ -190,14 +201,13 @@ def _scenery(robot: Robot) -> set[str]:
 
 
 def _moving_base(robot: Robot) -> set[str]:
-    """Joints without a motor between the ground and the first body that more than one joint or a motor moves."""
+    """Joints without a motor that carry all motors: those of a base that rolls or slides, but for its last link's."""
     tied = robot.driven | {end.body for closure in robot.closures for end in (closure.a, closure.b)}
-    found: set[str] = set()
+    before: dict[str, set[str]] = {GROUND: set()}
     for joint in robot.joints:
-        before = joint.antecedent == GROUND or joint.antecedent in found
-        if before and joint.name not in tied and any(other.antecedent == joint.name for other in robot.joints):
-            found.add(joint.name)
-    return found
+        before[joint.name] = before[joint.antecedent] | {joint.antecedent}
+    carrying = set.intersection(*(before[name] for name in robot.driven)) - {GROUND}
+    return carrying - tied
 
 
 def _carriers(model: mujoco.MjModel) -> set[int]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -12,10 +12,12 @@ from gtau.robots.geometry import compose, pose_of
 from gtau.robots.parts import listed
 from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons
 from gtau.robots.readers.xml_document import numbers
-from gtau.robots.robot import Attachment, Closure, Coupling, Pose, Spring
+from gtau.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Pose, Spring
 
 if TYPE_CHECKING:
     import mujoco
+
+Kind = Literal["revolute", "prismatic"]
 
 
 def equalities(
@@ -139,6 +141,22 @@ def actuated_joints(
         s = "s" * (len(others) > 1)
         notes.append(f"actuator{s} {listed(others)} of no hinge, slide or fixed tendon: left out")
     return driven, pulled
+
+
+def tendon_motors(
+    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], kinds: Mapping[str, Kind]
+) -> Iterator[tuple[Joint, Coupling]]:
+    """Motors that pull fixed tendons, as shafts on the ground whose position is the tendon's length.
+
+    The force along a tendon acts on a joint by the coefficient of the joint in the tendon's length.
+    """
+    import mujoco
+
+    for number, (name, transmission, target, _) in enumerate(file.actuators, start=1):
+        if transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
+            ratios = tuple((joint, factor) for joint, factor in tendons[target].items() if factor)
+            shaft = name if name and name not in kinds else f"motor {number}"
+            yield Joint(shaft, GROUND, kinds[ratios[0][0]], parameters="drive"), Coupling(shaft, ratios)
 
 
 def pose_in(position: np.ndarray, quaternion: np.ndarray) -> Pose:

@@ -87,8 +87,8 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
             return read_mjcf(path, base)
         case ".sdf":
             raise GtauError(
-                f"{path} is an SDF file, which is not read, since it does not say which joints have motors; give a "
-                "URDF or, where the robot has loops, MJCF or a robot file."
+                f"{path} is an SDF file, which is not read; make an MJCF file of it by 'sdf2mjcf {path.name} "
+                f"{path.stem}.xml' of the package sdformat-mjcf, or give a URDF or a robot file."
             )
         case ".par":
             from gtau.robots.readers.symoro import read_par
