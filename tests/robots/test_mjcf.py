@@ -209,8 +209,8 @@ BAD: list[tuple[str, str, str]] = [
     ),
     (
         "tendon",
-        BODY % ('<site name="s"/><site name="w"/>', '<tendon><spatial name="t"><site site="s"/><site site="w"/></spatial></tendon>'
-                    '<actuator><motor name="m" tendon="t"/></actuator>'),
+        BODY % ('<site name="s"/><site name="w"/>', '<tendon><spatial name="t"><site site="s"/><site site="w"/>'
+                    '</spatial></tendon><actuator><motor name="m" tendon="t"/></actuator>'),
         ": no actuator drives a joint (joint=...)",
     ),
     ("copies", BODY % ('<replicate count="900"><replicate count="9"><body><joint/></body></replicate></replicate>', ""),
