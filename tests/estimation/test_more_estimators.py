@@ -137,12 +137,12 @@ def test_prior_equations_are_further_rows(data: Dataset) -> None:
     k = problem.parameters.index("fs_left")
     tight = np.zeros((1, problem.n_theta + 1))
     tight[0, k], tight[0, -1] = 1e6, 1e6 * 0.9
-    assert ml(problem, tight).theta[k] == pytest.approx(0.9, abs=1e-6)
+    assert ml(replace(problem, known=tight)).theta[k] == pytest.approx(0.9, abs=1e-6)
     # A prior as uncertain as the estimate takes it half of the way, and the variance is halved.
     std = np.sqrt(free.covariance[k, k])
     even = np.zeros_like(tight)
     even[0, k], even[0, -1] = 1 / std, (free.theta[k] + std) / std
-    solution = ml(problem, even)
+    solution = ml(replace(problem, known=even))
     assert solution.theta[k] == pytest.approx(free.theta[k] + std / 2, abs=0.05 * std)
     assert np.sqrt(solution.covariance[k, k]) == pytest.approx(std / np.sqrt(2), rel=0.05)
 

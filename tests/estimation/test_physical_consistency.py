@@ -157,7 +157,7 @@ def test_priors_and_bounds_decide_what_the_data_leave_open(runs: list[Run]) -> N
     assert "yy_right" in consistency.open
     assert consistency.standard["m_left"] == pytest.approx(2.0, abs=0.03)
     assert 0.5 <= consistency.standard["yy_right"] <= 0.6 + 1e-6
-    with pytest.raises(GtauError, match="'m_wrist', which is no standard parameter"):
+    with pytest.raises(GtauError, match="'m_wrist', which is no parameter of the robot"):
         identify(FIVE_BAR, runs, consistent=True, priors={"m_wrist": Prior(max=1.0)})
 
 

@@ -67,8 +67,9 @@ def method(name: str) -> tuple[str, ...]:
 
 
 SCALE = (
-    "to find the drive gains, and no run has one; add 'payload: {name: ..., mass: ...}' to a loaded run, or use "
-    "--method wls with prior_gains.",
+    "to find the drive gains, and no run has a payload of known mass; add 'payload: {name: ..., mass: ...}' to a "
+    "loaded run, torque sensors ('joint_torque' under 'signals'), or known parameters ('priors'), or use --method wls "
+    "with prior_gains.",
     "to find the drive gains, and all runs carry the same payload; add a run without payload, or use --method wls "
     "with prior_gains.",
 )
@@ -245,7 +246,7 @@ EXPERIMENTS = [
     *(
         Case(
             f"{name} without payload",
-            f"method '{name}' needs a run with a payload of known mass {SCALE[0]}",
+            f"method '{name}' needs a scale {SCALE[0]}",
             experiment((LOADED, "")),
             method(name),
         )

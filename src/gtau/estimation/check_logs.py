@@ -132,7 +132,12 @@ def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = m
     notes += few_rows([log for log in checked if not log.validation])
     if not any(grade_of(note) == Grade.STOPS for note in notes):
         dataset = reduce_runs(
-            robot, [each.run for each in prepared_runs], preparation, progress=progress, mapper=mapper
+            robot,
+            [each.run for each in prepared_runs],
+            preparation,
+            progress=progress,
+            mapper=mapper,
+            priors=experiment.expected_parameters,
         )
         notes += _together(dataset, experiment.expected_gains)
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes))
@@ -191,7 +196,11 @@ def _together(dataset: Dataset, prior_gains: Mapping[str, float]) -> list[Note]:
         return notes
     payloads = [run.payload for run in dataset.runs]
     unknown = next((each.name for each in payloads if each is not None and each.mass is None), None)
-    if unknown is not None and all(each is None or each.mass is None for each in payloads):
+    if (
+        unknown is not None
+        and not system.problem.scaled
+        and all(each is None or each.mass is None for each in payloads)
+    ):
         what = f"no payload has a known mass, so these logs cannot give the drive gains; they can weigh '{unknown}'"
         return [*notes, Note(Kind.READING, what, "run 'gtau payload MODEL.json' with them")]
     try:
@@ -209,22 +218,22 @@ def _together(dataset: Dataset, prior_gains: Mapping[str, float]) -> list[Note]:
 
 
 def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, validation: bool) -> LogCheck:
-    run, n = prepared.run, len(prepared.run.joints)
+    run, n, c = prepared.run, len(prepared.run.joints), len(prepared.run.measured_joints)
     rows = decimator.outputs(len(prepared))
     if not rows:
         raise GtauError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
     lowest, highest, fastest, strongest = ([] for _ in range(4))
-    positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
-    power, c = np.zeros(n), None
+    positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((c,), bool)
+    power, path = np.zeros(c), None
     for block in decimator.blocks(len(prepared), max(BLOCK // decimator.factor, 1)):
         of = prepared.samples(block.samples.start, block.samples.stop)
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         at = slice(block.first, last + 1, decimator.factor)
         masks.append(decimator.keep(of.usable[block.first - decimator.support : last + decimator.support + 1]))
         q, labels = of.q[at].T.copy(), Labels(run.name, of.time[at])
-        c = model.path(q, labels, None if c is None else c[:, -1])
+        path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)
-        distances.append(singularities(model).distances(model.rates(c, still, still, labels)).T)
+        distances.append(singularities(model).distances(model.rates(path, still, still, labels)).T)
         positions.append(of.q[at])
         power += (of.command[at] ** 2).sum(axis=0)
         lowest.append(of.q.min(axis=0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import gains_for
+from gtau.estimation.identify import gains_for, require_joint, usable
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
@@ -99,16 +99,17 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
     runs = read_runs(experiment, experiment.runs, progress)
+    priors = experiment.expected_parameters
     if runs[0].kind == "torque":
         raise GtauError(f"{path}: the logs hold torques, so there are no drive gains to compare; use 'gtau identify'.")
 
     def row(estimator: Estimator) -> Row:
         start = perf_counter()
         try:
-            given = Given(
-                gains_for(estimator, robot, runs, experiment.expected_gains), experiment.expected_parameters, progress
-            )
-            result = estimate(dataset, estimator, given, prior_gains=experiment.expected_gains)
+            require_joint(estimator, runs, experiment.priors)
+            given = Given(gains_for(estimator, robot, runs, experiment.expected_gains), priors, progress)
+            taken = replace(dataset, priors=usable(estimator, priors))
+            result = estimate(taken, estimator, given, prior_gains=experiment.expected_gains)
         except GtauError as refusal:
             return Row(estimator.name, refusal=str(refusal))
         seconds, gains = perf_counter() - start, list(result.drive_gains.values())
@@ -120,7 +121,7 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
         return Row(estimator.name, values, std, residuals, seconds, worst([gain.verdict for gain in gains]))
 
     with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
-        dataset = reduce_runs(robot, runs, progress=progress)
+        dataset = reduce_runs(robot, runs, progress=progress, priors=priors)
         require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], "ml")
         chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or experiment.expected_gains]
         rows = []

@@ -52,10 +52,11 @@ def identify(
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     method : {"ml", "huber", "ridge", "iv", "didim", "2sls", "mixed", "tls", "wls", "ols"}
-        Maximum likelihood (as it is, with Huber's weights against outliers, or with ``priors``), instrumental
-        variables and DIDIM (against noise of the encoders), 2SLS, mixed LS-TLS and the paper's TLS find the drive
-        gains from a known payload; weighted and ordinary least squares take ``prior_gains``, or torques. If left
-        out, "wls" where logs hold torques, else "ml", or "tls" with ``as_paper``.
+        Maximum likelihood (as it is, with Huber's weights against outliers, or with natural sizes of what is left
+        open), instrumental variables and DIDIM (against noise of the encoders), 2SLS, mixed LS-TLS and the paper's TLS
+        find the drive gains from a known payload, all but IV, mixed and TLS also from torque sensors and ``priors``;
+        weighted and ordinary least squares take ``prior_gains``, or torques. If left out, "wls" where logs hold
+        torques, else "ml", or "tls" with ``as_paper``.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N/A; the experiment file's if left out.
     ratio : float, optional
@@ -69,7 +70,7 @@ def identify(
         Also find standard parameters that rigid bodies can have (see
         :mod:`gtau.estimation.estimators.physical_consistency`).
     priors : mapping, optional
-        What is known of standard parameters, by name, for these and ``ridge``; the experiment file's if left out.
+        What is known of standard and base parameters, by name; the experiment file's if left out.
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
     progress : callable, optional
@@ -92,25 +93,27 @@ def identify(
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
     chosen = None if method is None else estimator_of(method)
     if isinstance(source, Robot):
-        robot, runs, drives = source, _given_runs(runs), {}
+        robot, runs, drives, stated = source, _given_runs(runs), {}, priors
     else:
         experiment = _experiment_alone(source, runs)
         robot = load_robot(experiment.robot)
         check_robot(experiment, robot)
         runs = read_runs(experiment, experiment.runs, progress)
+        drives, stated = experiment.drives, priors or experiment.priors
         prior_gains, priors = prior_gains or experiment.expected_gains, priors or experiment.expected_parameters
-        drives = experiment.drives
     estimator = chosen or _default_estimator(runs, as_paper)
     _check_combination(estimator, as_paper, consistent)
+    priors = priors or {}
+    require_joint(estimator, runs, stated or {}, consistent)
     gains = gains_for(estimator, robot, runs, prior_gains)
     with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
-        dataset = reduce_runs(robot, runs, decimator=options.decimator, progress=progress, mapper=mapper)
+        dataset = reduce_runs(
+            robot, runs, decimator=options.decimator, progress=progress, mapper=mapper, priors=usable(estimator, priors)
+        )
         if gains is None:
             require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], estimator.name)
         try:
-            result = estimate(
-                dataset, estimator, Given(gains, priors or {}, progress), options, prior_gains, consistent
-            )
+            result = estimate(dataset, estimator, Given(gains, priors, progress), options, prior_gains, consistent)
         except GtauError:
             require_felt_payload(dataset.system(Friction()))
             raise
@@ -155,6 +158,37 @@ def _check_combination(estimator: Estimator, as_paper: bool, consistent: bool) -
             f"consistent parameters are found by least squares, which method '{estimator.name}' is not; use --method "
             "didim or ml with --consistent."
         )
+
+
+def require_joint(
+    estimator: Estimator, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
+) -> None:
+    """Check that an estimator can take what is known beside currents and payloads.
+
+    Raises
+    ------
+    GtauError
+        Where it takes neither torque sensors nor known parameters, and there are some; ``consistent`` parameters are
+        sought with the latter whatever the estimator.
+    """
+    if estimator.joint:
+        return
+    takers = ", ".join(each.name for each in ESTIMATORS.values() if each.joint)
+    known = any(prior.value is not None for prior in priors.values()) and not consistent
+    for what, key, there in (
+        ("torque sensors", "joint_torque", runs[0].sensors),
+        ("known parameters", "priors", known),
+    ):
+        if there:
+            raise GtauError(
+                f"method '{estimator.name}' takes no {what}, and '{key}' gives some; remove '{key}', or choose from "
+                f"{takers} with --method."
+            )
+
+
+def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Prior]:
+    """The priors that join the currents in an estimator; to others they matter for consistent parameters alone."""
+    return priors if estimator.joint else {}
 
 
 def gains_for(

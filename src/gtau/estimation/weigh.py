@@ -21,6 +21,7 @@ from gtau.estimation.results.estimate import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.blas import single_threaded_blas
 from gtau.progress import Progress, silent
+from gtau.signals.run import without_sensors
 
 
 @single_threaded_blas
@@ -70,6 +71,7 @@ def weigh(
         g_tau = np.array([model.drive_gains[joint].value for joint in robot.actuated], dtype=float)
         rows = [model.covariance_names.index(f"gain_{joint}") for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
+    runs = tuple(without_sensors(run) for run in runs)  # the model's gains say as much
     dataset = reduce_runs(robot, runs, at_rate_of(runs, model.preparation), progress=progress)
 
     def solve(problem: Problem) -> Solution:

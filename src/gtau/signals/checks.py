@@ -45,7 +45,7 @@ def check(
     source : Source
         The log.
     blocks : iterable of ndarray
-        Its samples (M, 2n + 1) in order: positions, commands and time in SI units.
+        Its samples (M, n + c + 1) in order: positions, commands, torque sensors and time in SI units.
     settings : PreparationSettings
         What is given of the clock and of the commands' delay.
     part : Part
@@ -92,7 +92,8 @@ def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
     still = (low == high)[:n]
     if still.all():
         raise GtauError(f"{source.name}: no position ever changes; give a log of a moving robot.")
-    for joint, column, least, most in zip(source.joints, source.columns[n:], low[n:], high[n:], strict=False):
+    joints = (*source.joints, *source.sensors)
+    for joint, column, least, most in zip(joints, source.columns[n:], low[n:], high[n:], strict=False):
         if least == most:
             raise GtauError(
                 f"{source.name}, column '{column}' (joint '{joint}') is stuck at {least + 0.0:g}; "

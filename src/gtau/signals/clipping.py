@@ -15,7 +15,7 @@ MAX_CLIPPED = 0.1
 
 
 def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
-    """Joints, and levels where their commands stand although they move, as behind a limit of the drive.
+    """Columns of the commands, and levels where they stand although their joints move, as behind a limit of the drive.
 
     Raises
     ------
@@ -25,21 +25,23 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
     source, count = samples.source, len(samples.time)
     found = []
     low, high = extremes(samples.command)
-    for j, joint in enumerate(source.joints):
+    moving = [*range(len(source.joints)), *map(source.joints.index, source.sensors)]
+    for j, (what, mover) in enumerate(zip(source.measured, moving, strict=True)):
         for level in (float(high[j]), float(low[j])):
             at = _count_at(samples.command, j, level)
             if at < CLIPPED_RUN or at < PILE_UP * _count_beside(samples.command, j, level):
                 continue
-            if _longest_at(samples, j, level) < CLIPPED_RUN:
+            if _longest_at(samples, j, mover, level) < CLIPPED_RUN:
                 continue
             if at > MAX_CLIPPED * count:
                 raise GtauError(
-                    f"{source.name}: the command of joint '{joint}' is clipped at {level:.4g} in "
+                    f"{source.name}: {what} is clipped at {level:.4g} in "
                     f"{at} of {count} samples; record it again with slower motions or a higher limit of the drive."
                 )
-            what = f"the command of joint '{joint}' is clipped at {level:.4g}: masked {counted(at, 'sample')}"
+            masked = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
             action = "log again with smaller accelerations, or a higher limit of the drive"
-            notes.append(Note(Kind.CLIPPED, what, action, joint=joint, share=at / count))
+            joint = source.joints[mover]
+            notes.append(Note(Kind.CLIPPED, masked, action, joint=joint, share=at / count))
             found.append((j, level))
     return found
 
@@ -61,14 +63,14 @@ def _count_beside(command: np.ndarray, j: int, level: float) -> int:
     return count
 
 
-def _longest_at(samples: Samples, j: int, level: float) -> int:
-    """Most samples in a row in which joint j moves and its command stands at ``level``."""
+def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
+    """Most samples in a row in which joint ``mover`` moves and column j of the commands stands at ``level``."""
     position, command, count = samples.position, samples.command, len(samples.time)
-    steps = [np.sum(np.diff(block(position, *span)[:, j]) ** 2) for span in ahead(count)]
+    steps = [np.sum(np.diff(block(position, *span)[:, mover]) ** 2) for span in ahead(count)]
     least = 0.05 * np.sqrt(sum(steps) / count)
     longest = now = 0
     for start, stop in ahead(count):
-        speed = np.abs(np.diff(block(position, start, stop)[:, j]))
+        speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
         at = (block(command, start, stop)[1:, j] == level) & (speed > least)
         edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
         runs = edges[1::2] - edges[::2]

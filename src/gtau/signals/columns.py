@@ -62,7 +62,8 @@ class StampsOfEach(Keys):
 class Signals(Keys):
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
-    ``motor_torque`` times ``gear_ratio`` is the joint torque. A ``preset`` has filled in the columns of a maker's log.
+    ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
+    the gears, of all joints or some. A ``preset`` has filled in the columns of a maker's log.
     """
 
     time: Annotated[
@@ -77,6 +78,7 @@ class Signals(Keys):
     torque: dict[str, str] | None = None
     motor_torque: dict[str, str] | None = None
     gear_ratio: dict[str, FiniteFloat] | None = None
+    joint_torque: dict[str, str] | None = None
     preset: str | None = None
 
     @property
@@ -95,6 +97,17 @@ class Signals(Keys):
         return self.current or self.torque or self.motor_torque or {}
 
     @property
+    def sensors(self) -> tuple[str, ...]:
+        """Joints with a torque sensor, in the order of the joints."""
+        return tuple(joint for joint in self.position if joint in (self.joint_torque or {}))
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Columns of the commands, then of the torque sensors."""
+        sensed = self.joint_torque or {}
+        return (*(self.command[joint] for joint in self.joints), *(sensed[joint] for joint in self.sensors))
+
+    @property
     def time_columns(self) -> tuple[str, ...]:
         """Columns of the positions' time, one or two, or none."""
         return _columns_of_time(self.time.position if isinstance(self.time, StampsOfEach) else self.time)
@@ -109,7 +122,7 @@ class Signals(Keys):
     def _preset(cls, data: Any) -> Any:
         return expanded(data) if isinstance(data, dict) and data.get("preset") else data
 
-    @field_validator("position", "current", "torque", "motor_torque")
+    @field_validator("position", "current", "torque", "motor_torque", "joint_torque")
     @classmethod
     def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
         owners: dict[str, str] = {}
@@ -140,6 +153,21 @@ class Signals(Keys):
             raise ValueError(f"joint '{missing[0]}' has a position but no {self.kind}; add its {self.kind} column")
         if extra:
             raise ValueError(f"joint '{extra[0]}' has a {self.kind} but no position; add its position column")
+        return self
+
+    @model_validator(mode="after")
+    def _sensors_of_joints(self) -> Signals:
+        for joint, column in (self.joint_torque or {}).items():
+            if joint not in self.position:
+                raise ValueError(
+                    f"'joint_torque' names the joint '{joint}', which has no position; correct the name, or remove the "
+                    "sensor of a joint without motor"
+                )
+            if column in self.command.values():
+                raise ValueError(
+                    f"the column '{column}' is given both as a {self.kind} and as a joint_torque; 'joint_torque' is "
+                    "for sensors behind the gear, not for torques that a drive computes from its current"
+                )
         return self
 
     @model_validator(mode="after")
@@ -182,13 +210,15 @@ def _one_or_by_joint(kind: Kind) -> Any:
 class Units(Keys):
     """Units of the log's columns, or quantities that stand for 1 in it (``0.0012 A``); SI where nothing is said.
 
-    ``rated`` are the rated currents (A) or torques (N m, N) of which ``%`` and ``‰`` are shares.
+    ``joint_torque`` are those of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
+    ``%`` and ``‰`` are shares.
     """
 
     time: Annotated[str, _unit("time")] | None = None
     position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
     current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
     torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
+    joint_torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
     rated: dict[str, Positive] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -213,7 +243,7 @@ class Units(Keys):
         return None if unit is None else is_angle(unit)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
-        """Factors to SI of the positions and of the commands, joint by joint, and of the time.
+        """Factors to SI of the positions, of the commands and sensors, joint by joint, and of the time.
 
         Raises
         ------
@@ -222,6 +252,7 @@ class Units(Keys):
         """
         positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.joints]
         commands = [self._of_command(joint, signals) for joint in signals.joints]
+        commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
         return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
 
     def _of_command(self, joint: str, signals: Signals) -> float:

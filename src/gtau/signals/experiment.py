@@ -223,7 +223,9 @@ class Experiment(Keys):
             raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
         if units.time is not None and isinstance(signals.time, SampleRate):
             raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
-        for by_joint in (units.position, units.current, units.torque, units.rated):
+        if units.joint_torque is not None and not signals.sensors:
+            raise ValueError("a unit of 'joint_torque' is given, but the signals hold no torque sensor; remove it")
+        for by_joint in (units.position, units.current, units.torque, units.joint_torque, units.rated):
             if isinstance(by_joint, dict):
                 _known_joints(by_joint, signals)
         return units

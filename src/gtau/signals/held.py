@@ -15,12 +15,13 @@ LONGEST = 200  # samples for which a slower signal is held, at most
 REGULAR = 0.6  # share of the samples in runs of equal ones of nearly one length, where a signal is slower than the log
 JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded goes by one
 REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
+GROUPS = ("positions", "commands", "torque sensors")
 COINCIDENCES = 5  # repeated samples at starts and reversals, more than a log has of one instant each
 
 
 @dataclass(frozen=True)
 class Held:
-    """How the columns of a group, positions or commands, are held.
+    """How the columns of a group, positions, commands or torque sensors, are held.
 
     ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
     ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` says that repeated values are no more than noise
@@ -56,29 +57,42 @@ class Held:
 
 @dataclass(frozen=True)
 class Holds:
-    """How the positions and the commands of a log are held, and the samples of each that are stale."""
+    """How the positions, commands and torque sensors of a log are held, and the samples of each that are stale."""
 
     position: Held
     command: Held
-    stale: tuple[int, int] = (0, 0)
+    sensor: Held | None = None
+    stale: tuple[int, ...] = (0, 0)
 
     @property
     def none(self) -> bool:
         """Whether every sample is new."""
-        return self.stale == (0, 0)
+        return not any(self.stale)
+
+    @property
+    def longest(self) -> int:
+        """Longest runs of equal samples that count as held, of all groups together."""
+        return sum(each.longest for each in (self.position, self.command, self.sensor) if each is not None)
+
+    def fresh_commands(self, values: np.ndarray, n: int) -> list[tuple[slice, np.ndarray]]:
+        """Columns of the commands of ``n`` joints, and of the sensors, each with which of the samples (M,) were new."""
+        found = [(slice(0, n), self.command.fresh(values[:, :n]))]
+        return found if self.sensor is None else [*found, (slice(n, None), self.sensor.fresh(values[:, n:]))]
 
     def notes(self, count: int, rate: float) -> list[Note]:
         """What to report of a log of ``count`` samples at ``rate`` Hz."""
         found = []
-        groups = (self.position, self.stale[0], "positions"), (self.command, self.stale[1], "commands")
+        groups = zip((self.position, self.command, self.sensor), self.stale, GROUPS, strict=False)
         for each, stale, what in groups:
-            if stale and each.period > 1:
+            if each is None or not stale:
+                continue
+            if each.period > 1:
                 slow = (
                     f"the {what} are held: new ones come at about {rate / each.period:.4g} Hz, every {each.period} "
                     "samples; interpolated between them"
                 )
                 found.append(Note(Kind.HELD, slow, f"log the {what} at the rate at which they change"))
-            elif stale:
+            else:
                 few = f"{stale} samples of the {what} are stale (repeat the one before): interpolated"
                 found.append(Note(Kind.REPAIR, few, "log in the controller's own cycle", share=stale / count))
         return found
@@ -86,21 +100,26 @@ class Holds:
 
 def holds_of(samples: Samples) -> Holds:
     """Find how the signals of a log are held; it goes by three times."""
-    groups = [_held(array) for array in (samples.position, samples.command)]
-    return Holds(groups[0][0], groups[1][0], (groups[0][1], groups[1][1]))
+    n = len(samples.source.joints)
+    positions, commands = _held(samples.position, slice(None)), _held(samples.command, slice(0, n))
+    if not samples.source.sensors:
+        return Holds(positions[0], commands[0], None, (positions[1], commands[1]))
+    sensors = _held(samples.command, slice(n, None))
+    return Holds(positions[0], commands[0], sensors[0], (positions[1], commands[1], sensors[1]))
 
 
-def _held(array: np.ndarray) -> tuple[Held, int]:
-    """How a group's columns (N, n) are held, and its number of stale samples."""
-    smallest, n = np.full(array.shape[1], np.inf), array.shape[1]
+def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
+    """How a group's ``columns`` of an array (N, n) are held, and its number of stale samples."""
+    n = len(range(array.shape[1])[columns])
+    smallest = np.full(n, np.inf)
     for span in ahead(len(array)):
-        change = np.abs(np.diff(block(array, *span), axis=0))
+        change = np.abs(np.diff(block(array, *span)[:, columns], axis=0))
         smallest = np.minimum(smallest, np.min(np.where(change > 0, change, np.inf), axis=0, initial=np.inf))
     quanta = np.where(np.isfinite(smallest), smallest, 1.0)
     lengths = np.zeros(LONGEST + 1, dtype=int)  # how many runs of equal samples before a jump there are of each length
     run, near = 1, 0
     for span in ahead(len(array)):
-        change = np.max(np.abs(np.diff(block(array, *span), axis=0)) / quanta, axis=1, initial=0.0)
+        change = np.max(np.abs(np.diff(block(array, *span)[:, columns], axis=0)) / quanta, axis=1, initial=0.0)
         near += int(((change[:-1] > 0) & (change[:-1] < 1.5) & (change[1:] >= JUMP)).sum())
         ends = np.flatnonzero(change)
         if ends.size:
@@ -110,7 +129,7 @@ def _held(array: np.ndarray) -> tuple[Held, int]:
         else:
             run += len(change)
     held = Held(_period(lengths), tuple(quanta.tolist()))
-    stale = sum(int((~held.fresh(block(array, *span))).sum()) for span in ahead(len(array)))
+    stale = sum(int((~held.fresh(block(array, *span)[:, columns])).sum()) for span in ahead(len(array)))
     # Noise of some quanta repeats a sample as often as it goes by one quantum in any of the other 3^n - 1 directions.
     chance = 2 * near / (3.0**n - 1) + max(COINCIDENCES, REPORTED * len(array))
     return (held, stale) if stale > chance else (replace(held, period=1, by_chance=True), 0)

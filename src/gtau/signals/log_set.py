@@ -22,10 +22,10 @@ from gtau.signals.samples import Source
 class Logged:
     """The logs of a run, found but not yet read.
 
-    Of the ``files``' columns side by side, ``order`` are the positions and commands (2n), or the positions where
-    the commands are ``aligned``, and ``times`` the time, in one column or two; ``scale`` (2n) and ``time_scale`` bring
-    them to SI units. ``rate`` (Hz) stands for time columns that there are not. ``notes`` report what was left out or
-    aligned.
+    Of the ``files``' columns side by side, ``order`` are the positions, commands and torque sensors (n + c), or the
+    positions where the others are ``aligned``, and ``times`` the time, in one column or two; ``scale`` (n + c) and
+    ``time_scale`` bring them to SI units. ``rate`` (Hz) stands for time columns that there are not. ``notes`` report
+    what was left out or aligned.
     """
 
     files: tuple[LogFile, ...]
@@ -49,7 +49,7 @@ class Logged:
         places: Sequence[Place] | None = None,
         progress: Callable[[float], None] = lambda done: None,
     ) -> Iterator[np.ndarray]:
-        """Read samples (M, 2n + 1) in order: positions, commands and time.
+        """Read samples (M, n + c + 1) in order: positions, commands, torque sensors and time.
 
         Parameters
         ----------
@@ -89,9 +89,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     times, stamps = signals.time_columns, signals.command_time_columns
-    positions, commands = (
-        [columns[joint] for joint in signals.joints] for columns in (signals.position, signals.command)
-    )
+    positions, commands = [signals.position[joint] for joint in signals.joints], list(signals.measured)
     if len(paths) == 1 and set(positions) & set(commands):
         raise GtauError(
             f"{paths[0]}: the column '{min(set(positions) & set(commands))}' is given both as a position and as a "
@@ -117,6 +115,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         texts=ChainMap(*(file.texts for file in reversed(files))),
         first_line=first.first_line + (aligned.rows.start if aligned else 0),
         line_word=first.line_word,
+        sensors=signals.sensors,
     )
     notes = [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
     return Logged(

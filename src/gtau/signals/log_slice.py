@@ -50,8 +50,8 @@ class Log:
         time = np.concatenate([values[:, -1] for values in blocks])
         return np.asarray(time[np.isfinite(time)])
 
-    def excerpt(self, joints: Sequence[str], samples: range) -> Excerpt:
-        """Some samples of the run, their joints in this order."""
+    def excerpt(self, joints: Sequence[str], sensors: Sequence[str], samples: range) -> Excerpt:
+        """Some samples of the run, their joints and torque sensors in this order."""
         found, clock = self.findings, self.findings.grid.clock
         reach = [float(clock.time(k, k + 1)[0]) for k in (samples.start, samples.stop - 1)]
         # A landmark more on either side: samples need their surroundings, and may stand beside the clock.
@@ -64,6 +64,7 @@ class Log:
             units=self.units.model_dump_json(),
             stamps=self.stamps,
             joints=tuple(joints),
+            sensors=tuple(sensors),
             samples=(samples.start, samples.stop),
             rows=rows,
             places=tuple(max((at for at in of if at[0] <= rows[0]), default=(0, 0)) for of in self.places),
@@ -87,6 +88,7 @@ class Excerpt:
     units: str
     stamps: Stamps
     joints: tuple[str, ...]
+    sensors: tuple[str, ...]
     samples: tuple[int, int]
     rows: tuple[int, int]
     places: tuple[Place, ...]
@@ -98,7 +100,9 @@ class Excerpt:
 
 @lru_cache(maxsize=4)  # parts are reduced again where friction depends on what was estimated
 def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
-    """``time`` (N,), ``position``, ``command`` and ``valid`` (N, n) of a whole run, of which only an excerpt is there.
+    """Arrays of a whole run, of which only an excerpt is there.
+
+    ``time`` (N,), ``position`` (N, n), ``command`` and ``valid`` (N, c).
 
     The other samples are zero and not valid, and the first and the last instant are there.
 
@@ -128,11 +132,12 @@ def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
     clock, (begin, end) = excerpt.grid.clock, excerpt.samples
     instants = clock.instants(samples.time, excerpt.first)
     order = [logged.source.joints.index(joint) for joint in excerpt.joints]
-
     n = len(order)
+    measured = [*order, *(n + logged.source.sensors.index(joint) for joint in excerpt.sensors)]
+    columns = {"position": order, "command": measured, "valid": measured}
     times = Placed(clock.count)
-    places = {"position": Placed(clock.count, (n,)), "command": Placed(clock.count, (n,))}
-    places["valid"] = Placed(clock.count, (n,), bool)
+    places = {"position": Placed(clock.count, (n,)), "command": Placed(clock.count, (len(measured),))}
+    places["valid"] = Placed(clock.count, (len(measured),), bool)
     for start, stop in ((0, 1), (clock.count - 1, clock.count)):
         times.put(start, clock.time(start, stop))
     for start, stop in ((begin + a, begin + b) for a, b in spans(end - begin)):
@@ -143,8 +148,8 @@ def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
             found = position, command, unclipped(command, excerpt.grid.clipped)
         else:
             found = resampled(samples, instants, excerpt.grid, start, stop)[:3]
-        for place, values in zip(places.values(), found, strict=True):
-            place.put(start, values[:, order])
+        for (name, place), values in zip(places.items(), found, strict=True):
+            place.put(start, values[:, columns[name]])
     return {"time": times.array()} | {name: place.array() for name, place in places.items()}
 
 

@@ -76,10 +76,10 @@ class Preparation:
 
 @dataclass(frozen=True, eq=False)
 class SampleWindow:
-    """Consecutive samples of a run, ready for the model; arrays share the sample axis M and the joints' axis n.
+    """Consecutive samples of a run, ready for the model; arrays share the sample axis M.
 
-    ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, n) and its time derivatives
-    ``command_d``, ``command_dd``, the columns of a delay. ``usable`` (M, n) is False where a joint's row
+    ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, c), of the joints and then of the torque sensors, and
+    its time derivatives ``command_d``, ``command_dd``, the columns of a delay. ``usable`` (M, c) is False where a row
     must not be used: around the joint's reversals and rests, at gaps, at the ends of the filter, and
     always for a joint that does not move. ``time`` (M,) in s.
     """
@@ -140,7 +140,7 @@ class PreparedRun:
         return range(max(0, at.start - margin), min(len(self.run.time), at.stop + margin))
 
     def valid(self, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Whether speeds and accelerations rest on good samples only, (M, n), for the samples of :meth:`samples`."""
+        """Whether speeds and accelerations rest on good samples only, (M, c), for the samples of :meth:`samples`."""
         at = self.kept[start:stop]
         return _valid(self.run, self.preparation, at.start, at.stop)
 
@@ -156,7 +156,8 @@ class PreparedRun:
             np.einsum("yi,ij,yj->y", self.friction_speed_ratios, self.speeds, self.friction_speed_ratios)
         )
         slow = np.abs(qd @ self.friction_speed_ratios.T) < limit
-        usable = ~(slow @ (np.abs(self.friction_speed_ratios) > 1e-9)) & self.moves & self.valid(start, stop)
+        moving = ~(slow @ (np.abs(self.friction_speed_ratios) > 1e-9)) & self.moves
+        usable = moving[:, run.measured_joints] & self.valid(start, stop)
         return SampleWindow(
             block(run.time, at.start, at.stop), q, qd, qdd, command[mine], command_d, command_dd, usable
         )  # fmt: skip
@@ -282,7 +283,7 @@ def _usable_stretches(run: Run, preparation: Preparation) -> list[np.ndarray]:
     limit = preparation.speed_fraction * np.sqrt(np.mean([np.mean(speed**2, axis=0) for speed in speeds], axis=0))
     found: list[list[np.ndarray]] = [[] for _ in run.joints]
     for speed, part in zip(speeds, parts, strict=True):
-        usable = (speed >= limit) & _valid(run, preparation, *part)
+        usable = (speed >= limit) & _valid(run, preparation, *part)[:, : len(run.joints)]
         for j, of_joint in enumerate(found):
             edges = np.flatnonzero(np.diff(np.r_[False, usable[:, j], False]))
             of_joint.append(edges[1::2] - edges[::2])
@@ -330,7 +331,7 @@ def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarra
     limit = preparation.speed_fraction * np.sqrt(np.diag(np.sum(squares, axis=0)) / samples)
 
     def awake(start: int, stop: int) -> np.ndarray:
-        moving = (np.abs(speed(start, stop)) >= limit) & moves & _valid(run, preparation, start, stop)
+        moving = (np.abs(speed(start, stop)) >= limit) & moves & _valid(run, preparation, start, stop)[:, :n]
         return start + np.flatnonzero(moving.any(axis=1))
 
     first = next((int(found[0]) for found in (awake(*piece) for piece in pieces) if found.size), None)
@@ -383,7 +384,7 @@ def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation) -
 
 
 def _valid(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
-    """Where speeds and accelerations rest on good samples only (stop - start, n)."""
+    """Where speeds and accelerations rest on good samples only (stop - start, c)."""
     samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
     begin, end = max(0, start - STENCIL), min(samples, stop + STENCIL)
     bad = ~block(run.valid, begin, end)

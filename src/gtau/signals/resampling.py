@@ -26,7 +26,7 @@ SURROUNDINGS = 64  # samples to either side that a spline is made from: what lie
 
 @dataclass(frozen=True)
 class UniformSamples:
-    """Samples on a uniform grid; where ``valid`` (N, n) is false they were interpolated or clipped."""
+    """Samples on a uniform grid; where ``valid`` (N, c) is false a command's were interpolated or clipped."""
 
     time: np.ndarray
     position: np.ndarray
@@ -68,7 +68,7 @@ class Findings:
 class Resampling:
     """How a log is put on a uniform grid.
 
-    The ``clock`` of its samples, joints' numbers with the levels at which their commands are ``clipped``, how positions
+    The ``clock`` of its samples, columns of the commands with the levels at which they are ``clipped``, how positions
     and commands are held, by how much commands lag (``delay``, s), and whether samples that repeat the time and values
     of the one before are left out.
     """
@@ -112,12 +112,12 @@ def uniform(
         last=int(samples.rows[-1]),
         samples=len(samples.rows),
     )
-    n = len(source.joints)
+    n, c = len(source.joints), samples.command.shape[1]
     if grid.direct:
-        valid = store((unclipped(block(samples.command, *span), grid.clipped) for span in spans(count)), (n,), bool)
+        valid = store((unclipped(block(samples.command, *span), grid.clipped) for span in spans(count)), (c,), bool)
         notes += _of_clock(clock, given)
         return UniformSamples(time, samples.position, samples.command, valid, tuple(notes), findings)
-    positions, commands, masks = Store((n,)), Store((n,)), Store((n,), bool)
+    positions, commands, masks = Store((n,)), Store((c,)), Store((c,), bool)
     missing, masked = 0, 0
     for span in spans(count):
         position, command, valid, lacking = resampled(samples, instants, grid, *span)
@@ -172,7 +172,7 @@ def _landmarks(array: np.ndarray) -> np.ndarray:
 def resampled(
     samples: Samples, instants: np.ndarray, resampling: Resampling, start: int, stop: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
-    """Positions and commands (M, n) at some of the clock's samples, what is valid, and how many were missing or masked.
+    """Positions (M, n) and commands (M, c) at samples of the clock, what is valid, how many were missing, masked.
 
     They are interpolated between fresh samples at ``instants``, of which there must be some before and after.
     """
@@ -181,22 +181,26 @@ def resampled(
     clock, holds = resampling.clock, resampling.holds
     grid = clock.time(start, stop)
     begin, end = np.searchsorted(instants, grid[[0, -1]], side="right")
-    around = SURROUNDINGS + holds.position.longest + holds.command.longest
+    around = SURROUNDINGS + holds.longest
     begin, end = max(0, begin - around), end + around
     known, command = block(instants, begin, end), block(samples.command, begin, end)
     position = block(samples.position, begin, end)
     later = np.concatenate([[True], np.diff(known) > 0])
-    fresh = later & holds.position.fresh(position), later & holds.command.fresh(command)
+    fresh = later & holds.position.fresh(position)
     bridged = max(BRIDGED * clock.period, clock.whole, 1.5 * holds.position.period * clock.period)
-    lacking, masked = _gaps(known[later], grid, clock.whole), _gaps(known[fresh[0]], grid, bridged)
+    lacking, masked = _gaps(known[later], grid, clock.whole), _gaps(known[fresh], grid, bridged)
     good = unclipped(command, resampling.clipped)
     before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(known) - 2)
     # Lines for the commands: a spline would overshoot where the current is noisy.
     values = np.column_stack(
-        [np.interp(grid + resampling.delay, known[fresh[1]], each) for each in command[fresh[1]].T]
+        [
+            np.interp(grid + resampling.delay, known[later & new], each)
+            for columns, new in holds.fresh_commands(command, len(samples.source.joints))
+            for each in command[later & new, columns].T
+        ]
     )
     return (
-        CubicSpline(known[fresh[0]], position[fresh[0]])(grid),
+        CubicSpline(known[fresh], position[fresh])(grid),
         values,
         ~masked[:, None] & good[before] & good[before + 1],
         (int(lacking.sum()), int((lacking & masked).sum())),
@@ -213,7 +217,7 @@ def _gaps(known: np.ndarray, grid: np.ndarray, longest: float) -> np.ndarray:
 
 
 def unclipped(command: np.ndarray, clipped: Sequence[tuple[int, float]]) -> np.ndarray:
-    """Where commands (M, n) do not stand at a level at which they are clipped."""
+    """Where commands (M, c) do not stand at a level at which they are clipped."""
     good = np.ones(command.shape, dtype=bool)
     for j, level in clipped:
         good[:, j] &= command[:, j] != level

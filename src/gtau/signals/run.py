@@ -24,12 +24,12 @@ from gtau.signals.storage import Placed, block, spans, store
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Sampled positions and commands of the actuated joints.
+    """Sampled positions and commands of the actuated joints, and torques of sensors behind their gears.
 
-    ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, n), the current
-    references in A or, where ``kind`` says so, torques in N m (forces in N). Where ``valid`` (N, n) is
-    false the joint's sample was interpolated or clipped. ``notes`` say what was repaired, ``settings`` what is given of
-    the preparation.
+    ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, c), the current
+    references in A or, where ``kind`` says so, torques in N m (forces in N), and then those of the torque ``sensors``
+    (names of c - n joints). Where ``valid`` (N, c) is false the sample was interpolated or clipped. ``notes`` say what
+    was repaired, ``settings`` what is given of the preparation.
 
     The arrays of a long log lie in a file, of which NumPy reads what is looked at. A run that was read from a ``log``
     is pickled as that, and read again where it arrives.
@@ -45,19 +45,27 @@ class Run:
     notes: tuple[Note, ...] = ()
     valid: np.ndarray = field(default_factory=lambda: np.ones((0, 0), dtype=bool), repr=False)
     settings: PreparationSettings = CHOSEN
+    sensors: tuple[str, ...] = ()
     # What is made by dataclasses.replace has neither:
     log: Log | None = field(default=None, init=False, repr=False)
     pickled: range | None = field(default=None, init=False, repr=False)  # samples that other processes get
 
     def __post_init__(self) -> None:
         shape = (len(self.time), len(self.joints))
+        measured = (len(self.time), len(self.joints) + len(self.sensors))
         if self.valid.size == 0:
-            object.__setattr__(self, "valid", np.broadcast_to(True, shape))
-        if self.position.shape != shape or self.command.shape != shape or self.valid.shape != shape:
+            object.__setattr__(self, "valid", np.broadcast_to(True, measured))
+        if self.position.shape != shape or self.command.shape != measured or self.valid.shape != measured:
+            also = f"; commands and what is valid {measured}, with the torque sensors" if self.sensors else ""
             raise GtauError(
                 f"run '{self.name}': positions {self.position.shape}, commands {self.command.shape} and what is valid "
-                f"{self.valid.shape} must all have the shape {shape}, samples by joints."
+                f"{self.valid.shape} must all have the shape {shape}, samples by joints{also}."
             )
+
+    @property
+    def measured_joints(self) -> list[int]:
+        """The joint of each column of ``command``, by its number, (c,)."""
+        return [*range(len(self.joints)), *map(self.joints.index, self.sensors)]
 
     @property
     def rate(self) -> float:
@@ -72,9 +80,9 @@ class Run:
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         samples = range(len(self.time)) if self.pickled is None else self.pickled
-        known = (self.name, self.joints, self.kind, self.payload, self.notes)
+        known = (self.name, self.joints, self.kind, self.payload, self.notes, self.sensors)
         if self.log is not None:
-            return _again, (known, self.log.excerpt(self.joints, samples))
+            return _again, (known, self.log.excerpt(self.joints, self.sensors, samples))
         if self.pickled is None:
             return super().__reduce_ex__(protocol)
         at = slice(samples.start, samples.stop)
@@ -138,6 +146,7 @@ def read_run(
         notes=(*logged.notes, *uniform.notes),
         valid=uniform.valid,
         settings=settings,
+        sensors=signals.sensors,
     )
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
 
@@ -151,21 +160,21 @@ def _from(log: Log | None, run: Run) -> Run:
     return run
 
 
-Known = tuple[str, tuple[str, ...], Literal["current", "torque"], Payload | None, tuple[Note, ...]]
+Known = tuple[str, tuple[str, ...], Literal["current", "torque"], Payload | None, tuple[Note, ...], tuple[str, ...]]
 
 
 def _again(known: Known, excerpt: Excerpt) -> Run:
     """A run read in this process; raises GtauError where its logs have changed since."""
-    name, joints, kind, payload, notes = known
+    name, joints, kind, payload, notes, sensors = known
     arrays: dict[str, Any] = read_excerpt(excerpt)
-    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, **arrays)
+    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, sensors=sensors, **arrays)
 
 
 def _put_back(
     known: Known, samples: int, first: int, times: Sequence[tuple[int, np.ndarray]], parts: Mapping[str, np.ndarray]
 ) -> Run:
     """A run of which some samples were sent."""
-    name, joints, kind, payload, notes = known
+    name, joints, kind, payload, notes, sensors = known
     places = {"time": Placed(samples)}
     for start, time in times:
         places["time"].put(start, time)
@@ -173,11 +182,20 @@ def _put_back(
         places[column] = Placed(samples, rows.shape[1:], rows.dtype.type)
         places[column].put(first, rows)
     arrays: dict[str, Any] = {column: place.array() for column, place in places.items()}
-    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, **arrays)
+    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, sensors=sensors, **arrays)
+
+
+def without_sensors(run: Run) -> Run:
+    """The run without its torque sensors."""
+    if not run.sensors:
+        return run
+    n = list(range(len(run.joints)))
+    bare = replace(run, sensors=(), command=_columns(run.command, n), valid=_columns(run.valid, n))
+    return _from(run.log, bare)
 
 
 def arrange(run: Run, joints: Sequence[str]) -> Run:
-    """Order a run's columns as `joints`, a robot's actuated ones.
+    """Order a run's columns, and those of its torque sensors, as `joints`, a robot's actuated ones.
 
     Raises
     ------
@@ -190,14 +208,17 @@ def arrange(run: Run, joints: Sequence[str]) -> Run:
             f"{', '.join(joints)}; give signals for exactly these."
         )
     order = [run.joints.index(joint) for joint in joints]
-    if order == list(range(len(order))):
+    sensors = tuple(joint for joint in joints if joint in run.sensors)
+    measured = [*order, *(len(order) + run.sensors.index(joint) for joint in sensors)]
+    if measured == list(range(len(measured))):
         return run
     ordered = replace(
         run,
         joints=tuple(joints),
+        sensors=sensors,
         position=_columns(run.position, order),
-        command=_columns(run.command, order),
-        valid=_columns(run.valid, order),
+        command=_columns(run.command, measured),
+        valid=_columns(run.valid, measured),
     )
     return _from(run.log, ordered)
 

@@ -20,8 +20,9 @@ MAX_MISSING = 0.05  # part of a log that may be bad or missing
 class Source:
     """What messages about a log say of it.
 
-    ``columns`` are the names of the position columns, the command columns and the time column; ``texts`` their
-    first entries that are no numbers, as far as they have been read. Row 0 stands in ``first_line``.
+    ``columns`` are the names of the position columns, the command columns, those of the torque ``sensors`` (by joint)
+    and the time column; ``texts`` their first entries that are no numbers, as far as they have been read. Row 0 stands
+    in ``first_line``.
     """
 
     name: str
@@ -30,6 +31,13 @@ class Source:
     texts: Mapping[str, str]
     first_line: int = 1
     line_word: str = "line"
+    sensors: tuple[str, ...] = ()
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """What the columns behind the positions hold, for messages: commands, then torque sensors."""
+        commands = (f"the command of joint '{joint}'" for joint in self.joints)
+        return (*commands, *(f"the torque sensor of joint '{joint}'" for joint in self.sensors))
 
     def places(self, rows: Sequence[int], count: int) -> str:
         """Where ``count`` rows stand in the file, of which ``rows`` are the first."""
@@ -39,7 +47,10 @@ class Source:
 
 @dataclass(frozen=True)
 class Samples:
-    """Complete samples of a log, SI units: ``time`` and ``rows`` (N,), ``position`` and ``command`` (N, n)."""
+    """Complete samples of a log, SI units: ``time`` and ``rows`` (N,), ``position`` (N, n) and ``command`` (N, c).
+
+    The commands of the n joints come first, then the torques of the sensors, c - n of them.
+    """
 
     source: Source
     rows: np.ndarray
@@ -124,8 +135,9 @@ class Incomplete:
 def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -> tuple[Samples, Incomplete]:
     """The samples of a log, or of a part of it, none of whose values is missing."""
     n, count = len(source.joints), 0
-    stores = Store(dtype=int), Store(), Store((n,)), Store((n,))
-    numbers = np.zeros(2 * n + 1, dtype=int)  # in each column
+    wide = 2 * n + len(source.sensors)  # columns before the time
+    stores = Store(dtype=int), Store(), Store((n,)), Store((wide - n,))
+    numbers = np.zeros(wide + 1, dtype=int)  # in each column
     bad: list[int] = []
     bad_empty: list[int] = []
     bad_count, bad_column, empty = 0, 0, 0
@@ -134,7 +146,7 @@ def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -
         whole = bool(finite.all())
         kept = np.ones(len(values), dtype=bool) if whole else finite.all(axis=1)
         numbers += len(values) if whole else finite.sum(axis=0)
-        nothing = np.zeros(len(values), dtype=bool) if whole else ~finite[:, : 2 * n].any(axis=1)
+        nothing = np.zeros(len(values), dtype=bool) if whole else ~finite[:, :wide].any(axis=1)
         found = np.flatnonzero(~kept & ~nothing)
         if found.size and not bad_count:
             bad_column = int(np.argmin(finite[found[0]]))
@@ -142,7 +154,7 @@ def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -
         bad_count += found.size
         if nothing.any():
             bad_empty += (row + np.flatnonzero(nothing)[: 5 - len(bad_empty)]).tolist()
-        parts = row + np.flatnonzero(kept), values[kept, 2 * n], values[kept, :n], values[kept, n : 2 * n]
+        parts = row + np.flatnonzero(kept), values[kept, wide], values[kept, :n], values[kept, n:wide]
         for each, rows in zip(stores, parts, strict=True):
             each.append(rows)
         count, empty = count + len(values) - int(nothing.sum()), empty + int(nothing.sum())

@@ -23,8 +23,10 @@ from gtau.estimation.diagnostics.hypotheses.registry import HYPOTHESES
 from gtau.estimation.diagnostics.linearisation import (
     LinearisedWindow,
     central_windows,
+    known_rows,
     least_squares_step,
     linearise,
+    on_channels,
     side_by_side,
     stack,
 )
@@ -140,17 +142,15 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     windows = central_windows(fit.dataset, WINDOWS)
     if not windows:
         return ()
-    linear = linearise(fit, side_by_side([candidates.offer for _, candidates in tried]), windows)
-    # priors count against as many rows as the windows have
-    share = sum(len(window) for _, window in windows) / sum(map(len, fit.dataset.prepared))
-    prior = None if fit.prior is None else np.sqrt(min(share, 1.0)) * fit.prior
+    offers = [on_channels(candidates.offer, hypothesis.shared) for hypothesis, candidates in tried]
+    linear, known = linearise(fit, side_by_side(offers), windows), known_rows(fit, windows)
     found: list[Alternative] = []
     ends = np.cumsum([0, *(len(candidates.names) for _, candidates in tried)])
     for k, (hypothesis, candidates) in enumerate(tried):
         mine = [
             LinearisedWindow(each.errors, each.jacobian, each.offered[..., ends[k] : ends[k + 1]]) for each in linear
         ]
-        found += _alternatives(fit, hypothesis, candidates, mine, prior)
+        found += _alternatives(fit, hypothesis, candidates, mine, known)
     return tuple(found)
 
 
@@ -159,15 +159,15 @@ def _alternatives(
     hypothesis: Hypothesis,
     candidates: Candidates,
     windows: Sequence[LinearisedWindow],
-    prior: np.ndarray | None,
+    known: tuple[np.ndarray, np.ndarray],
 ) -> list[Alternative]:
     problem, joints = fit.system.problem, fit.dataset.model.actuated
-    tests = score_tests(lambda: windows, hypothesis.shared, prior)
+    tests = score_tests(lambda: windows, hypothesis.shared, known[1])
     T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
-    gains = slice(problem.n_theta, problem.n_theta + len(joints))
+    gains = problem.gain_rows
     found = []
     for m, (name, unit) in enumerate(zip(candidates.names, candidates.units, strict=True)):
-        for j in range(tests.size.shape[1]):
+        for j in range(1 if hypothesis.shared else len(joints)):
             slopes = T @ tests.slopes[m, j]
             size, std = float(tests.size[m, j]), float(tests.std[m, j])
             plausible = float(candidates.plausible[m, j])
@@ -183,13 +183,13 @@ def _alternatives(
                     *support(size, std, plausible),
                     float(tests.share[m, j]),
                     slopes,
-                    slopes[gains] * size / fit.solution.gains,
+                    slopes[gains] * size / fit.gains,
                     hypothesis.advice,
                     hypothesis.description,
                 )
             )
     if candidates.describe is not None:
-        found += _together(fit, hypothesis, candidates.describe, windows)
+        found += _together(fit, hypothesis, candidates.describe, windows, known)
     return found
 
 
@@ -198,9 +198,12 @@ def _together(
     hypothesis: Hypothesis,
     describe: Callable[[np.ndarray, np.ndarray], tuple[str, str]],
     windows: Sequence[LinearisedWindow],
+    known: tuple[np.ndarray, np.ndarray],
 ) -> list[Alternative]:
     """All candidates of a hypothesis at once, where they explain much: each alone may explain little."""
     e, J, columns = stack(windows)
+    e, J = np.concatenate([e, known[0]]), np.concatenate([J, known[1]])
+    columns = np.pad(columns, ((0, len(known[0])), (0, 0)))
 
     def fitted(more: np.ndarray) -> tuple[np.ndarray, float]:
         wide = np.hstack([J, more])
@@ -215,8 +218,7 @@ def _together(
     T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains)
     slopes = T @ (step[: J.shape[1]] - before)
     subject, advice = describe(step[J.shape[1] :], alone / share)
-    n_theta, gains = fit.system.problem.n_theta, fit.solution.gains
-    moves = slopes[n_theta : n_theta + len(gains)] / gains
+    moves = slopes[fit.system.problem.gain_rows] / fit.gains
     # a share of the residual variance as large as this is significant by far
     return [
         Alternative(

@@ -22,8 +22,9 @@ from gtau.signals.notes import Kind, Note
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """Verdicts on the drive gains and delays (n,) and on the known payloads by name, and notes on what was found.
+    """Verdicts on gains, delays and known payloads, and notes on what was found.
 
+    Of the drive ``gains`` (n,), the ``delays`` (c,), those of torque sensors included, and the ``payloads`` by name.
     ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good.
     """
 
@@ -60,16 +61,16 @@ def diagnose(
     torques = np.abs(solution.gains) * problem.signal
     if fit.free_gains:
         verdicts: Sequence[Verdict] = gain_verdicts(fit, findings, uncertainty, accuracy)
-        verdicts = check_priors(check_payloads(verdicts, payloads), robot, solution.gains, prior_gains)
+        verdicts = check_priors(check_payloads(verdicts, payloads), robot, fit.gains, prior_gains)
     else:
         verdicts = _given_verdicts(fit, findings)
     verdicts = share_doubts(check_limits(verdicts, robot, torques), joints)
-    delay_std = np.sqrt(np.diag(uncertainty.random))[problem.n_theta + len(joints) :]
+    delay_std = np.sqrt(np.diag(uncertainty.random))[problem.n_theta + len(problem.channels) :]
     period = 1 / min(run.rate for run in dataset.runs)
-    delays = delay_verdicts(problem, solution, delay_std, period) if delay_std.any() else (GOOD,) * len(joints)
+    delays = delay_verdicts(problem, solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)
     notes = (
         *unlike_legs(dataset, system, solution.theta, uncertainty.covariance),
-        *ripple_notes(findings.ripple, joints, solution),
+        *ripple_notes(findings.ripple, fit),
         *_small_refutations(fit, findings, accuracy),
     )
     return Diagnosis(tuple(verdicts), tuple(delays), payloads, notes, accuracy)
@@ -77,7 +78,7 @@ def diagnose(
 
 def _given_verdicts(fit: Fit, findings: Findings) -> tuple[Verdict, ...]:
     """Verdicts on gains that are given, or 1 for torques: contradictory where the model does not explain the joint."""
-    misfit = fit.solution.sigma / fit.system.problem.signal
+    misfit = (fit.solution.sigma / fit.system.problem.signal)[: len(fit.gains)]
     kind = fit.dataset.runs[0].kind
     found = [GIVEN] * len(misfit)
     for j, share in enumerate(misfit):

@@ -106,8 +106,8 @@ APART_ADVICE = (
 
 def _certain(fit: Fit, hypothesis: str, subject: str, size: float, std: float, moves: np.ndarray) -> Alternative:
     """An alternative that was found significant by a test of its own; ``moves`` (n,) are those of the gains."""
-    slopes, n_theta = np.zeros(len(fit.solution.stacked)), fit.system.problem.n_theta
-    slopes[n_theta : n_theta + len(moves)] = moves * fit.solution.gains / size
+    slopes = np.zeros(len(fit.solution.stacked))
+    slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
     return Alternative(
         hypothesis=hypothesis,
         subject=subject,
@@ -154,13 +154,12 @@ def _of_gain_changes(fit: Fit) -> list[Alternative]:
 
 def _of_two_stage(fit: Fit) -> list[Alternative]:
     """By how much 2SLS, which uses the same equations differently, finds other gains."""
-    problem, solution = fit.system.problem, fit.solution
-    gains = slice(problem.n_theta, problem.n_theta + len(problem.joints))
+    problem, solution, gains = fit.system.problem, fit.solution, fit.system.problem.gain_rows
     # with the same delays: where motions are slow, a joint's own equations hardly determine its delay
     other = two_stage(problem, solution.delays)
     std = np.sqrt(np.diag(jackknife((solution.replicates() - other.replicates())[:, gains])))
-    std = np.maximum(std, np.sqrt(np.diag(solution.jackknife)[gains])) / np.abs(solution.gains)
-    moves, found = other.gains / solution.gains - 1, []
+    std = np.maximum(std, np.sqrt(np.diag(solution.jackknife)[gains])) / np.abs(fit.gains)
+    moves, found = other.gains[: len(std)] / fit.gains - 1, []
     for j in np.flatnonzero(np.abs(moves) > APART * std):
         of_joint = np.where(np.arange(len(moves)) == j, moves, 0.0)
         subject = f"2SLS as the estimator of '{problem.joints[j]}'"

@@ -15,7 +15,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.linearisation import LinearisedWindow
 from gtau.estimation.diagnostics.score_test import score_tests
-from gtau.estimation.estimators.newton import jacobian, modelled, residuals, to_gains
+from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, modelled, residuals, to_gains
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds import DOMINANT
@@ -55,9 +55,10 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
     groups = groups[~groups.all(axis=1) & groups.any(axis=1)]
     if not len(groups):
         return (GainChange((), 0.0, 0.0, 0.0, np.zeros(n)),) * n
-    found = score_tests(lambda: _windows(problem, solution, groups[:, of_block]))
-    shares, gains = found.share.sum(axis=1), slice(problem.n_theta, problem.n_theta + n)
-    worst = np.argmax(np.abs(found.t), axis=0)
+    known = jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels))
+    found = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), known=known)
+    shares = found.share.sum(axis=1)
+    worst = np.argmax(np.abs(found.t[:, :n]), axis=0)
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = np.argmax(shares)
     T = to_gains(solution.iterate, problem.n_theta, True)
@@ -67,7 +68,7 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
             float(found.size[k, j]),
             float(found.t[k, j]),
             float(shares[k]),
-            (T @ found.slopes[k, j])[gains] * found.size[k, j] / solution.gains,
+            (T @ found.slopes[k, j])[problem.gain_rows] * found.size[k, j] / solution.gains[:n],
         )
         for j, k in enumerate(worst)
     )

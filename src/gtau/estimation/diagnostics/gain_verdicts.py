@@ -30,16 +30,15 @@ def gain_verdicts(fit: Fit, findings: Findings, uncertainty: Uncertainty, accura
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good.
     """
-    return tuple(_verdict(fit, findings, uncertainty, accuracy, j) for j in range(len(fit.solution.gains)))
+    return tuple(_verdict(fit, findings, uncertainty, accuracy, j) for j in range(len(fit.gains)))
 
 
 def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
     """Half the relative widths of the gains' 95 % intervals, (n,)."""
     from scipy.special import ndtri, stdtrit
 
-    n_theta, n = fit.system.problem.n_theta, len(fit.solution.gains)
-    gains = slice(n_theta, n_theta + n)
-    std = np.sqrt(np.diag(uncertainty.covariance)[gains]) / np.abs(fit.solution.gains)
+    gains = fit.system.problem.gain_rows
+    std = np.sqrt(np.diag(uncertainty.covariance)[gains]) / np.abs(fit.gains)
     freedom = uncertainty.effective_freedom
     return np.asarray(std * (ndtri(0.975) if freedom is None else stdtrit(freedom[gains], 0.975)))
 
@@ -53,7 +52,7 @@ def _verdict(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: f
             f"total least squares confuses the payload with the noise (standard deviation over {LOST_GAIN:.0%})",
             "use --method ml, or a heavier payload and longer runs with less noise",
         )
-    if np.all(solution.gains < 0):
+    if np.all(fit.gains < 0):
         return Verdict(
             Outcome.CONTRADICTORY,
             "all drive gains are negative",

@@ -16,7 +16,13 @@ from typing import TypeVar
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step, linearise, stack
+from gtau.estimation.diagnostics.linearisation import (
+    central_windows,
+    known_rows,
+    least_squares_step,
+    linearise,
+    stack,
+)
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds import LENGTH_CHANGE, LENGTH_SHARE
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -69,17 +75,19 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
         if curvature <= 0:
             continue
         change = -STEP * slope / (2 * curvature)
-        moves = (gains_above - gains_below) / (2 * STEP) * change / fit.solution.gains
+        moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
         yield OtherLength(what, change, slope**2 / (4 * curvature * before), moves)
     progress("other lengths", len(lengths), len(lengths))
 
 
 def _left(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
     """Squares of the residuals that a fit of another ``model`` leaves, and its gains (n,), to first order."""
-    e, J, _ = stack(linearise(fit, None, central_windows(fit.dataset), model))
-    step = least_squares_step(J, e)
-    n_theta, gains = fit.system.problem.n_theta, fit.solution.gains
-    change = step[n_theta : n_theta + len(gains)] if fit.free_gains else np.zeros(len(gains))
+    windows = central_windows(fit.dataset)
+    e, J, _ = stack(linearise(fit, None, windows, model))
+    errors, known = known_rows(fit, windows)
+    e, J = np.concatenate([e, errors]), np.concatenate([J, known])
+    step, gains = least_squares_step(J, e), fit.gains
+    change = step[fit.system.problem.gain_rows] if fit.free_gains else np.zeros(len(gains))
     return float(np.sum((e + J @ step) ** 2)), gains - gains**2 * change
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian, residuals
+from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.factors import CURRENTS, EXTRA
+from gtau.estimation.regression.factors import CURRENTS, EXTRA, equations
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -20,7 +20,7 @@ SAMPLES = 24_000  # of all windows together, which bounds the time of the tests 
 RANK = 1e-6  # of the largest singular value: directions below it are left out
 
 CandidateColumns = Callable[[Rows], np.ndarray]
-"""Gives torques (n, K, m) in N m or N at each block of a window's decimated rows, in order."""
+"""Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
 Offer = Callable[[InMemoryRun, np.ndarray], CandidateColumns]
 """Makes the candidate columns along a window, from the values (n_b,) of the base columns in its run."""
@@ -30,8 +30,8 @@ Offer = Callable[[InMemoryRun, np.ndarray], CandidateColumns]
 class LinearisedWindow:
     """Rows of a window reduced to triangles, in standard deviations of the current.
 
-    ``errors`` (n, p), their ``jacobian`` (n, p, k) by the unknowns of
-    :func:`gtau.estimation.estimators.newton.jacobian`, and by the m candidate torques ``offered`` (n, p, m).
+    ``errors`` (c, p), their ``jacobian`` (c, p, k) by the unknowns of
+    :func:`gtau.estimation.estimators.newton.jacobian`, and by the m candidate torques ``offered`` (c, p, m).
     """
 
     errors: np.ndarray
@@ -68,7 +68,7 @@ def linearise(
     fit : Fit
         What was estimated.
     offer : callable, optional
-        Makes candidate columns.
+        Makes candidate columns of all channels; see :func:`on_channels`.
     windows : iterable
         From :func:`central_windows`.
     model : InverseDynamics, optional
@@ -80,10 +80,10 @@ def linearise(
         Where the model refuses a sample.
     """
     dataset, system, solution = fit.dataset, fit.system, fit.solution
-    problem, n = system.problem, len(dataset.model.actuated)
+    problem, c = system.problem, len(system.problem.channels)
     model = dataset.model if model is None else model
     regressor = model.columns(dataset.base.standard)
-    b, p = dataset.base.count, dataset.base.count + EXTRA
+    p = dataset.base.count + EXTRA
     kept = [system.whole.parameters.index(name) for name in problem.parameters]
     columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + 1 + CURRENTS)]
     state = solution.iterate
@@ -93,21 +93,17 @@ def linearise(
     for run, window in windows:
         load = system.load(run, solution.theta) if with_load else None
         candidates = None if offer is None else offer(window, system.motion(run, solution.theta))
-        waiting: list[list[np.ndarray]] = [[] for _ in range(n)]
+        waiting: list[list[np.ndarray]] = [[] for _ in range(c)]
         m = 0
         decimator = dataset.preparation.at(window.run.rate).decimator
         for part in stream_rows(model, regressor, window, decimator, load):
-            torques = np.zeros((n, len(part.time), 0)) if candidates is None else candidates(part)
+            torques = np.zeros((c, len(part.time), 0)) if candidates is None else candidates(part)
             m = torques.shape[-1]
-            A = np.zeros((n, len(part.time), p + m))
-            A[regressor.rows, :, regressor.columns] = part.entries
-            A[:, :, b : p - CURRENTS] = part.terms.transpose(1, 2, 0)
-            A[:, :, p - CURRENTS : p] = part.currents.transpose(1, 2, 0)
-            A[:, :, p:] = torques
-            for j in range(n):
+            A = np.concatenate([equations(regressor, window.run.measured_joints, part), torques], axis=-1)
+            for j in range(c):
                 waiting[j].append(A[j, part.keep[j]])
-        blocks, offered = np.zeros((n, p + m, len(columns))), np.zeros((n, p + m, m))
-        for j in range(n):
+        blocks, offered = np.zeros((c, p + m, len(columns))), np.zeros((c, p + m, m))
+        for j in range(c):
             T = triangle(*waiting[j])
             blocks[j, : len(T)] = (T[:, :p] @ system.maps[run, j])[:, columns]
             offered[j, : len(T)] = -state.b[j] * weights[j] * T[:, p:]
@@ -117,7 +113,7 @@ def linearise(
 
 
 def stack(windows: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stack errors (.,), Jacobian (., k) and candidate columns (., m) of all joints in all windows."""
+    """Stack errors (.,), Jacobian (., k) and candidate columns (., m) of all channels in all windows."""
     return (
         np.concatenate([each.errors.ravel() for each in windows]),
         np.concatenate([of_joint for each in windows for of_joint in each.jacobian]),
@@ -136,6 +132,35 @@ def at_full_rate(window: InMemoryRun, dataset: Dataset, torques: np.ndarray) -> 
     """Decimate torques (m, n, M), made at every sample of a window, into candidate columns."""
     decimated = dataset.preparation.at(window.run.rate).decimator.apply(torques)  # (m, n, outputs)
     return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
+
+
+def on_channels(offer: Offer, felt: bool) -> Offer:
+    """Offer a joint's torque to its torque sensor too, where the sensor has ``felt`` it, or there nothing."""
+
+    def with_sensors(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+        columns, n = offer(window, values), len(window.run.joints)
+        behind = window.run.measured_joints[n:]
+
+        def of_channels(rows: Rows) -> np.ndarray:
+            torques = columns(rows)
+            return np.concatenate([torques, torques[behind] * felt]) if behind else torques
+
+        return of_channels
+
+    return with_sensors
+
+
+def known_rows(fit: Fit, windows: Sequence[tuple[int, InMemoryRun]]) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (k,) of the known parameters at a fit, and their Jacobian (k, size): further equations for the windows.
+
+    They count against as many rows as the windows have.
+    """
+    problem, dataset = fit.system.problem, fit.dataset
+    share = sum(len(window) for _, window in windows) / sum(map(len, dataset.prepared))
+    weight = np.sqrt(min(share, 1.0))
+    size = problem.n_theta + len(problem.channels) * (2 if fit.free_gains else 1)
+    errors = problem.known[:, :-1] @ fit.solution.theta - problem.known[:, -1]
+    return weight * errors, weight * jacobian_of_known(problem, size)
 
 
 def side_by_side(offers: Sequence[Offer]) -> Offer:

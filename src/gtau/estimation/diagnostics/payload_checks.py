@@ -30,7 +30,7 @@ def weigh_known(fit: Fit, method: str) -> dict[str, Verdict]:
     """Estimate what is known of each payload, one value at a time, with gains from all else that is known.
 
     Of several values of a payload that the data contradict, the one is named that leaves least when it alone is freed.
-    A single payload's mass is not among them, as it sets the scale.
+    A single payload's mass is not among them where it sets the scale alone.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def weigh_known(fit: Fit, method: str) -> dict[str, Verdict]:
     known = {run.payload.name: run.payload for run in dataset.runs if run.payload and run.payload.mass is not None}
     verdicts = {}
     for name, payload in known.items():
-        tested = (*(("m",) if len(known) > 1 else ()), *payload.parameters)
+        tested = (*(("m",) if len(known) > 1 or fit.system.problem.scaled else ()), *payload.parameters)
         freed = {kind: _freed(fit, method, payload, kind) for kind in tested}
         found_of_kind = {kind: found for kind, found in freed.items() if found is not None}
         if not found_of_kind:

@@ -19,13 +19,14 @@ from gtau.estimation.diagnostics.linearisation import (
     LinearisedWindow,
     at_full_rate,
     central_windows,
+    known_rows,
     least_squares_step,
     linearise,
+    on_channels,
     stack,
 )
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds import RIPPLE_SHARE
 from gtau.signals.notes import Kind, Note
@@ -39,9 +40,9 @@ LARGEST = 10.0  # times the joint's error: how large such a torque may be, more 
 class PositionRipple:
     """What repeats at the same positions.
 
-    ``shares`` (n,) of the variance of each joint's errors that one half of the runs tells of the other, and by how
-    much (theta, gains, delays) move when it is taken into account, ``moves`` (n_theta + 2 n,), which are zero where
-    nothing repeats.
+    ``shares`` (c,) of the variance of each channel's errors that one half of the runs tells of the other, and by how
+    much (theta, gains, delays) move when it is taken into account, ``moves`` (n_theta + 2 c,), which are zero where
+    nothing repeats. A torque sensor does not feel the ripple of its motor.
     """
 
     shares: np.ndarray
@@ -84,29 +85,31 @@ def position_ripple(fit: Fit) -> PositionRipple:
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
         return at_full_rate(window, dataset, hats.swapaxes(0, 1))
 
-    found = linearise(fit, offer, pieces)
+    found, known = linearise(fit, on_channels(offer, felt=False), pieces), known_rows(fit, pieces)
     first, second = found[0::2], found[1::2]
     sigma = np.maximum(solution.sigma, problem.smallest_sigma)
     heights = 1 / (LARGEST * np.abs(solution.gains) * sigma)
     again = [
         LinearisedWindow(each.errors + np.einsum("jpk,jk->jp", each.offered, torque), each.jacobian, each.offered)
         for half, other in ((first, second), (second, first))
-        for each, torque in zip(half, _fit([other], heights)[1], strict=True)
+        for each, torque in zip(half, _fit([other], heights, known)[1], strict=True)
     ]
-    (_, rest), (step, before) = _left(again), _left(found)
+    (_, rest), (step, before) = _left(again, known), _left(found, known)
     shares = 1 - rest / np.maximum(before, 1e-300)
     if np.max(shares) < RIPPLE_SHARE:
         return PositionRipple(shares, nothing.moves)
-    moved, _ = _fit([first, second], heights)
+    moved, _ = _fit([first, second], heights, known)
     state = solution.iterate
     return PositionRipple(shares, to_gains(state, problem.n_theta, fit.free_gains) @ (moved - step))
 
 
-def _fit(halves: Sequence[Sequence[LinearisedWindow]], heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the estimates (k,), and each run's torques at the knots (runs, n, KNOTS), found together.
+def _fit(
+    halves: Sequence[Sequence[LinearisedWindow]], heights: np.ndarray, known: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the estimates (k,), and each run's torques at the knots (runs, c, KNOTS), found together.
 
     Each half has one piece a run. A torque acts in one joint of one run only, so it is eliminated there; it is drawn
-    to zero with the weight ``1 / heights`` (n,), as it can stand in for a parameter.
+    to zero with the weight ``1 / heights`` (c,), as it can stand in for a parameter.
     """
     tops, rests = [], []
     for of_run in zip(*halves, strict=True):
@@ -115,25 +118,26 @@ def _fit(halves: Sequence[Sequence[LinearisedWindow]], heights: np.ndarray) -> t
             R = triangle(np.eye(KNOTS, rows[0].shape[1]) * height, *rows)
             tops.append(R[:KNOTS])
             rests.append(R[KNOTS:, KNOTS:])
-    rest = np.concatenate(rests)
+    rest = np.concatenate([*rests, np.column_stack([known[1], known[0]])])
     step = least_squares_step(rest[:, :-1], rest[:, -1])
     torques = [-np.linalg.solve(top[:, :KNOTS], top[:, KNOTS:-1] @ step + top[:, -1]) for top in tops]
     return step, np.reshape(torques, (-1, len(heights), KNOTS))
 
 
-def _left(pieces: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the estimates without further torques (k,), and the squares of the errors that they leave, (n,)."""
+def _left(pieces: Sequence[LinearisedWindow], known: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the estimates without further torques (k,), and the squares of the errors that they leave, (c,)."""
     e, J, _ = stack(pieces)
-    step = least_squares_step(J, e)
+    step = least_squares_step(np.concatenate([J, known[1]]), np.concatenate([e, known[0]]))
     return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))
 
 
-def ripple_notes(found: PositionRipple, joints: Sequence[str], solution: Solution) -> list[Note]:
+def ripple_notes(found: PositionRipple, fit: Fit) -> list[Note]:
     """What repeats at the same positions, and what that does to the gains."""
     if not found.found:
         return []
-    j = int(np.argmax(found.shares))
-    moves = 100 * np.abs(found.moves[-2 * len(joints) : -len(joints)] / solution.gains)
+    joints = fit.system.problem.joints
+    j = int(np.argmax(found.shares[: len(joints)]))
+    moves = 100 * np.abs(found.moves[fit.system.problem.gain_rows] / fit.gains)
     k = int(np.argmax(moves))
     of_gains = f" (that of the gain of joint '{joints[k]}' {moves[k]:.2g} %)" if moves[k] else ""
     what = (

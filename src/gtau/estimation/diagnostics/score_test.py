@@ -38,9 +38,9 @@ class ScoreTests:
 
 
 def score_tests(
-    windows: Callable[[], Iterable[LinearisedWindow]], shared: bool = False, prior: np.ndarray | None = None
+    windows: Callable[[], Iterable[LinearisedWindow]], shared: bool = False, known: np.ndarray | None = None
 ) -> ScoreTests:
-    """Test each candidate column alone, in each joint's equations alone or ``shared`` by all joints.
+    """Test each candidate column alone, in each channel's equations alone or ``shared`` by all channels.
 
     All other unknowns adapt to it. Standard deviations follow from the scatter over the windows, within which
     residuals may be autocorrelated (a sandwich estimate with windows as clusters).
@@ -50,9 +50,9 @@ def score_tests(
     windows : callable
         Gives the windows anew each time, so that they need not be in memory together.
     shared : bool
-        Whether a column acts on all joints with one size.
-    prior : ndarray, optional
-        Further equations on the first unknowns, (., n_theta), with errors of unit variance.
+        Whether a column acts on all channels with one size.
+    known : ndarray, optional
+        Jacobian (., k) of further equations, of known parameters, with errors of unit variance.
     """
 
     def each() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -67,8 +67,8 @@ def score_tests(
     for J, _, _ in each():
         blocks.append(J.reshape(-1, J.shape[-1]))
         count += 1
-    if prior is not None:
-        blocks.append(np.pad(prior, ((0, 0), (0, blocks[0].shape[1] - prior.shape[1]))))
+    if known is not None:
+        blocks.append(known)
     back = whitening(np.concatenate(blocks), np.zeros(joints))
     J_e, e_e = np.zeros(back.shape[1]), 0.0
     J_c, c_c, c_e = (np.zeros(()) for _ in range(3))

@@ -29,7 +29,7 @@ def unexplained(dataset: Dataset) -> np.ndarray:
             for j in range(n):
                 own = part.entries[regressor.rows == j][:, part.keep[j]].T
                 rows[j].append(np.kron(mine, own))
-                currents[j].append(part.currents[0][:, part.keep[j]].T)
+                currents[j].append(part.currents[0, :n, part.keep[j]])
     left = np.zeros((n, n))
     for j in range(n):
         W, V = np.concatenate(rows[j]), np.concatenate(currents[j])

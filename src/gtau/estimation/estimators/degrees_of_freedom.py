@@ -6,20 +6,21 @@ few alone. The information of each block follows from the motions (Satterthwaite
 
     (sum s_u^2)^2 / sum s_u^4
 
-with s_u^2 the variance that leaving out block u contributes, for independent residuals.
+with s_u^2 the variance that leaving out block u contributes, for independent residuals. Known parameters belong to no
+block; what their standard deviations contribute counts as known.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.estimators.newton import jacobian, stacked, to_gains, whitening
+from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, stacked, to_gains, whitening
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 
 
 def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarray:
-    """Find the degrees of freedom of the standard deviations of (theta, gains, delays), (n_theta + 2 n,).
+    """Find the degrees of freedom of the standard deviations of (theta, gains, delays), (n_theta + 2 c,).
 
     Parameters
     ----------
@@ -35,7 +36,9 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
         J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
         return np.asarray(J.reshape(-1, J.shape[-1]))
 
-    back = whitening(rows(stacked(problem)), np.zeros(len(problem.joints)))
+    of_data = rows(stacked(problem))
+    every = np.concatenate([of_data, jacobian_of_known(problem, of_data.shape[1])])
+    back = whitening(every, np.zeros(len(problem.channels)))
     named = to_gains(state, problem.n_theta, free_gains) @ back
     variances = []
     for block in problem.blocks:

@@ -35,7 +35,7 @@ class Given:
     gains : ndarray, optional
         Drive gains (n,), N m/A or N/A, 1 for torques; None where they are to be estimated.
     priors : Mapping
-        Standard parameter to what is known of it.
+        Parameter to what is known of it, as in the equations of the dataset; with its bounds.
     progress : Progress
         Called as the work goes on.
     """
@@ -63,8 +63,6 @@ class Fit:
         Solves for fewer parameters with the gains of ``solution``.
     free_gains : bool
         Whether the gains were estimated.
-    prior : ndarray, optional
-        Further equations on theta that the estimator used, (., n_theta), with errors of unit variance.
     """
 
     dataset: Dataset
@@ -74,7 +72,11 @@ class Fit:
     unrefined: Solution
     solve_fixed: Solve
     free_gains: bool
-    prior: np.ndarray | None = None
+
+    @property
+    def gains(self) -> np.ndarray:
+        """Drive gains of the joints, (n,)."""
+        return self.solution.gains[: len(self.system.problem.joints)]
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,8 @@ class Estimator:
         Whether the paper uses it.
     least_squares : bool
         Whether it minimises squares, so that constraints can be added to it.
+    joint : bool
+        Whether torque sensors and known parameters can join the currents and payloads in it.
     """
 
     name: str
@@ -106,3 +110,4 @@ class Estimator:
     fit: Callable[[Dataset, System, Given], Fit]
     in_paper: bool = False
     least_squares: bool = True
+    joint: bool = True

@@ -9,6 +9,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import TERMS, Friction, all_terms
 from gtau.estimation.regression.problem import Problem, delayed
 from gtau.estimation.regression.system import System
+from gtau.estimation.regression.torque_sensors import BEARING, bearing_terms
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds import FRICTION_TERM_GAIN, FRICTION_TERM_STD
 from gtau.progress import Progress
@@ -23,8 +24,9 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     Terms that the joints' own equations ask for, but that all equations together do not identify, are left out.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
-    joints, per_run = dataset.model.actuated, len(dataset.runs) > 1
-    friction = Friction(select_friction_terms(dataset.system(Friction(all_terms(joints), per_run)).problem), per_run)
+    joints, sensors, per_run = dataset.model.actuated, dataset.runs[0].sensors, len(dataset.runs) > 1
+    offered = (*all_terms(joints), *bearing_terms(sensors))
+    friction = Friction(select_friction_terms(dataset.system(Friction(offered, per_run)).problem), per_run)
     if not any(term.startswith("fl_") for term in friction.terms):
         system = dataset.system(friction)
         return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
@@ -42,16 +44,17 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
 
 
 def select_friction_terms(problem: Problem) -> tuple[str, ...]:
-    """Terms that the Bayesian information criterion asks for, joint by joint.
+    """Terms that the Bayesian information criterion asks for, joint by joint and sensor by sensor.
 
-    Each joint's current is fitted by its own regressor alone, with every subset of its terms in
+    Each joint's current, or sensor's torque, is fitted by its own regressor alone, with every subset of its terms in
     ``problem``; the subset of least ``r log(sigma^2) + k log(r)`` is taken. As the criterion believes in
     independent errors, and real ones are correlated, a term must also lessen the error by 2 per cent.
     """
     chosen: list[str] = []
-    for j, joint in enumerate(problem.joints):
+    for j, channel in enumerate(problem.channels):
         position = {name: k for k, name in enumerate(problem.parameters)}
-        offered = [f"{term}_{joint}" for term in TERMS if f"{term}_{joint}" in position]
+        kinds = TERMS if problem.free[j] else BEARING
+        offered = [f"{term}_{channel}" for term in kinds if f"{term}_{channel}" in position]
         rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
         current = problem.triangles[j][:, problem.n_theta + 1 :] @ delayed(problem.own_delays[j])
         rows = problem.total_rows[j]

@@ -25,12 +25,13 @@ def total_matrix(problem: Problem, weights: np.ndarray) -> list[np.ndarray]:
 
 
 def total_rows_of(problem: Problem, block: np.ndarray, j: int, weight: float) -> np.ndarray:
-    """Rows of ``W_tot`` from a block (., n_theta + 4) of joint j."""
+    """Rows of ``W_tot`` from a block (., n_theta + 4) of channel j."""
     n_theta = problem.n_theta
     rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
     rows[:, :n_theta] = -block[:, :n_theta]
-    rows[:, n_theta + j] = block[:, n_theta + 1 :] @ delayed(problem.own_delays[j])
     rows[:, -1] = -block[:, n_theta]
+    # a gain that is known stands with the known payload
+    rows[:, n_theta + j if problem.free[j] else -1] += block[:, n_theta + 1 :] @ delayed(problem.own_delays[j])
     return weight * rows
 
 

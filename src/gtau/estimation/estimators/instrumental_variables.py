@@ -233,5 +233,11 @@ def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
 
 
 IV = Estimator(
-    "iv", "instrumental variables along simulated motion (IDIM-IV)", Gains.EITHER, ml_or_wls, _fit, least_squares=False
+    "iv",
+    "instrumental variables along simulated motion (IDIM-IV)",
+    Gains.EITHER,
+    ml_or_wls,
+    _fit,
+    least_squares=False,
+    joint=False,
 )

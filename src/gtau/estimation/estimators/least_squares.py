@@ -24,12 +24,12 @@ from gtau.estimation.regression.system import System
 
 
 def ols(problem: Problem, gains: np.ndarray) -> Solution:
-    """Ordinary least squares with given ``gains`` (n,): every joint's torque error counts alike (eq. 24)."""
+    """Ordinary least squares with given ``gains`` (c,): every joint's torque error counts alike (eq. 24)."""
     return _with_given(problem, gains, lambda state, errors: np.abs(1 / state.b), "ordinary")
 
 
 def wls(problem: Problem, gains: np.ndarray) -> Solution:
-    """Weighted least squares with given ``gains`` (n,): joints weighted by their own error level (eq. 28)."""
+    """Weighted least squares with given ``gains`` (c,): joints weighted by their own error level (eq. 28)."""
     weights = 1 / problem.own_sigma
     return _with_given(problem, gains, lambda state, errors: weights, "weighted")
 
@@ -71,7 +71,7 @@ def with_given(solver: Callable[[Problem, np.ndarray], Solution], given: Given) 
     """Fix the gains of a solver to those given."""
     assert given.gains is not None
     gains = given.gains
-    return lambda problem: solver(problem, gains)
+    return lambda problem: solver(problem, np.append(gains, np.ones(len(problem.sensors))))
 
 
 def _fit(solver: Callable[[Problem, np.ndarray], Solution], dataset: Dataset, system: System, given: Given) -> Fit:

@@ -4,8 +4,9 @@ The default, and the estimator to choose unless something speaks for another. Al
 
     e_j = v(t - d_j) - (W_theta theta + known) / g_j ,
 
-of a standard deviation sigma_j of its own in every joint, estimated from the current residuals alone. (From torque
-residuals of the homogeneous system a gain could buy small residuals by collapsing to zero.)
+of a standard deviation sigma_j of its own in every channel, estimated from its residuals alone: of the currents, and
+of torque sensors, whose gain is 1. Known parameters are further equations, with their own standard deviations. (From
+torque residuals of the homogeneous system a gain could buy small residuals by collapsing to zero.)
 """
 
 from __future__ import annotations
@@ -26,15 +27,13 @@ from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds import MISFIT
 
 
-def ml(problem: Problem, prior: np.ndarray | None = None) -> Solution:
+def ml(problem: Problem) -> Solution:
     """Maximum likelihood of parameters, drive gains and delays, started from 2SLS.
 
     Parameters
     ----------
     problem : Problem
         All equations.
-    prior : ndarray, optional
-        Further equations (k, n_theta + 1): ``[P | y]`` for ``P theta = y`` with errors of unit variance.
 
     Raises
     ------
@@ -48,7 +47,7 @@ def ml(problem: Problem, prior: np.ndarray | None = None) -> Solution:
     def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
         return 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
 
-    solution = solve(problem, start, weights, True, prior)
+    solution = solve(problem, start, weights, True)
     if not solution.settled and np.all(solution.sigma < MISFIT * problem.signal):
         raise GtauError(
             "the maximum-likelihood iteration did not settle, so the data do not fix the drive gains: "

@@ -55,4 +55,6 @@ def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     return fit_free(mixed, dataset, system)
 
 
-MIXED = Estimator("mixed", "mixed LS-TLS (regressor exact, currents noisy)", Gains.ESTIMATED, lambda given: mixed, _fit)
+MIXED = Estimator(
+    "mixed", "mixed LS-TLS (regressor exact, currents noisy)", Gains.ESTIMATED, lambda given: mixed, _fit, joint=False
+)

@@ -30,26 +30,26 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def residuals(blocks: np.ndarray, state: Iterate, n_theta: int) -> np.ndarray:
-    """Residuals (..., n, p) of blocks (..., n, p, n_theta + 4)."""
+    """Residuals (..., c, p) of blocks (..., c, p, n_theta + 4)."""
     shifts = np.stack([delayed(d) for d in state.delays])
     currents = np.einsum("...jpk,jk->...jp", blocks[..., n_theta + 1 :], shifts)
     return np.asarray(currents - state.b[:, None] * modelled(blocks, state.theta))
 
 
 def modelled(blocks: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Torques (..., n, p) that parameters (n_theta,) give blocks (..., n, p, n_theta + 4)."""
+    """Torques (..., c, p) that parameters (n_theta,) give blocks (..., c, p, n_theta + 4)."""
     return np.asarray(np.einsum("...jpk,k->...jp", blocks[..., : len(theta)], theta) + blocks[..., len(theta)])
 
 
 def jacobian(blocks: np.ndarray, state: Iterate, problem: Problem, free_gains: bool) -> np.ndarray:
-    """Derivatives of the residuals by (theta, b, d) or (theta, d), (..., n, p, parameters)."""
+    """Derivatives of the residuals by (theta, b, d) or (theta, d), (..., c, p, parameters); 0 by known gains."""
     n_theta = problem.n_theta
     W, currents = blocks[..., :n_theta], blocks[..., n_theta + 1 :]
     n = len(state.b)
     eye = np.eye(n)[:, None, :]
     parts = [-state.b[:, None, None] * W]
     if free_gains:
-        parts.append(-modelled(blocks, state.theta)[..., None] * eye)
+        parts.append(-modelled(blocks, state.theta)[..., None] * (eye * problem.free))
     shift = (state.delays[:, None] * currents[..., 2] - currents[..., 1]) * (problem.slowest > 0)
     parts.append(shift[..., None] * eye)
     return np.concatenate(parts, axis=-1)
@@ -63,8 +63,8 @@ def moved(state: Iterate, step: np.ndarray, n_theta: int, free_gains: bool) -> I
 
 
 def stacked(problem: Problem) -> np.ndarray:
-    """The joints' triangles in one array, (n, p, n_theta + 4), filled up with zero rows."""
-    triangles = np.zeros((len(problem.joints), max(map(len, problem.triangles)), problem.n_theta + 4))
+    """The channels' triangles in one array, (c, p, n_theta + 4), filled up with zero rows."""
+    triangles = np.zeros((len(problem.channels), max(map(len, problem.triangles)), problem.n_theta + 4))
     for j, R in enumerate(problem.triangles):
         triangles[j, : len(R)] = R
     return triangles
@@ -75,21 +75,19 @@ def solve(
     start: Iterate,
     weigh: Callable[[Iterate, np.ndarray], np.ndarray],
     free_gains: bool,
-    prior: np.ndarray | None = None,
     steps: int = STEPS,
 ) -> Solution:
     """Iterate Newton's method with re-estimated weights, then compute the covariances.
 
     The solution says whether it settled within ``steps``.
     """
-    n, n_theta = len(problem.joints), problem.n_theta
+    n, n_theta = len(problem.channels), problem.n_theta
     triangles = stacked(problem)
     sizes = np.abs(triangles)
     state = start
 
     size = _size(n, n_theta, free_gains)
-    known = np.zeros((0, n_theta + 1)) if prior is None else prior
-    J_known = np.pad(known[:, :-1], ((0, 0), (0, size - n_theta)))
+    known, J_known = problem.known, jacobian_of_known(problem, size)
 
     def errors(at: Iterate) -> np.ndarray:
         return np.sum(residuals(triangles, at, n_theta) ** 2, axis=-1)
@@ -118,7 +116,7 @@ def solve(
             break
     else:
         settled = False
-    solution = finish(problem, triangles, state, weigh(state, errors(state)), errors(state), free_gains, J_known)
+    solution = finish(problem, triangles, state, weigh(state, errors(state)), errors(state), free_gains)
     return replace(solution, settled=settled)
 
 
@@ -162,6 +160,11 @@ def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
         return np.asarray(root @ (axes * np.maximum(shares, FLATTEST)) @ axes.T @ root.T)
 
 
+def jacobian_of_known(problem: Problem, size: int) -> np.ndarray:
+    """Derivatives (k, size) of the residuals of the known parameters, which depend on theta alone."""
+    return np.pad(problem.known[:, :-1], ((0, 0), (0, size - problem.n_theta)))
+
+
 def _size(n: int, n_theta: int, free_gains: bool) -> int:
     return n_theta + (2 if free_gains else 1) * n
 
@@ -173,14 +176,14 @@ def finish(
     weights: np.ndarray,
     errors: np.ndarray,
     free_gains: bool,
-    J_known: np.ndarray,
 ) -> Solution:
-    """Compute the covariances at ``state``; ``J_known`` (., k) are further equations, of priors."""
-    n, n_theta = len(problem.joints), problem.n_theta
+    """Compute the covariances at ``state``."""
+    n, n_theta = len(problem.channels), problem.n_theta
     size = _size(n, n_theta, free_gains)
+    J_known = jacobian_of_known(problem, size)
     # eqs. (25) and (26), joint by joint
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - size / n, 1))
-    J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]  # (n, p, size)
+    J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]  # (c, p, size)
     rows = np.concatenate([J.reshape(-1, size), J_known])
     # from whitened to physical parameters
     back = whitening(rows, curvature_of_delays(triangles, state, problem, weights))
@@ -209,7 +212,7 @@ def finish(
 
 
 def to_gains(state: Iterate, n_theta: int, free_gains: bool) -> np.ndarray:
-    """Derivatives of (theta, g, d) by the unknowns of :func:`jacobian`, (n_theta + 2 n, .)."""
+    """Derivatives of (theta, g, d) by the unknowns of :func:`jacobian`, (n_theta + 2 c, .)."""
     n = len(state.b)
     size = _size(n, n_theta, free_gains)
     T = np.zeros((n_theta + 2 * n, size))

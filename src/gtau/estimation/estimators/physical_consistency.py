@@ -22,6 +22,7 @@ from gtau.estimation.estimators.semidefinite import constrained_least_squares, p
 from gtau.estimation.estimators.solution import Iterate, Solution, jackknife
 from gtau.estimation.estimators.standard_parameters import StandardUnknowns, standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.known_parameters import of_theta
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import leave_one_out, triangle
@@ -94,6 +95,7 @@ def consistent(
         its solver is not installed.
     """
     problem, n = system.whole, len(system.whole.joints)
+    of_base = of_theta(dataset.base, dataset.model.parameter_names, problem.parameters, priors)
     unknowns = standard_unknowns(dataset, system, solution, priors)
     triangles, n_theta = stacked(problem), problem.n_theta
     values = dict(zip(system.problem.parameters, solution.theta, strict=True))
@@ -106,8 +108,9 @@ def consistent(
     before = errors(state)
     for _ in range(STEPS):
         weights = 1 / np.maximum(np.sqrt(errors(state) / problem.total_rows), problem.smallest_sigma)
-        R = triangle(_linear(triangles, state, problem, weights, free_gains))
-        x, rest = _programme(R, unknowns)
+        linear = _linear(triangles, state, problem, weights, free_gains)
+        stated = np.insert(of_base, n_theta, np.zeros((linear.shape[1] - n_theta - 1, 1)), axis=1)
+        x, rest = _programme(triangle(linear, stated), unknowns)
         step = np.concatenate([unknowns.S @ x - state.theta, rest])
         state = moved(state, step, n_theta, free_gains)
         J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]
@@ -118,9 +121,11 @@ def consistent(
             "the search for physically consistent parameters did not settle; give 'priors' for the parameters that "
             "the data leave open, or identify without --consistent."
         )
-    gain_std = _gain_std(problem, state, weights, unknowns) if free_gains else np.zeros(n)
+    gain_std = _gain_std(problem, state, weights, unknowns, stated) if free_gains else np.zeros(n)
+    if free_gains and np.ndim(solution.of_prior):  # leaving out data does not show what known parameters leave open
+        gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.of_prior))[system.problem.gain_rows])
     std = dict(zip(system.problem.parameters, np.sqrt(np.diag(solution.jackknife)), strict=False))
-    gains, free_std = 1 / state.b, np.sqrt(np.diag(solution.jackknife))[len(values) : len(values) + n]
+    gains, free_std = 1 / state.b[:n], np.sqrt(np.diag(solution.jackknife))[len(values) : len(values) + n]
     moves = [
         Move(name, values[name], float(value), abs(float(value) - values[name]) / std[name])
         for name, value in zip(problem.parameters, state.theta, strict=True)
@@ -128,7 +133,7 @@ def consistent(
     ]
     moves += [
         Move(f"gain_{joint}", float(a), float(b), float(abs(b - a) / s))
-        for joint, a, b, s in zip(problem.joints, solution.gains, gains, free_std, strict=True)
+        for joint, a, b, s in zip(problem.joints, solution.gains[:n], gains, free_std, strict=True)
         if free_gains
     ]
     count = len(dataset.model.parameter_names)
@@ -145,7 +150,7 @@ def consistent(
         },
         loss={
             joint: 100 * float(np.sqrt(after / first) - 1)
-            for joint, first, after in zip(problem.joints, before, errors(state), strict=True)
+            for joint, first, after in zip(problem.joints, before[:n], errors(state)[:n], strict=True)
         },
         open=dataset.base.without_effect,
     )
@@ -182,9 +187,12 @@ def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, n
     return solved[:c], solved[c:]
 
 
-def _gain_std(problem: Problem, state: Iterate, weights: np.ndarray, unknowns: StandardUnknowns) -> np.ndarray:
+def _gain_std(
+    problem: Problem, state: Iterate, weights: np.ndarray, unknowns: StandardUnknowns, stated: np.ndarray
+) -> np.ndarray:
     """Standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
     n = len(problem.joints)
     factors = [triangle(_linear(unit, state, problem, weights, True)) for unit in problem.blocks]
-    gains = np.array([1 / (state.b + _programme(R, unknowns)[1][:n]) for R in leave_one_out(factors)])
+    left = (triangle(R, stated) for R in leave_one_out(factors))
+    gains = np.array([1 / (state.b[:n] + _programme(R, unknowns)[1][:n]) for R in left])
     return np.sqrt(np.diag(jackknife(gains)))

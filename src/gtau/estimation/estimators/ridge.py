@@ -1,8 +1,8 @@
-"""Maximum likelihood with priors on the standard parameters.
+"""Maximum likelihood with priors on all standard parameters: those that are stated, and natural sizes of the others.
 
-Choose it where values are known beforehand, from a data sheet or a CAD model, with their standard deviations. A base
-parameter is a sum of standard ones, so what is known of those is known of it. With natural sizes alone this is a mild
-ridge regression, which draws only those estimates towards plausible values that the data leave open.
+Every estimator that minimises squares takes the stated priors; choose this one where motions leave parameters open and
+values close to plausible ones are wanted. With natural sizes alone it is a mild ridge regression, which draws only
+those estimates towards plausible values that the data leave open.
 """
 
 from __future__ import annotations
@@ -18,33 +18,36 @@ from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.known_parameters import of_theta
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 from gtau.signals.experiment import Prior
 
 
 def prior_equations(dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]) -> np.ndarray:
-    """Normal priors on the standard parameters as equations ``[P | y]`` (n_theta, n_theta + 1) of unit variance.
+    """Normal priors on all standard parameters as equations ``[P | y]`` (k, n_theta + 1) of unit variance.
 
     Parameters
     ----------
     dataset, system, solution : Dataset, System, Solution
-        What was identified without priors.
+        What was identified without natural sizes.
     priors : mapping
-        Standard parameter to what is known of it; bounds are not used here.
+        Parameter to what is known of it; bounds are not used here.
     """
     unknowns, names = standard_unknowns(dataset, system, solution, priors), system.whole.parameters
-    S = unknowns.S[[k for k, name in enumerate(names) if name in system.problem.parameters]]
+    kept = [k for k, name in enumerate(names) if name in system.problem.parameters]
+    direct = of_theta(dataset.base, dataset.model.parameter_names, names, priors)[:, [*kept, -1]]
+    S = unknowns.S[kept]
     # theta = S x is normal with the covariance S diag(spread^2) S^T
     L = triangle((S * unknowns.spread).T).T
-    return np.asarray(np.linalg.solve(L, np.column_stack([np.eye(len(L)), S @ unknowns.centre])))
+    return np.vstack([np.linalg.solve(L, np.column_stack([np.eye(len(L)), S @ unknowns.centre])), direct])
 
 
 def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     unrefined = ml(system.problem)
     equations = prior_equations(dataset, system, unrefined, given.priors)
-    fit = fit_free(ml, dataset, system, ml(system.problem, equations), unrefined)
-    return replace(fit, prior=equations[:, :-1])
+    problem = replace(system.problem, known=equations)
+    return fit_free(ml, dataset, replace(system, problem=problem), ml(problem), unrefined)
 
 
 RIDGE = Estimator(

@@ -97,7 +97,8 @@ def resimulated(
             f"run '{run.name}': the robot simulated with the parameters estimated does not follow its motion; "
             "use --method ml, or add runs that excite the parameters better."
         )
-    rest = {name: Store((n,), bool if name == "usable" else float) for name in MEASURED}
+    channels = len(run.measured_joints)
+    rest = {name: Store((channels,), bool if name == "usable" else float) for name in MEASURED}
     for start, stop in spans(samples):
         measured = prepared.samples(start, stop)
         number = np.arange(kept.start + start, kept.start + stop)

@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Unknowns in the domain of the currents: ``theta`` (n_theta,), ``b = 1 / g`` (n,) and ``delays`` (n,) in s."""
+    """Unknowns in the domain of the currents: ``theta`` (n_theta,), ``b = 1 / g`` (c,) and ``delays`` (c,) in s."""
 
     theta: np.ndarray
     b: np.ndarray
@@ -27,9 +27,9 @@ class Solution:
     theta : ndarray
         Unknown parameters, (n_theta,), SI units.
     gains, delays : ndarray
-        Drive gains (n,), N m/A or N/A, and delays of the currents (n,), s.
+        Gains of the channels (c,), N m/A or N/A, 1 of torque sensors, and their delays (c,), s.
     sigma : ndarray
-        Standard deviation of each joint's current residual, (n,), A.
+        Standard deviation of each channel's residual, (c,), A, of torque sensors N m or N.
     covariance : ndarray
         Of (theta, gains, delays) by the method's formula, which takes errors for independent; zero
         where a value is given and not estimated.

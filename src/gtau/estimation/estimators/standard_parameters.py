@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.errors import GtauError
 from gtau.estimation.estimators.semidefinite import Body
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System, known_values
+from gtau.estimation.regression.torque_sensors import joint_behind
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.experiment import Prior
@@ -43,13 +43,7 @@ class StandardUnknowns:
 def standard_unknowns(
     dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]
 ) -> StandardUnknowns:
-    """The standard parameters behind the problem's, and what is known of them.
-
-    Raises
-    ------
-    GtauError
-        Where a prior names no standard parameter.
-    """
+    """The standard parameters behind the problem's, and what is known of them."""
     robot, problem = dataset.robot, system.whole
     names = list(dataset.model.parameter_names)
     position = {name: k for k, name in enumerate(names)}
@@ -65,7 +59,8 @@ def standard_unknowns(
         names += [f"{kind}_{label}" for kind in each.free]
         places = [first + each.free.index(kind) if kind in each.free else -1 for kind in INERTIAL]
         bodies.append(Body(label, np.array(places), np.array([known.get(kind, 0.0) for kind in INERTIAL])))
-    others = [name for name in problem.parameters[dataset.base.count :] if "@" in name or name in system.friction.terms]
+    carried = {name for each in system.payloads for name in each.unknown}
+    others = [name for name in problem.parameters[dataset.base.count :] if name not in carried]
     names += others
     S = np.zeros((problem.n_theta, len(names)))
     S[: dataset.base.count, : len(position)] = dataset.base.matrix
@@ -90,11 +85,8 @@ def standard_unknowns(
         if name.split("_", 1)[0] in ("ia", "fv", "fs", "fl", DAMPING) and "@" not in name:
             lower[k] = 0.0
     for name, prior in priors.items():
-        if name not in column:
-            raise GtauError(
-                f"'priors' names '{name}', which is no standard parameter of robot '{robot.name}'; write kind and "
-                f"joint, such as '{names[0]}'."
-            )
+        if name not in column:  # a base parameter: see known_parameters
+            continue
         k = column[name]
         lower[k] = lower[k] if prior.min is None else prior.min
         upper[k] = upper[k] if prior.max is None else prior.max
@@ -106,8 +98,8 @@ def standard_unknowns(
 def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:
     """Mass that the largest rms torque would hold against gravity, kg."""
     lever = [length if robot.joint(joint).kind == "revolute" else 1.0 for joint in problem.joints]
-    rms = [np.linalg.norm(R[:, problem.n_theta + 1]) for R in problem.triangles] / np.sqrt(problem.total_rows)
-    return float(np.max(np.abs(solution.gains) * rms / np.array(lever)) / STANDARD_GRAVITY)
+    torques = (np.abs(solution.gains) * problem.signal)[: len(lever)]
+    return float(np.max(torques / np.array(lever)) / STANDARD_GRAVITY)
 
 
 def _natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
@@ -116,7 +108,7 @@ def _natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
     if any(spring.name == body for spring in robot.springs):
         return mass * STANDARD_GRAVITY / (length if kind == STIFFNESS else 1.0)
-    turns = robot.joint(body).kind == "revolute"
+    turns = robot.joint(joint_behind(body, robot)).kind == "revolute"
     if kind == "ia":
         return mass * length**2 if turns else mass
     if kind == "fl":

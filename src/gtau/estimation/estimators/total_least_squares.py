@@ -59,4 +59,6 @@ def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     return fit_free(tls, dataset, system)
 
 
-TLS = Estimator("tls", "total least squares (the paper's)", Gains.ESTIMATED, lambda given: tls, _fit, in_paper=True)
+TLS = Estimator(
+    "tls", "total least squares (the paper's)", Gains.ESTIMATED, lambda given: tls, _fit, in_paper=True, joint=False
+)

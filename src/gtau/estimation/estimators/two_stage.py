@@ -32,21 +32,22 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     problem : Problem
         All equations.
     delays : ndarray, optional
-        Of the currents, (n,), s; if left out, those that each joint's own model explains best.
+        Of the channels, (c,), s; if left out, those that each joint's own model explains best.
     """
     delays = problem.own_delays if delays is None else delays
-    n, n_theta = len(problem.joints), problem.n_theta
+    n, n_theta = len(problem.channels), problem.n_theta
     coefficients = [
         least_squares(R[:, columns], R[:, n_theta + 1 :] @ delayed(d))
         for R, columns, d in zip(problem.triangles, problem.own_columns, delays, strict=True)
     ]
     blocks = [_rows(problem, j, R, coefficients[j]) for j, R in enumerate(problem.triangles)]
-    gains = np.ones(n)
+    gains, known = np.ones(n), np.zeros((len(problem.known), n_theta + n + 1))
+    known[:, :n_theta], known[:, -1] = problem.known[:, :-1], -problem.known[:, -1]
     for _ in range(3):
         scale = 1 / (problem.own_sigma * np.abs(gains))
-        A = np.concatenate([block * weight for block, weight in zip(blocks, scale, strict=True)])
+        A = np.concatenate([*(block * weight for block, weight in zip(blocks, scale, strict=True)), known])
         x = least_squares(A[:, :-1], -A[:, -1])
-        gains = x[n_theta:]
+        gains = np.where(problem.free, x[n_theta:], 1.0)
         if not np.all(np.abs(gains) > 0):
             raise GtauError(
                 "the currents of some joint do not follow its motion at all; check the columns of the current "
@@ -55,7 +56,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     state = Iterate(x[:n_theta], 1 / gains, delays)
     errors = np.sum(residuals(stacked(problem), state, n_theta) ** 2, axis=-1)
     weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
-    solution = finish(problem, stacked(problem), state, weights, errors, True, np.zeros((0, n_theta + 2 * n)))
+    solution = finish(problem, stacked(problem), state, weights, errors, True)
 
     def replicates() -> np.ndarray:
         norms = np.linalg.norm(A[:, :-1], axis=0)
@@ -76,11 +77,12 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
 
 
 def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Rows ``[W_theta -v_projected | known]`` of the second stage from a block (., n_theta + 4) of joint j."""
+    """Rows ``[W_theta -v_projected | known]`` of the second stage from a block (., n_theta + 4) of channel j."""
     n_theta = problem.n_theta
-    rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
+    rows = np.zeros((len(block), n_theta + len(problem.channels) + 1))
     rows[:, :n_theta], rows[:, -1] = block[:, :n_theta], block[:, n_theta]
-    rows[:, n_theta + j] = -block[:, problem.own_columns[j]] @ coefficients
+    # the torque of a sensor, whose gain is known, stands on the known side
+    rows[:, n_theta + j if problem.free[j] else -1] -= block[:, problem.own_columns[j]] @ coefficients
     return rows
 
 

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.legs import identical_legs
+from gtau.estimation.regression.torque_sensors import seen_by_sensor
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
@@ -75,7 +76,7 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on busy cores threads make the QR a hundred times slower
-def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
+def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = ()) -> BaseParameters:
     """Find the base parameters chi of eq. (21) from the structure of the robot's model.
 
     The regressor of random feasible states is factorised by QR without pivoting, its columns
@@ -88,6 +89,9 @@ def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
         Model of the robot.
     seed : int
         Of the random states.
+    sensors : sequence of str
+        Joints with a torque sensor: their rows without the drive's parameters stand beside the others, and separate the
+        inertia of a rotor from that of the link.
 
     Raises
     ------
@@ -96,7 +100,7 @@ def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
     """
     order = symmetric_order(idm.robot, idm.parameter_names)
     position = {name: k for k, name in enumerate(idm.parameter_names)}
-    R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed))
+    R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed), sensors)
     kept, coefficients, idle = independent_columns(R)
     inertial = [k for k, name in enumerate(order) if name.split("_", 1)[0] in INERTIAL]
     matrix = np.zeros((len(kept), len(position)))
@@ -114,16 +118,20 @@ def base_parameters(idm: InverseDynamics, seed: int = 0) -> BaseParameters:
     return BaseParameters(tuple(names), tuple(standard), regroupings, matrix, without_effect, inertial_count)
 
 
-def _settled_triangle(idm: InverseDynamics, columns: Sequence[int], rng: np.random.Generator) -> np.ndarray:
+def _settled_triangle(
+    idm: InverseDynamics, columns: Sequence[int], rng: np.random.Generator, sensors: Sequence[str]
+) -> np.ndarray:
     """Triangular factor of the regressor's ``columns`` at random states, so many that more leave its rank the same."""
     full, n, n_st = idm.full, len(idm.actuated), len(idm.parameter_names)
+    seen = {idm.actuated.index(joint): seen_by_sensor(idm.parameter_names, joint) for joint in sensors}
     samples = max(SAMPLES, -(-ROWS * n_st // n))
     R, rank = np.zeros((0, n_st)), -1
     for _ in range(DRAWS):
         motion = random_motion(idm, samples, rng)
         W = np.zeros((n, samples, n_st))
         W[full.rows, :, full.columns] = full(idm.layout, motion)
-        R = triangle(np.vstack([R, W.reshape(-1, n_st)[:, columns]]))
+        rows = [W.reshape(-1, n_st), *(W[j] * felt for j, felt in seen.items())]
+        R = triangle(np.vstack([R, *(each[:, columns] for each in rows)]))
         before, rank = rank, len(independent_columns(R)[0])
         if rank == before:
             return R

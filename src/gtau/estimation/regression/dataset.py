@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Literal
@@ -16,13 +16,14 @@ from gtau.estimation.regression.factors import STRETCHES, Factors, HuberWeights,
 from gtau.estimation.regression.friction import PAPER, Friction
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.estimation.regression.system import System, assemble_system
+from gtau.estimation.regression.torque_sensors import sensors_of
 from gtau.model.blas import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import Payload
+from gtau.signals.experiment import Payload, Prior
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, prepare
 from gtau.signals.run import Run, arrange
@@ -91,7 +92,10 @@ def model_of(robot: Robot) -> InverseDynamics:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """All runs of an experiment, read and reduced, before any estimation."""
+    """All runs of an experiment, read and reduced, before any estimation, and what is known beside them.
+
+    ``priors`` are those of standard or base parameters, by name.
+    """
 
     robot: Robot
     model: InverseDynamics
@@ -99,6 +103,7 @@ class Dataset:
     preparation: Preparation
     prepared: tuple[PreparedRun, ...]
     factors: tuple[Factors, ...]
+    priors: Mapping[str, Prior] = field(default_factory=dict)
     mapper: Mapper = map
     shard: int = SHARD
 
@@ -119,7 +124,9 @@ class Dataset:
         """The estimation problem with this friction; if need be without delays, or with other known payload values."""
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
         slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
-        return assemble_system(self.model, self.base, self.factors, payloads, slowest, friction)
+        return assemble_system(
+            self.model, self.base, self.factors, payloads, slowest, friction, self.runs[0].sensors, self.priors
+        )
 
     def parts(
         self, loads: Sequence[np.ndarray] | None = None, weigh: Sequence[HuberWeights] | None = None
@@ -189,10 +196,11 @@ def reduce_runs(
     progress: Progress = silent,
     mapper: Mapper = map,
     shard: int = SHARD,
+    priors: Mapping[str, Prior] | None = None,
 ) -> Dataset:
     """Prepare all runs and reduce them to triangular factors.
 
-    ``mapper`` reduces the shards, of at least ``shard`` samples each.
+    ``mapper`` reduces the shards, of at least ``shard`` samples each; ``priors`` are what is known of parameters.
 
     Raises
     ------
@@ -205,9 +213,11 @@ def reduce_runs(
         raise GtauError("some runs hold currents and others torques; identify them apart.")
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
-    base = base_parameters(model)
+    base = base_parameters(model, sensors=sensors_of(robot, runs))
     prepared = prepare_runs(model, runs, preparation)
-    return Dataset(robot, model, base, preparation, prepared, (), mapper, shard).reduced(progress=progress)
+    return Dataset(robot, model, base, preparation, prepared, (), priors or {}, mapper, shard).reduced(
+        progress=progress
+    )
 
 
 def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:

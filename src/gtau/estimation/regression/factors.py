@@ -1,6 +1,6 @@
 """Triangular factors: all that the estimators need to know of a run, however long.
 
-Each joint's decimated rows ``[W_j  terms_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one for
+Each channel's decimated rows ``[W_j  terms_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one for
 each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
 """
 
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.regression.friction import TERMS
-from gtau.estimation.regression.rows import FAST_SAMPLES, stream_rows
+from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
 from gtau.estimation.regression.triangle import triangle
-from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
@@ -29,9 +29,9 @@ EXTRA = len(TERMS) + CURRENTS
 
 @dataclass(frozen=True, eq=False)
 class HuberWeights:
-    """Huber's weights: rows whose residual is above ``limit`` (n,) count less, in proportion.
+    """Huber's weights: rows whose residual is above ``limit`` (c,) count less, in proportion.
 
-    Residuals of joint j are ``rows @ coefficients[j]``, of ``[W_j terms_j v_j v_j' v_j'']``, (n, p).
+    Residuals of channel j are ``rows @ coefficients[j]``, of ``[W_j terms_j v_j v_j' v_j'']``, (c, p).
     """
 
     coefficients: np.ndarray
@@ -45,19 +45,31 @@ class Factors:
     Attributes
     ----------
     R : ndarray
-        (stretches, n, p, p) triangles of ``[W_j terms_j v_j v_j' v_j'']``, p = columns + 5.
+        (stretches, c, p, p) triangles of ``[W_j terms_j v_j v_j' v_j'']``, p = columns + 5, of the joints and then of
+        the torque sensors: these have the regressor's row of their joint, and no further friction.
     rows : ndarray
-        (stretches, n) number of rows behind each.
+        (stretches, c) number of rows behind each.
     distances : ndarray
         (K, 2) to singularities of type 1 and 2 at the decimated samples, in single precision; of logs only.
     residuals : ndarray
-        (K, n) of weighed rows before they are weighed, NaN where the row is not kept; (0, n) of others.
+        (K, c) of weighed rows before they are weighed, NaN where the row is not kept; (0, c) of others.
     """
 
     R: np.ndarray
     rows: np.ndarray
     distances: np.ndarray | None = None
     residuals: np.ndarray | None = None
+
+
+def equations(regressor: Regressor, joints: Sequence[int], part: Rows) -> np.ndarray:
+    """The rows ``[W_j terms_j v_j v_j' v_j'']`` (c, K, p) of channels that measure these ``joints``."""
+    n, width = part.terms.shape[1], len(regressor.names)
+    A = np.zeros((len(joints), len(part.time), width + EXTRA))
+    A[regressor.rows, :, regressor.columns] = part.entries
+    A[n:, :, :width] = A[joints[n:], :, :width]
+    A[:n, :, width:-CURRENTS] = part.terms.transpose(1, 2, 0)
+    A[:, :, -CURRENTS:] = part.currents.transpose(1, 2, 0)
+    return A
 
 
 def outputs_of(stretches: range, outputs: int) -> range:
@@ -97,17 +109,18 @@ def reduce_run(
     regressor, near = idm.columns(columns), singularities(idm)
     outputs = decimator.outputs(len(prepared))
     chosen = outputs_of(stretches, outputs)
-    n, p = len(idm.actuated), len(columns) + EXTRA
-    own = [np.append(np.unique(regressor.columns[regressor.rows == j]), np.arange(p - EXTRA, p)) for j in range(n)]
-    R, rows = np.zeros((len(stretches), n, p, p)), np.zeros((len(stretches), n), dtype=int)
+    joints = prepared.run.measured_joints
+    c, p = len(joints), len(columns) + EXTRA
+    own = [np.append(np.unique(regressor.columns[regressor.rows == j]), np.arange(p - EXTRA, p)) for j in joints]
+    R, rows = np.zeros((len(stretches), c, p, p)), np.zeros((len(stretches), c), dtype=int)
     small = [[np.zeros((0, columns.size)) for columns in own] for _ in stretches]  # the triangles of own columns
-    waiting: list[list[np.ndarray]] = [[] for _ in range(n)]
+    waiting: list[list[np.ndarray]] = [[] for _ in joints]
     distances = Store((2,), np.float32)
-    residuals = Store((n,))
+    residuals = Store((c,))
     now, held = 0, 0
 
     def merge() -> None:
-        for j in range(n):
+        for j in range(c):
             if waiting[j]:
                 small[now][j] = triangle(small[now][j], *waiting[j])
                 waiting[j].clear()
@@ -115,10 +128,7 @@ def reduce_run(
     for part in stream_rows(idm, regressor, prepared, decimator, load, chosen, fast):
         distances.append(near.distances(part.motion).T)
         stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs - stretches.start
-        A = np.zeros((n, len(part.time), p))
-        A[regressor.rows, :, regressor.columns] = part.entries
-        A[:, :, -EXTRA:-CURRENTS] = part.terms.transpose(1, 2, 0)
-        A[:, :, -CURRENTS:] = part.currents.transpose(1, 2, 0)
+        A = equations(regressor, joints, part)
         if weigh is not None:
             e = np.einsum("jkp,jp->jk", A, weigh.coefficients)
             residuals.append(np.where(part.keep, e, np.nan).T)
@@ -128,14 +138,14 @@ def reduce_run(
                 merge()
                 now, held = s, 0
             held += int((stretch == s).sum())
-            for j in range(n):
+            for j in range(c):
                 kept = A[j, (stretch == s) & part.keep[j]]
                 if len(kept):
                     waiting[j].append(kept[:, own[j]])
                     rows[s, j] += len(kept)
     merge()
     for s in range(len(stretches)):
-        for j in range(n):
+        for j in range(c):
             # in the columns of all joints a triangle's rows still begin at the diagonal or right of it
             R[s, j, : len(small[s][j]), own[j]] = small[s][j].T
     return Factors(R, rows, distances.array(), residuals.array())

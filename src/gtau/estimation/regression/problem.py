@@ -1,30 +1,32 @@
 """The estimation problem, ready to solve: every joint's equations as small matrices (eqs. 29 to 33).
 
-Row block (u, j) holds the equations of joint j in unit u, a stretch of one run. Its columns are
+Row block (u, j) holds the equations of channel j in unit u, a stretch of one run: first those of the joints' currents,
+then those of torque sensors, whose gain is 1. Its columns are
 
     [ W_theta | known | v | v' | v'' ]
 
 where ``W_theta`` acts on the unknown parameters ``theta`` (base parameters, then every loaded run's
-unknown payload parameters), ``known`` is ``W_kl chi_kl``, and v is the current reference with its two
-time derivatives. The rows may be those of the decimated system, or their triangular factor: all
-estimators see them only through ``A^T A`` and give the same for both.
+unknown payload parameters), ``known`` is ``W_kl chi_kl``, and v is the current reference, of a sensor the
+torque, with its two time derivatives. The rows may be those of the decimated system, or their triangular
+factor: all estimators see them only through ``A^T A`` and give the same for both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from gtau.estimation.regression.base_parameters import independent_columns
+from gtau.estimation.regression.torque_sensors import sensor_name
 from gtau.estimation.regression.triangle import triangle
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Equations ``v(t - d_j) g_j = W_theta theta + known`` of all joints.
+    """Equations ``v(t - d_j) g_j = W_theta theta + known`` of all channels.
 
     Attributes
     ----------
@@ -33,11 +35,16 @@ class Problem:
     joints : tuple of str
         Actuated joints, (n,).
     blocks : ndarray
-        (U, n, p, n_theta + 4), rows or triangular factors.
+        (U, c, p, n_theta + 4), rows or triangular factors.
     rows : ndarray
-        (U, n) number of equations behind each block.
+        (U, c) number of equations behind each block.
     slowest : float
         Longest delay (s) that the expansion in derivatives can describe; 0 for a problem without delays.
+    sensors : tuple of str
+        Joints with a torque sensor, (c - n,), the last channels.
+    known : ndarray
+        (k, n_theta + 1) further equations ``[P | y]``, of known parameters: ``P theta = y`` with errors of unit
+        variance.
     """
 
     parameters: tuple[str, ...]
@@ -45,6 +52,38 @@ class Problem:
     blocks: np.ndarray
     rows: np.ndarray
     slowest: float
+    sensors: tuple[str, ...] = ()
+    known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __post_init__(self) -> None:
+        if not self.known.size:
+            object.__setattr__(self, "known", np.zeros((0, len(self.parameters) + 1)))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, (c,): the joints, and their torque sensors."""
+        return (*self.joints, *map(sensor_name, self.sensors))
+
+    @property
+    def free(self) -> np.ndarray:
+        """Whether the gain of a channel is to be found, (c,); that of a sensor is 1."""
+        return np.arange(len(self.channels)) < len(self.joints)
+
+    @property
+    def scaled(self) -> bool:
+        """Whether torque sensors or known parameters say how large the gains are, beside payloads."""
+        return bool(self.sensors) or len(self.known) > 0
+
+    @property
+    def gain_rows(self) -> slice:
+        """Where the joints' gains stand in (theta, gains, delays)."""
+        return slice(self.n_theta, self.n_theta + len(self.joints))
+
+    @property
+    def delay_rows(self) -> slice:
+        """Where the joints' delays stand in (theta, gains, delays)."""
+        first = self.n_theta + len(self.channels)
+        return slice(first, first + len(self.joints))
 
     @property
     def n_theta(self) -> int:
@@ -53,17 +92,17 @@ class Problem:
 
     @cached_property
     def triangles(self) -> tuple[np.ndarray, ...]:
-        """Each joint's triangular factor over all units, n arrays (., n_theta + 4)."""
-        return tuple(triangle(*self.blocks[:, j]) for j in range(len(self.joints)))
+        """Each channel's triangular factor over all units, c arrays (., n_theta + 4)."""
+        return tuple(triangle(*self.blocks[:, j]) for j in range(len(self.channels)))
 
     @cached_property
     def own_columns(self) -> tuple[list[int], ...]:
-        """For each joint, the columns of [W_theta | known] that are independent in its own equations."""
+        """For each channel, the columns of [W_theta | known] that are independent in its own equations."""
         return tuple(_told_apart(R, self.n_theta) for R in self.triangles)
 
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
-        """What each joint's own model leaves of v, v', v'': (3, 3) triangles, one a joint."""
+        """What each channel's own model leaves of v, v', v'': (3, 3) triangles, one a channel."""
         left = []
         for R, columns in zip(self.triangles, self.own_columns, strict=True):
             full = triangle(R[:, [*columns, *range(self.n_theta + 1, self.n_theta + 4)]])
@@ -72,17 +111,17 @@ class Problem:
 
     @property
     def total_rows(self) -> np.ndarray:
-        """Equations of each joint, (n,)."""
+        """Equations of each channel, (c,)."""
         return self.rows.sum(axis=0)
 
     @cached_property
     def own_delays(self) -> np.ndarray:
-        """Delay of each joint's current (s), (n,), that its own model explains best.
+        """Delay of each channel (s), (c,), that its own model explains best.
 
         Minimises what is left of ``v - d v' + d^2/2 v''`` outside the joint's regressor, from the
         (3, 3) triangles alone. Zero where the minimum lies outside +-``slowest``.
         """
-        found = np.zeros(len(self.joints))
+        found = np.zeros(len(self.channels))
         for j, T in enumerate(self.own_currents):
             if T.shape[0] < 2:
                 continue
@@ -98,8 +137,8 @@ class Problem:
 
     @cached_property
     def own_sigma(self) -> np.ndarray:
-        """Standard deviation of each joint's current about its own model (eq. 28), (n,)."""
-        sigma = np.zeros(len(self.joints))
+        """Standard deviation of each channel about its own model (eq. 28), (c,)."""
+        sigma = np.zeros(len(self.channels))
         for j, T in enumerate(self.own_currents):
             rest = T @ delayed(self.own_delays[j])
             free = max(self.total_rows[j] - len(self.own_columns[j]), 1)
@@ -108,20 +147,25 @@ class Problem:
 
     @property
     def signal(self) -> np.ndarray:
-        """Each joint's current, rms, (n,)."""
+        """Each channel's current or torque, rms, (c,)."""
         norms = [np.linalg.norm(R[:, self.n_theta + 1]) for R in self.triangles]
         return np.asarray(norms / np.sqrt(self.total_rows))
 
     @property
     def smallest_sigma(self) -> np.ndarray:
-        """What rounding leaves of each joint's current: no error level is taken to be below it, (n,)."""
+        """What rounding leaves of each channel: no error level is taken to be below it, (c,)."""
         return 1e-10 * self.signal
 
     def without(self, names: Sequence[str]) -> Problem:
         """The same problem with the parameters ``names`` set to zero."""
         keep = [k for k, name in enumerate(self.parameters) if name not in set(names)]
         columns = [*keep, *range(self.n_theta, self.n_theta + 4)]
-        less = replace(self, parameters=tuple(self.parameters[k] for k in keep), blocks=self.blocks[..., columns])
+        less = replace(
+            self,
+            parameters=tuple(self.parameters[k] for k in keep),
+            blocks=self.blocks[..., columns],
+            known=self.known[:, [*keep, -1]],
+        )
         # the triangles of fewer columns follow from those of all: the units need not be looked at again
         less.__dict__["triangles"] = tuple(triangle(R[:, columns]) for R in self.triangles)
         # columns that depended on others still do if these are all there

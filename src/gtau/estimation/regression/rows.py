@@ -18,11 +18,11 @@ FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python,
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of all joints at K output instants.
+    """Rows of all channels, the joints' and then the torque sensors', at K output instants.
 
-    ``time`` (K,) in s; ``keep`` (n, K); ``entries`` of the regressor (entries, K); ``currents``
-    (3, n, K): the command and its first two time derivatives; ``terms`` (2, n, K), the columns of further
-    friction; ``outputs`` their numbers in the run; ``motion`` of the whole tree at these instants.
+    ``time`` (K,) in s; ``keep`` (c, K); ``entries`` of the regressor (entries, K); ``currents``
+    (3, c, K): the command and its first two time derivatives; ``terms`` (2, n, K), the columns of further
+    friction of the joints; ``outputs`` their numbers in the run; ``motion`` of the whole tree at these instants.
     """
 
     time: np.ndarray
@@ -75,7 +75,7 @@ def stream_rows(
         motion = idm.rates(c, qd, of.qdd.T.copy(), Labels(prepared.run.name, of.time))
         currents = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
         entries = regressor(idm.layout, motion)
-        effort = currents[0] if load is None else regressor.torques(entries, load, len(idm.actuated))
+        effort = currents[0, : len(qd)] if load is None else regressor.torques(entries, load, len(idm.actuated))
         yield Rows(
             of.time[kept],
             decimator.keep(of.usable[seen]).T,

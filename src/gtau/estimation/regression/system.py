@@ -11,10 +11,12 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import BaseParameters, independent_columns
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, Factors
 from gtau.estimation.regression.friction import DRIFTING, TERMS, Friction, transmitted
+from gtau.estimation.regression.known_parameters import known_equations
 from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.torque_sensors import of_drive, sensor_name
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.experiment import Payload
+from gtau.signals.experiment import Payload, Prior
 
 FEWEST_ROWS = 50  # of a joint, in all runs together
 
@@ -45,8 +47,8 @@ class System:
 
     ``unexcited`` are base parameters that these motions cannot separate from those before them; they are
     not part of the problem, but of ``whole``. ``block_positions`` (U, 2) say where the problem's units stand: the
-    number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, n, p, n_theta + 4) lead
-    from the columns of the runs' factors to those of ``whole``.
+    number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, c, p, n_theta + 4) lead
+    from the columns of the runs' factors to those of ``whole``. ``stated`` are the parameters with a prior value.
     """
 
     problem: Problem
@@ -57,6 +59,7 @@ class System:
     friction: Friction
     block_positions: np.ndarray
     maps: np.ndarray
+    stated: tuple[str, ...] = ()
 
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
         """What acts in ``run``: values of the base columns with its payload and its own friction, (n_b,)."""
@@ -99,6 +102,8 @@ def assemble_system(
     payloads: Sequence[Payload | None],
     slowest: float,
     friction: Friction,
+    sensors: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
 ) -> System:
     """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33).
 
@@ -116,11 +121,15 @@ def assemble_system(
         Longest delay that can be described, s; 0 for none.
     friction : Friction
         Terms to take, and whether friction may drift between runs.
+    sensors : sequence of str
+        Joints with a torque sensor, whose factors follow those of the joints.
+    priors : mapping, optional
+        What is known of parameters, by name.
 
     Raises
     ------
     GtauError
-        Where some joint has no usable row in any run.
+        Where some joint has no usable row in any run, or a prior names no parameter.
     """
     carried = tuple(_carried(idm, base, run, payload) for run, payload in enumerate(payloads) if payload is not None)
     drifting = [
@@ -130,7 +139,8 @@ def assemble_system(
     ]
     last = len(factors) - 1
     drifts = [drift_name(base.names[k], run) for run in range(last) for k in drifting] if friction.per_run else []
-    names = [*base.names, *(name for each in carried for name in each.unknown), *drifts, *friction.terms]
+    offsets = [f"off_{sensor_name(joint)}" for joint in sensors]
+    names = [*base.names, *(name for each in carried for name in each.unknown), *drifts, *friction.terms, *offsets]
     position = {name: k for k, name in enumerate(names)}
     n_b, n_theta = base.count, len(names)
     blocks, maps = [], []
@@ -154,6 +164,15 @@ def assemble_system(
                 if f"{term}_{joint}" in position:
                     M_j[n_b + t, position[f"{term}_{joint}"]] = 1.0
             of_joints.append(M_j)
+        for joint in sensors:
+            M_j = M.copy()
+            for k, name in enumerate(base.standard):
+                if of_drive(name, joint):  # its column, without its value, is that of what the sensor has of its own
+                    M_j[k] = 0.0
+                    own = f"{name.split('_', 1)[0]}_{sensor_name(joint)}"
+                    if own in position:
+                        M_j[k, position[own]] = 1.0
+            of_joints.append(M_j)
         maps.append(of_joints)
         blocks.append(np.stack([factor.R[:, j] @ M_j for j, M_j in enumerate(of_joints)], axis=1))
     rows = np.concatenate([factor.rows for factor in factors])
@@ -161,16 +180,28 @@ def assemble_system(
     block_positions = np.array(
         [(run, (s + 0.5) / len(each.rows)) for run, each in enumerate(factors) for s in range(len(each.rows))]
     )
-    problem = Problem(tuple(names), idm.actuated, np.concatenate(blocks)[filled], rows[filled], slowest)
-    for joint, rows in zip(idm.actuated, problem.total_rows, strict=True):
+    known = known_equations(base, idm.parameter_names, names, priors or {})
+    problem = Problem(
+        tuple(names), idm.actuated, np.concatenate(blocks)[filled], rows[filled], slowest, tuple(sensors), known
+    )
+    for joint, rows in zip(problem.channels, problem.total_rows, strict=True):
         if rows < FEWEST_ROWS:
             raise GtauError(
                 f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps; "
                 "add runs in which it moves, or longer ones."
             )
     unexcited = _unexcited(problem)
+    stated = tuple(name for name, prior in (priors or {}).items() if prior.value is not None)
     return System(
-        problem.without(unexcited), problem, base, carried, unexcited, friction, block_positions[filled], np.array(maps)
+        problem.without(unexcited),
+        problem,
+        base,
+        carried,
+        unexcited,
+        friction,
+        block_positions[filled],
+        np.array(maps),
+        stated,
     )
 
 
@@ -200,41 +231,76 @@ def _carried(idm: InverseDynamics, base: BaseParameters, run: int, payload: Payl
 
 def _unexcited(problem: Problem) -> tuple[str, ...]:
     stacked = np.concatenate(
-        [R[:, : problem.n_theta] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)]
+        [
+            *(R[:, : problem.n_theta] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)),
+            problem.known[:, :-1],
+        ]
     )
     kept, _, _ = independent_columns(stacked)
     return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)
 
 
 def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | None], method: str) -> None:
-    """Check that the runs can fix the scale of the drive gains of a ``robot`` (section 3.3).
+    """Check that something fixes the scale of the drive gains of a ``robot`` (section 3.3).
+
+    A payload of known mass in some runs, torque sensors, or known parameters.
 
     Raises
     ------
     GtauError
-        Without a run with a known payload, without a second load, or where the known parameters of the
-        payloads act on no joint in a way of their own.
+        Without any of them, with one payload in all runs, or where what is known acts on no joint in a way of its own.
     """
+    problem = system.problem
     other = "or use --method wls with prior_gains"
-    if not any(payload is not None and payload.mass is not None for payload in payloads):
+    elsewhere, weighed = problem.scaled, any(payload is not None and payload.mass is not None for payload in payloads)
+    if not elsewhere and not weighed and system.stated:
+        raise _hidden(system.stated, other)
+    if not elsewhere and not weighed:
         raise GtauError(
-            f"method '{method}' needs a run with a payload of known mass to find the drive gains, and no run has one; "
-            f"add 'payload: {{name: ..., mass: ...}}' to a loaded run, {other}."
+            f"method '{method}' needs a scale to find the drive gains, and no run has a payload of known mass; "
+            "add 'payload: {name: ..., mass: ...}' to a loaded run, torque sensors ('joint_torque' under 'signals'), "
+            f"or known parameters ('priors'), {other}."
         )
-    if len({None if payload is None else payload.name for payload in payloads}) < 2:
+    if not elsewhere and len({None if payload is None else payload.name for payload in payloads}) < 2:
         raise GtauError(
             f"method '{method}' needs runs with two different loads to find the drive gains, and all runs carry "
             "the same payload; "
             f"add a run without payload, {other}."
         )
-    problem = system.problem
-    stacked = np.concatenate(
-        [R[:, : problem.n_theta + 1] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)]
-    )
-    if problem.n_theta not in independent_columns(stacked)[0]:
-        on = f"'{robot.tool}'" + ("" if robot.named_tool else ", which was assumed")
+    if problem.n_theta in independent_columns(_with_scale(problem))[0]:
+        return
+    if problem.sensors:
         raise GtauError(
-            f"the payload's known parameters have no effect of their own on any actuated joint where it sits, on {on}, "
-            "so they cannot give the scale of the drive gains; check 'tool' in the robot file, give more known "
-            f"'parameters' of the payload, {other}."
+            f"the torque sensors of {', '.join(problem.sensors)} feel nothing that the motors feel too, so they cannot "
+            "give the scale of the drive gains; add sensors of other joints, runs that move them against gravity, "
+            f"{other}."
         )
+    if len(problem.known):
+        raise _hidden(system.stated, other)
+    on = f"'{robot.tool}'" + ("" if robot.named_tool else ", which was assumed")
+    raise GtauError(
+        f"the payload's known parameters have no effect of their own on any actuated joint where it sits, on {on}, "
+        "so they cannot give the scale of the drive gains; check 'tool' in the robot file, give more known "
+        f"'parameters' of the payload, {other}."
+    )
+
+
+def _hidden(stated: Sequence[str], other: str) -> GtauError:
+    names = ", ".join(stated[:4]) + (" and others" if len(stated) > 4 else "")
+    return GtauError(
+        f"the known parameters under 'priors' ({names}) cannot give the scale of the drive gains, as no motor feels "
+        "them apart from unknown ones; give priors for all parameters of the same sums (gtau robot lists them), or for "
+        f"the base parameter, {other}."
+    )
+
+
+def _with_scale(problem: Problem) -> np.ndarray:
+    """Weighted rows ``[W_theta | all that is known]``, of sensors what their own model explains of the torque."""
+    n, rows = problem.n_theta, []
+    for j, (R, own, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
+        known = R[:, n]
+        if not problem.free[j]:
+            torque, columns = R[:, n + 1], R[:, own]
+            known = known - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
+        rows.append(np.column_stack([R[:, :n], known]) / sigma)
+    return np.concatenate([*rows, problem.known * np.append(np.ones(n), -1.0)])

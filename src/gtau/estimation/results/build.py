@@ -10,6 +10,7 @@ from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.findings import Findings
 from gtau.estimation.diagnostics.physical_plausibility import judge_parameter
+from gtau.estimation.diagnostics.scale import scale_shares
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, parameter_verdict
 from gtau.estimation.estimators.essential_parameters import Essential
@@ -17,11 +18,12 @@ from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.homogeneous import total_rows_of
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import UNITS
+from gtau.estimation.regression.friction import TERMS, UNITS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System, known_values
+from gtau.estimation.regression.torque_sensors import BEARING
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, TorqueError
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, SensorEstimate, TorqueError
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.robot import INERTIAL, Robot
@@ -57,7 +59,8 @@ def build_result(
     dataset, system, solution = fit.dataset, fit.system, fit.solution
     covariance, freedom = uncertainty.covariance, uncertainty.effective_freedom
     robot, problem, joints, base = dataset.robot, system.problem, dataset.model.actuated, dataset.base
-    n_theta, n = problem.n_theta, len(joints)
+    n_theta, n = problem.n_theta, len(problem.channels)
+    named = [*range(n_theta), *range(n_theta, n_theta + len(joints)), *range(n_theta + n, n_theta + 2 * n)]
     std, model_std = (np.sqrt(np.diag(each)) for each in (covariance, uncertainty.model))
     gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
     units = [torque_unit(robot, joint) for joint in joints]
@@ -87,6 +90,7 @@ def build_result(
             name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, free.get(name), model
         )
 
+    scales = scale_shares(fit) if fit.free_gains else {}
     return Result(
         robot=robot,
         method=estimator.name,
@@ -100,6 +104,7 @@ def build_result(
                 verdict=diagnosis.gains[k],
                 freedom=None if freedom is None else float(freedom[n_theta + k]),
                 model_std=float(model_std[n_theta + k]) if gain_std.any() else None,
+                scale={source: float(share[k]) for source, share in scales.items()},
             )
             for k, joint in enumerate(joints)
         },
@@ -121,6 +126,7 @@ def build_result(
             for name, unit in _terms(system, robot)
             if name in found
         },
+        sensors=_sensors(fit, diagnosis, found, free, std, freedom),
         payloads=payload_estimates(dataset, system, solution.theta, covariance, diagnosis.payloads, freedom),
         residuals=tuple(
             TorqueError(
@@ -131,8 +137,12 @@ def build_result(
             )
             for k, joint in enumerate(joints)
         ),
-        covariance_names=(*problem.parameters, *(f"gain_{j}" for j in joints), *(f"delay_{j}" for j in joints)),
-        covariance=covariance,
+        covariance_names=(
+            *problem.parameters,
+            *(f"gain_{joint}" for joint in joints),
+            *(f"delay_{channel}" for channel in problem.channels),
+        ),
+        covariance=covariance[np.ix_(named, named)],
         preparation=dataset.preparation,
         statistics={
             **solution.statistics,
@@ -154,7 +164,9 @@ def build_result(
 def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
     """Singular values of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,), columns scaled to unit length."""
     weights = 1 / np.maximum(sigma, problem.smallest_sigma)
-    W_tot = triangle(*(total_rows_of(problem, R, j, weights[j]) for j, R in enumerate(problem.triangles)))
+    known = np.zeros((len(problem.known), problem.n_theta + len(problem.joints) + 1))
+    known[:, : problem.n_theta], known[:, -1] = -problem.known[:, :-1], problem.known[:, -1]
+    W_tot = triangle(*(total_rows_of(problem, R, j, weights[j]) for j, R in enumerate(problem.triangles)), known)
     length = np.linalg.norm(W_tot, axis=0)
     return tuple(np.linalg.svd(W_tot[:, length > 0] / length[length > 0], compute_uv=False).tolist())
 
@@ -224,8 +236,45 @@ def _freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
 
 def _terms(system: System, robot: Robot) -> list[tuple[str, str]]:
     """Further friction terms and their units."""
-    split = [(name, *name.split("_", 1)) for name in system.friction.terms]
+    split = [(name, *name.split("_", 1)) for name in system.friction.terms if name.split("_", 1)[0] in TERMS]
     return [(name, UNITS[robot.joint(joint).kind][term]) for name, term, joint in split]
+
+
+def _sensors(
+    fit: Fit,
+    diagnosis: Diagnosis,
+    found: Mapping[str, tuple[float, float]],
+    free: Mapping[str, float],
+    std: np.ndarray,
+    freedom: np.ndarray | None,
+) -> tuple[SensorEstimate, ...]:
+    """The torque sensors, with what is their own."""
+    robot, problem, solution, sensors = fit.dataset.robot, fit.system.problem, fit.solution, []
+    for k, joint in enumerate(problem.sensors, start=len(problem.joints)):
+        channel, unit = problem.channels[k], torque_unit(robot, joint)
+        row = problem.n_theta + len(problem.channels) + k
+        own = {
+            name: Estimate(
+                name,
+                *found[name],
+                unit_of(kind, robot, joint),
+                verdict=parameter_verdict(*found[name]),
+                freedom=free.get(name),
+            )
+            for kind in ("off", *BEARING)
+            if (name := f"{kind}_{channel}") in found
+        }
+        delay = Estimate(
+            joint,
+            float(solution.delays[k]),
+            _known(std[row], diagnosis.delays[k]),
+            "s",
+            verdict=diagnosis.delays[k],
+            freedom=None if freedom is None else float(freedom[row]),
+        )
+        residual = TorqueError(joint, float(solution.sigma[k]), float(problem.signal[k]), unit)
+        sensors.append(SensorEstimate(joint, own, delay, residual))
+    return tuple(sensors)
 
 
 def _spread(system: System, theta: np.ndarray) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Integral
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,8 @@ class Estimate:
     ``value`` is None where it is not identifiable, ``std`` None where the value is known. ``spread`` is the
     standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
     says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
-    ``model_std`` is the part of ``std`` that comes from what the model may lack; the rest is random.
+    ``model_std`` is the part of ``std`` that comes from what the model may lack; the rest is random. ``scale`` says
+    what the scale of a drive gain rests on, in shares that add up to one; see :mod:`gtau.estimation.diagnostics.scale`.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Estimate:
     verdict: Verdict = GOOD
     freedom: float | None = None
     model_std: float | None = None
+    scale: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Value, standard deviation and unit."""
@@ -106,6 +108,19 @@ class PayloadEstimate:
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)
         return html
+
+
+@dataclass(frozen=True)
+class SensorEstimate:
+    """The torque sensor of a joint: its offset and friction by name, its delay (s), and its residual.
+
+    The residual is that of its torque, N m or N, over the rows used.
+    """
+
+    joint: str
+    parameters: Mapping[str, Estimate]
+    delay: Estimate
+    residual: TorqueError
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,14 @@ import numpy as np
 
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
-from gtau.estimation.results.estimate import AlternativeMoves, Estimate, Named, PayloadEstimate, TorqueError
+from gtau.estimation.results.estimate import (
+    AlternativeMoves,
+    Estimate,
+    Named,
+    PayloadEstimate,
+    SensorEstimate,
+    TorqueError,
+)
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
@@ -60,6 +67,8 @@ class IdentifiedModel:
         The distances to singularities at each run's decimated samples; ``model.json`` does not hold them.
     data : tuple of Run
         The runs themselves, for predictions and figures; ``model.json`` does not hold them.
+    sensors : tuple of SensorEstimate
+        Torque sensors of joints, with what was estimated of each.
     singular_values : tuple of float
         Of ``W_tot`` (eq. 33) in falling order, rows weighted by the residuals and columns of unit length; empty where
         the gains were given, and not held by ``model.json``.
@@ -86,6 +95,7 @@ class IdentifiedModel:
     singularities: tuple[NearestPose, ...] = ()
     distances: tuple[Distances, ...] = ()
     data: tuple[Run, ...] = ()
+    sensors: tuple[SensorEstimate, ...] = ()
     singular_values: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -107,8 +117,8 @@ class IdentifiedModel:
 
     @cached_property
     def base(self) -> BaseParameters:
-        """The robot's base parameters."""
-        return base_parameters(self.model)
+        """The robot's base parameters, of motors and torque sensors together."""
+        return base_parameters(self.model, sensors=[each.joint for each in self.sensors])
 
     @property
     def params(self) -> dict[str, float]:

@@ -17,7 +17,7 @@ from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.grades import from_document as read_note
 from gtau.estimation.grades import to_document as note_document
-from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, TorqueError
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, SensorEstimate, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.readers.native import parse_native
@@ -40,11 +40,20 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "method": result.method,
         "kind": result.kind,
         "runs": list(result.runs),
-        "drive_gains": [_estimate(each, "joint") for each in result.drive_gains.values()],
+        "drive_gains": [_estimate(each, "joint") | {"scale": dict(each.scale)} for each in result.drive_gains.values()],
         "delays": [_estimate(each, "joint") for each in result.delays.values()],
         "parameters": [_parameter(each) for each in result.parameters.values()],
         "essential": [_parameter(each) for each in result.essential.values()],
         "friction": [_estimate(each) for each in result.friction.values()],
+        "sensors": [
+            {
+                "joint": each.joint,
+                "parameters": [_estimate(estimate) for estimate in each.parameters.values()],
+                "delay": _estimate(each.delay, "joint"),
+                "residual": torque_error(each.residual),
+            }
+            for each in result.sensors
+        ],
         "payloads": payload_documents(result.payloads),
         "residuals": [torque_error(each) for each in result.residuals],
         "preparation": {
@@ -227,6 +236,15 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
         parameters=_estimates(document["parameters"]),
         essential=_estimates(document["essential"]),
         friction=_estimates(document["friction"]),
+        sensors=tuple(
+            SensorEstimate(
+                each["joint"],
+                _estimates(each["parameters"]),
+                _read(each["delay"], "joint"),
+                _read_error(each["residual"]),
+            )
+            for each in document.get("sensors", [])
+        ),
         payloads=tuple(
             PayloadEstimate(
                 each["name"],
@@ -237,10 +255,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
             )
             for each in document["payloads"]
         ),
-        residuals=tuple(
-            TorqueError(each["joint"], float(each["rms"]), float(each["signal"]), each["unit"])
-            for each in document["residuals"]
-        ),
+        residuals=tuple(_read_error(each) for each in document["residuals"]),
         covariance_names=tuple(document["covariance"]["names"]),
         covariance=np.array(document["covariance"]["matrix"], dtype=float),
         preparation=Preparation(
@@ -260,6 +275,10 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
     )
 
 
+def _read_error(entry: Mapping[str, Any]) -> TorqueError:
+    return TorqueError(entry["joint"], float(entry["rms"]), float(entry["signal"]), entry["unit"])
+
+
 def _estimates(entries: list[Mapping[str, Any]], key: str = "name") -> dict[str, Estimate]:
     return {entry[key]: _read(entry, key) for entry in entries}
 
@@ -276,6 +295,7 @@ def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
         _read_verdict(entry),
         entry["freedom"],
         entry["model_std"],
+        entry.get("scale", {}),
     )
 
 

@@ -45,15 +45,15 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     terms = _friction_terms(result)
     for part in stream_rows(model, regressor, prepared, decimator, load):
         tau = regressor.torques(part.entries, chi, len(model.actuated)) + np.einsum("tj,tjk->jk", terms, part.terms)
-        v, v_d, v_dd = part.currents  # eq. (17), each current at its delayed time
+        v, v_d, v_dd = part.currents[:, : len(gains)]  # eq. (17), each current at its delayed time
         time.append(part.time)
         predicted.append(tau.T)
         measured.append((gains[:, None] * (v - delays[:, None] * v_d + delays[:, None] ** 2 / 2 * v_dd)).T)
-        keep.append(part.keep.T)
+        keep.append(part.keep[: len(gains)].T)
         # the samples that the decimation filter sees: ``keep`` of those that are valid, slow or not
         first = decimator.factor * part.outputs.start
         last = decimator.factor * (part.outputs.stop - 1) + 2 * decimator.support
-        valid.append(decimator.keep(prepared.valid(first, last + 1)))
+        valid.append(decimator.keep(prepared.valid(first, last + 1)[:, : len(gains)]))
     if not np.any([each.any() for each in keep]):
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
     return Prediction(model.actuated, *(np.concatenate(each) for each in (time, predicted, measured, keep, valid)))

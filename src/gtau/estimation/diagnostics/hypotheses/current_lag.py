@@ -19,7 +19,7 @@ from gtau.signals.preparation import InMemoryRun
 
 
 def _candidates(fit: Fit) -> Candidates:
-    model, n = fit.dataset.model, len(fit.solution.gains)
+    model, n = fit.dataset.model, len(fit.gains)
     regressor = model.columns(fit.dataset.base.standard)
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:

@@ -48,7 +48,7 @@ def _candidates(fit: Fit) -> Candidates | None:
         x, y, z = gravity + sizes @ np.array(changes)
         factor = 1 + sizes[-1] / 100
         # as where gravity points up
-        reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.solution.gains < 0))
+        reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
         if shares[-1] > CLOCK_SIZE and not reversed_:
             why, advice = other_clock(factor, dataset.runs)
             return f"another clock: {why}", advice

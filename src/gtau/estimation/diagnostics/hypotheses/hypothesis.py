@@ -47,7 +47,8 @@ class Hypothesis:
     name : str
         In ``model.json``.
     shared : bool
-        Whether a candidate acts on all joints with one size, or on each joint with a size of its own.
+        Whether a candidate acts on all joints with one size, or on each joint with a size of its own. What is common to
+        all is of the links, which torque sensors feel too; what is a joint's own is of its drive.
     candidates : callable
         From a fit to its candidates; None where the hypothesis has nothing to say of this robot.
     advice : str
@@ -77,7 +78,7 @@ def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 def rms_torques(fit: Fit) -> np.ndarray:
     """Rms torques of the joints, (n,), N m or N."""
-    return np.asarray(np.abs(fit.solution.gains) * fit.system.problem.signal)
+    return np.asarray(np.abs(fit.gains) * fit.system.problem.signal[: len(fit.gains)])
 
 
 def rms_speeds(fit: Fit) -> np.ndarray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
+from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis, rms_torques
 from gtau.estimation.diagnostics.linearisation import CandidateColumns
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Rows
@@ -21,8 +21,8 @@ LARGE = 2.0  # rms currents: where the fall is stated
 
 
 def _saturation(fit: Fit) -> Candidates:
-    regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.solution.gains)
-    scale = LARGE * np.abs(fit.solution.gains) * fit.system.problem.signal
+    regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
+    scale = LARGE * rms_torques(fit)
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
         def columns(rows: Rows) -> np.ndarray:
@@ -40,7 +40,7 @@ def _saturation(fit: Fit) -> Candidates:
 
 
 def _drift(fit: Fit) -> Candidates:
-    regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.solution.gains)
+    regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
