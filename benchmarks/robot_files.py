@@ -6,8 +6,8 @@ For each file: is it read, does its model build, and does the engine give the sa
 with --floating the base of every robot floats, a URDF's root link on Pinocchio's free flyer, and the rank of the six
 base equations alone is compared with that of all equations.
 The engine's torques are explained by some standard parameters of the model, the best in the least-squares sense: what
-is left is the difference, as a share of the largest torque. So frames, axes, gravity, couplings and springs are
-compared without a second reader of inertias.
+is left is the difference, as a share of the largest torque. So frames, axes, gravity, closures, couplings and springs
+are compared without a second reader of inertias.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from free_flyer import free_state, pinocchio_state
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import Motion
+from gtau.model.random_states import random_motion
 from gtau.robots.geometry import exact_angle
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import Robot
@@ -36,7 +38,6 @@ from gtau.robots.robot import Robot
 SAME = 1e-9  # share of the largest torque
 SAMPLES = 40
 LARGEST = 60  # joints of a robot that is compared, since the least squares grow with their cube
-Torques = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q, qd, qdd, tau, (N, n) each
 
 
 @dataclass(frozen=True)
@@ -78,13 +79,15 @@ def examined(path: Path, rng: np.random.Generator, base: str = "fixed") -> Outco
     if len(robot.joints) > LARGEST:
         return Outcome(path, "read, not compared", f"{len(robot.joints)} joints")
     try:
-        torques = engine(path, robot, rng)
-    except Exception as error:  # of the engine
-        return Outcome(path, "read, not compared", f"by the engine: {' '.join(str(error).split())[:100]}")
-    if torques is None:
-        return Outcome(path, "read, not compared", "loops, couplings or joints held")
-    q, qd, qdd, tau = torques
-    W = model.regressor(q, qd, qdd)
+        motion = random_states(model, rng)
+        whole = engine(path, robot, motion, rng)
+    except Exception as error:  # of the engine, or no pose is feasible
+        return Outcome(path, "read, not compared", " ".join(str(error).split())[:100])
+    if whole is None:
+        return Outcome(path, "read, not compared", "balls, platforms or joints held by an equality")
+    tau = np.einsum("jnk,jk->kn", motion.J[: len(robot.joints)], whole)  # (N, n) of the actuated joints
+    W = np.zeros((*tau.shape, len(model.parameter_names)))
+    model.full.fill(model.layout, motion, W)
     ranks = _ranks(W) if robot.floating else ""
     W = W.reshape(tau.size, -1)
     W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
@@ -105,77 +108,69 @@ def _ranks(W: np.ndarray) -> str:
     return f", rank {found[0]} of the base equations" + (f" but {found[1]} of all" if found[0] != found[1] else "")
 
 
-def random_states(robot: Robot, rng: np.random.Generator) -> np.ndarray:
-    """q, qd and qdd of the actuated joints, (3, N, n), enough for every column of the regressor."""
-    n = len(robot.actuated)
+def random_states(model: InverseDynamics, rng: np.random.Generator) -> Motion:
+    """Motion over random states, enough for every column of the regressor."""
+    robot, n = model.robot, len(model.actuated)
     samples = max(SAMPLES, 30 * len(robot.joints) // (6 if robot.floating else n))
-    return rng.uniform(-1, 1, (3, samples, n)) * np.array([1.0, 2.0, 5.0])[:, None, None]
+    if model.loops is not None:
+        return random_motion(model, samples, rng)
+    return model.motion(*(rng.uniform(-1, 1, (3, n, samples)) * np.array([1.0, 2.0, 5.0])[:, None, None]))
 
 
-def plain(robot: Robot) -> bool:
-    """Whether the engine's joints are the robot's, one by one."""
-    return not (robot.closures or robot.couplings or robot.platforms) and all(joint.actuated for joint in robot.joints)
-
-
-def pinocchio_torques(path: Path, robot: Robot, rng: np.random.Generator) -> Torques | None:
-    """Torques of the file's own masses by Pinocchio, with angles written short written out, as the reader does."""
+def pinocchio_torques(path: Path, robot: Robot, motion: Motion, rng: np.random.Generator) -> np.ndarray | None:
+    """Torques (joints, N) of the file's own masses by Pinocchio, with angles written short as the reader takes them."""
     import pinocchio as pin
 
     tree = ElementTree.ElementTree(read_xml(path))  # which forgives prefixes that are declared nowhere
     for origin in tree.getroot().findall("joint/origin"):
         if "rpy" in origin.attrib:
             origin.set("rpy", " ".join(repr(exact_angle(float(each))) for each in origin.get("rpy", "").split()))
-    coupled = {joint.get("name") for joint in tree.getroot().findall("joint") if joint.find("mimic") is not None}
     with TemporaryDirectory() as folder:
         copy = Path(folder) / "robot.urdf"
         tree.write(copy)
         free = (pin.JointModelFreeFlyer(),) if robot.floating else ()
         model = pin.buildModelFromUrdf(str(copy), *free)
+    loose = len(robot.base)
+    if robot.platforms or not {joint.name for joint in robot.joints[loose:]} <= set(model.names):
+        return None
     model.gravity.linear = np.array(robot.gravity)
     data = model.createData()
-    q, qd, qdd = random_states(robot, rng)
-    loose = len(robot.base)
-    ratios = np.zeros((len(robot.joints), len(robot.actuated)))  # of all joints by those with motors
-    offsets = np.zeros(len(robot.joints))
-    index = {joint.name: k for k, joint in enumerate(robot.joints)}
-    for k, name in enumerate(robot.actuated):
-        ratios[index[name], k] = 1.0
-    for _ in robot.couplings:  # masters may be slaves themselves
-        for coupling in robot.couplings:
-            row = index[coupling.joint]
-            ratios[row] = sum(ratio * ratios[index[name]] for name, ratio in coupling.ratios)
-            offsets[row] = coupling.offset + sum(ratio * offsets[index[name]] for name, ratio in coupling.ratios)
-    if robot.closures or robot.platforms or coupled != {coupling.joint for coupling in robot.couplings}:
-        return None
-    tau = np.zeros_like(q)
-    for k in range(len(q)):
-        y, yd, ydd = ratios @ q[k] + offsets, ratios @ qd[k], ratios @ qdd[k]
+    tau = np.zeros((len(robot.joints), motion.c.shape[1]))
+    for k in range(tau.shape[1]):
         configuration, v, a = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
-        state = free_state(q[k, :loose], qd[k, :loose], qdd[k, :loose]) if loose else None
+        state = free_state(*(each[:loose, k] for each in (motion.c, motion.yd, motion.ydd))) if loose else None
         if state is not None:
             configuration[:7], v[:6], a[:6] = pinocchio_state(state, *np.zeros((3, 0)))
-        for joint in robot.joints[loose:]:
-            own, at = model.joints[model.getJointId(joint.name)], index[joint.name]
-            angle = [np.cos(y[at]), np.sin(y[at])] if own.nq == 2 else [y[at]]
-            configuration[own.idx_q : own.idx_q + own.nq], v[own.idx_v], a[own.idx_v] = angle, yd[at], ydd[at]
+        for row, joint in enumerate(robot.joints[loose:], start=loose):
+            own, y = model.joints[model.getJointId(joint.name)], motion.c[row, k]
+            # a joint without limits is a point of the unit circle in Pinocchio
+            configuration[own.idx_q : own.idx_q + own.nq] = y if own.nq == 1 else (np.cos(y), np.sin(y))
+            v[own.idx_v], a[own.idx_v] = motion.yd[row, k], motion.ydd[row, k]
         whole = pin.rnea(model, data, configuration, v, a)
-        six = [] if state is None else state.six(whole[:3], whole[3:6])
-        rest = [whole[model.joints[model.getJointId(joint.name)].idx_v] for joint in robot.joints[loose:]]
-        tau[k] = ratios.T @ np.concatenate([six, rest])
-    return q, qd, qdd, tau
+        if state is not None:
+            tau[:loose, k] = state.six(whole[:3], whole[3:6])
+        tau[loose:, k] = [whole[model.joints[model.getJointId(joint.name)].idx_v] for joint in robot.joints[loose:]]
+    return tau
 
 
-def mujoco_torques(path: Path, robot: Robot, rng: np.random.Generator) -> Torques | None:
-    """Torques of made-up masses by MuJoCo, which reads the file itself, and of the springs in it."""
+def mujoco_torques(path: Path, robot: Robot, motion: Motion, rng: np.random.Generator) -> np.ndarray | None:
+    """Torques (joints, N) of made-up masses by MuJoCo, which reads the file itself, and of the springs in it.
+
+    Closures and couplings are open in MuJoCo; the model's motion closes them, and its Jacobian projects the torques.
+    """
     import mujoco
 
     from gtau.robots.readers.mjcf_file import SHAPES
 
-    if not plain(robot):
-        return None
-    loose = len(robot.base)
     spec = mujoco.MjSpec.from_file(str(path))
-    for each in (*spec.actuators, *spec.tendons, *spec.keys, *(one for kind in SHAPES for one in getattr(spec, kind))):
+    home = next((np.array(key.qpos, dtype=float) for key in spec.keys if key.name == "home"), None)
+    constant = any(tie.type == mujoco.mjtEq.mjEQ_JOINT and not tie.name2 for tie in spec.equalities)
+    springs = {spring.name.removeprefix("tendon ") for spring in robot.springs}
+    forces = [each for each in spec.actuators if each.target not in springs]  # a gas spring's stays
+    tendons = [each for each in spec.tendons if each.name not in springs]
+    for each in (*forces, *spec.equalities, *tendons, *spec.keys):
+        spec.delete(each)
+    for each in (one for kind in SHAPES for one in getattr(spec, kind)):
         spec.delete(each)
     for body in spec.bodies[1:]:
         body.explicitinertial, body.mass = True, float(rng.uniform(0.5, 2.0))
@@ -187,36 +182,41 @@ def mujoco_torques(path: Path, robot: Robot, rng: np.random.Generator) -> Torque
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     model = spec.compile()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)  # limits, contacts, Coulomb friction
+    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     names = [model.joint(k).name or f"joint {k + 1}" for k in range(model.njnt)]
     free = [k for k in range(model.njnt) if model.jnt_type[k] == mujoco.mjtJoint.mjJNT_FREE]
-    if set(robot.actuated[loose:]) - set(names) or model.neq or (loose and len(free) != 1):
+    loose, number = len(robot.base), {}  # of MuJoCo's joints by row; the shafts of motors are none of them
+    for row, joint in enumerate(robot.joints[loose:], start=loose):
+        if joint.name in names and int(model.jnt_type[names.index(joint.name)]) in kinds:
+            number[row] = names.index(joint.name)
+        elif joint.name not in {coupling.joint for coupling in robot.couplings}:
+            return None
+    if constant or robot.platforms or (loose and len(free) != 1):
         return None
-    number = [names.index(name) for name in robot.actuated[loose:]]
     data = mujoco.MjData(model)
-    q, qd, qdd = random_states(robot, rng)
-    tau = np.zeros_like(q)
-    for k in range(len(q)):
+    tau = np.zeros((len(robot.joints), motion.c.shape[1]))
+    rows, joints = list(number), list(number.values())
+    for k in range(tau.shape[1]):
         mujoco.mj_resetData(model, data)
-        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home") >= 0:
-            mujoco.mj_resetDataKeyframe(model, data, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"))
-        acceleration = np.zeros(model.nv)
-        state = free_state(q[k, :loose], qd[k, :loose], qdd[k, :loose]) if loose else None
+        if home is not None and home.size == model.nq:
+            data.qpos[:] = home
+        data.qpos[model.jnt_qposadr[joints]] = motion.c[rows, k]
+        data.qvel[model.jnt_dofadr[joints]] = motion.yd[rows, k]
+        data.qacc[:] = 0.0
+        data.qacc[model.jnt_dofadr[joints]] = motion.ydd[rows, k]
+        state = free_state(*(each[:loose, k] for each in (motion.c, motion.yd, motion.ydd))) if loose else None
         if state is not None:
             at, dof = model.jnt_qposadr[free[0]], model.jnt_dofadr[free[0]]
             data.qpos[at : at + 3] = state.p
             mujoco.mju_mat2Quat(data.qpos[at + 3 : at + 7], state.R.ravel())
             data.qvel[dof : dof + 6] = [*state.v, *state.omega]
-            acceleration[dof : dof + 6] = [*state.a, *state.alpha]
-        for i, joint in enumerate(number, start=loose):
-            data.qpos[model.jnt_qposadr[joint]], data.qvel[model.jnt_dofadr[joint]] = q[k, i], qd[k, i]
-            acceleration[model.jnt_dofadr[joint]] = qdd[k, i]
-        data.qacc[:] = acceleration
+            data.qacc[dof : dof + 6] = [*state.a, *state.alpha]
         mujoco.mj_inverse(model, data)
-        tau[k, loose:] = data.qfrc_inverse[model.jnt_dofadr[number]]
+        effort = data.qfrc_inverse - data.qfrc_actuator
+        tau[rows, k] = effort[model.jnt_dofadr[joints]]
         if state is not None:
-            wrench = data.qfrc_inverse[dof : dof + 6]
-            tau[k, :6] = state.six(state.R.T @ wrench[:3], wrench[3:])
-    return q, qd, qdd, tau
+            tau[:loose, k] = state.six(state.R.T @ effort[dof : dof + 3], effort[dof + 3 : dof + 6])
+    return tau
 
 
 def main(folders: list[str]) -> None:
