@@ -110,10 +110,9 @@ def jitter(share: float) -> Departure:
 
 def stale(share: float) -> Departure:
     def repeated(q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        again = np.flatnonzero(rng.uniform(size=len(q)) < share)
-        out = q.copy()
-        out[again[again > 0]] = q[again[again > 0] - 1]
-        return out
+        fresh = rng.uniform(size=len(q)) >= share
+        fresh[0] = True
+        return q[np.maximum.accumulate(np.where(fresh, np.arange(len(q)), 0))]
 
     return Departure(position=repeated)
 

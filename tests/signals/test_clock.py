@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gtau.errors import GtauError
 from gtau.signals.clock import clock_of
 from gtau.signals.run import Run, read_run
 from gtau.signals.settings import PreparationSettings
@@ -100,6 +101,22 @@ def test_stale_samples_are_interpolated(tmp_path: Path, rng: np.random.Generator
     )  # slow ones cannot be told from rounding
     assert np.abs(position - motion(time))[moving].max() > 1e-3
     assert np.abs(run.position - motion(time))[moving].max() < 3e-5
+
+
+def test_stale_samples_in_a_row_are_no_slip_and_hide_none(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Whole rows repeat the last new one, up to three in a row; the position that follows makes up for them."""
+    time, command = regular(), currents(regular())
+    fresh = rng.random(SAMPLES) > 0.05
+    fresh[0] = True
+    for k in range(4, SAMPLES):
+        fresh[k] |= not fresh[k - 3 : k].any()
+    kept = np.maximum.accumulate(np.where(fresh, np.arange(SAMPLES), 0))
+    assert np.diff(np.flatnonzero(fresh)).max() == 4
+    run = read_run(write(tmp_path / "s.csv", time, logged(time)[kept], command[kept]), SIGNALS)
+    assert np.abs(run.position - motion(time))[100:-100].max() < 2e-3
+    slipped = logged(time) + 0.02 * np.outer(time > 5.25, [1, 0])  # at full speed
+    with pytest.raises(GtauError, match=r"joint 'a' jumps by 0\.0.* at 5\.25"):
+        read_run(write(tmp_path / "j.csv", time, slipped[kept], command[kept]), SIGNALS)
 
 
 def test_currents_that_are_held_are_recognised(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.signals.clipping import clipped
 from gtau.signals.clock import Clock, clock_of
-from gtau.signals.held import holds_of
+from gtau.signals.held import Held, holds_of
 from gtau.signals.notes import Kind, Note
 from gtau.signals.quantiles import Quantiles
 from gtau.signals.resampling import MISSING_STEP, Resampling, UniformSamples, uniform
@@ -74,8 +74,9 @@ def check(
     wraps = _wraps(samples, notes)
     samples = unwrapped(samples, wraps)
     instants = clock.instants(samples.time)
-    _refuse_slips(samples, instants)
-    grid = Resampling(clock, tuple(clipped(samples, notes)), holds_of(samples), settings.delay, samples is not every)
+    holds = holds_of(samples)
+    _refuse_slips(samples, instants, holds.position)
+    grid = Resampling(clock, tuple(clipped(samples, notes)), holds, settings.delay, samples is not every)
     return uniform(samples, instants, wraps, grid, settings.clock is not None, notes)
 
 
@@ -201,18 +202,22 @@ def unwrapped(samples: Samples, wraps: np.ndarray, first: np.ndarray | None = No
     return replace(samples, position=store(parts(), wraps.shape))
 
 
-def _refuse_slips(samples: Samples, instants: np.ndarray) -> None:
-    """Refuse a position that jumps between two samples and stays there, as after a slipped coupling or lost counts."""
+def _refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
+    """Refuse a position that jumps between two samples and stays there, as after a slipped coupling or lost counts.
+
+    What follows a stale position makes up for it, and is no jump.
+    """
     source, n = samples.source, len(samples.source.joints)
     usual, fast = Quantiles(n), Quantiles(n)
     largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
     median = None
     for start, stop in spans(len(samples.time)):
         begin = max(0, start - 7)
-        step = np.diff(block(instants, begin, stop))
+        time, position = block(instants, begin, stop), block(samples.position, begin, stop)
+        step = np.diff(time)
         median = np.median(step[step > 0]) if median is None else median
         # Stamps that are the same, of a sample that repeats another, are no step.
-        speed = np.diff(block(samples.position, begin, stop), axis=0) / np.maximum(step, 0.1 * median)[:, None]
+        speed = np.diff(_moving(time, position, held.fresh(position)), axis=0) / np.maximum(step, 0.1 * median)[:, None]
         fast.add(np.abs(speed[max(start - 1, 0) - begin :]))
         if len(step) < 7:
             continue
@@ -243,6 +248,13 @@ def _refuse_slips(samples: Samples, instants: np.ndarray) -> None:
             f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is no motion; check "
             "the coupling and the counter of its encoder, or cut the log there into two runs."
         )
+
+
+def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.ndarray:
+    """Positions (M, n) with those that are not fresh interpolated."""
+    if fresh.all():
+        return position
+    return np.column_stack([np.interp(time, time[fresh], each[fresh]) for each in position.T])
 
 
 def _refuse_rates(samples: Samples, clock: Clock) -> None:
