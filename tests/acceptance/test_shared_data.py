@@ -144,6 +144,9 @@ def test_ur10e_consistent_parameters_predict_no_worse(folder: Path, shared: Path
     assert min(found.eigenvalues.values()) > 0
     assert np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) < 1.01
     assert max(move.deviations for move in found.moves) < 2
+    wrist = {kind: found.standard[f"{kind}_wrist_1_joint"] for kind in ("m", "xx", "yy", "zz")}
+    gyration = np.sqrt((wrist["xx"] + wrist["yy"] + wrist["zz"]) / 2 / wrist["m"])
+    assert gyration < 0.4  # m, about its joint: half the longest link and its own length; 1.0 without that bound
     values = result.base.matrix @ np.array([found.standard[name] for name in result.model.parameter_names])
     moved = {move.name: move.consistent for move in found.moves}
     consistent = replace(

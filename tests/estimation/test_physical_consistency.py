@@ -15,10 +15,19 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.estimators.semidefinite import BASIS, MARGIN, Body, constrained_least_squares, pseudo_inertia
+from gtau.estimation.estimators.semidefinite import (
+    BASIS,
+    MARGIN,
+    Body,
+    ball_row,
+    constrained_least_squares,
+    pseudo_inertia,
+)
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
+from gtau.estimation.thresholds import LAST_OVERHANG, OVERHANG
 from gtau.model.home import load_robot
+from gtau.robots.geometry import extent, longest_placement
 from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Payload, Prior
 from gtau.signals.run import Run
@@ -63,6 +72,27 @@ def test_pseudo_inertia_of_points(rng: np.random.Generator) -> None:
     ends = np.column_stack([points, np.ones(7)])
     expected = np.einsum("k,ki,kj->ij", masses, ends, ends)
     np.testing.assert_allclose(pseudo_inertia(np.array([kinds[kind] for kind in INERTIAL])), expected, rtol=1e-12)
+
+
+def test_mass_within_a_ball(rng: np.random.Generator) -> None:
+    masses, points, centre, radius = rng.uniform(0.1, 1.0, 7), rng.normal(size=(7, 3)), rng.normal(size=3), 0.8
+    ends = np.column_stack([points, np.ones(7)])
+    J = np.einsum("k,ki,kj->ij", masses, ends, ends)
+    values = np.linalg.lstsq(BASIS.reshape(10, 16).T, J.ravel(), rcond=None)[0]
+    expected = masses @ (radius**2 - np.sum((points - centre) ** 2, axis=1))
+    assert ball_row(centre, radius) @ values == pytest.approx(expected)
+
+
+def test_no_body_reaches_further_than_its_joints_allow(result: Result) -> None:
+    standard, bound = found(result).standard, []
+    for body in FIVE_BAR.bodies:
+        values = np.array([standard[f"{kind}_{body}"] for kind in INERTIAL])
+        centre, radius, ends = extent(FIVE_BAR, body)
+        reach = radius + (LAST_OVERHANG if ends else OVERHANG) * longest_placement(FIVE_BAR)
+        J = pseudo_inertia(values)
+        about = np.trace(J[:3, :3]) - 2 * centre @ J[:3, 3] + centre @ centre * J[3, 3]
+        bound.append(np.sqrt(about / J[3, 3]) / reach)
+    assert max(bound) <= 1 + 1e-6
 
 
 def test_the_nearest_body_in_the_frobenius_norm_has_its_eigenvalues_cut(rng: np.random.Generator) -> None:

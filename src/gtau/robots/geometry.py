@@ -99,6 +99,24 @@ def characteristic_length(robot: Robot) -> float:
     return float(np.mean(lengths)) if lengths else 1.0
 
 
+def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
+    """Ball around a body's frames: centre (3,) and radius in m, in the body's frame, and whether the chain ends here.
+
+    The frames are its own and those of the joints and closures on it; where there are none the chain ends.
+    """
+    points = [joint.placement.position for joint in robot.joints if joint.antecedent == body]
+    points += [end.placement.position for each in robot.closures for end in (each.a, each.b) if end.body == body]
+    frames = np.array([np.zeros(3), *points])
+    centre = (frames.min(axis=0) + frames.max(axis=0)) / 2
+    return centre, float(np.linalg.norm(frames - centre, axis=1).max()), not points
+
+
+def longest_placement(robot: Robot) -> float:
+    """The largest distance (m) from a body's frame to that of a joint or closure on it; 1 where there is none."""
+    lengths = [2 * extent(robot, body)[1] for body in robot.bodies]
+    return max(lengths, default=0.0) or 1.0
+
+
 def attached(end: Attachment, found: dict[str, Frame]) -> Frame:
     """The frame of a closure's end in the base."""
     R, p = found[end.body]

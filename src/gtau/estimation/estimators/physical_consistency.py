@@ -2,9 +2,10 @@
 
 The data fix sums of standard parameters and say nothing of the rest. Simulation and control want every
 one of them, and a mass matrix that is positive: so the fit is repeated over the standard parameters, with
-a positive definite pseudo-inertia for every link, platform and payload, friction and rotor inertia not
-negative, and the bounds and priors that are given. With the gains free it is a sequence of convex
-programmes, each one Gauss-Newton step of the maximum likelihood in the current domain.
+a positive definite pseudo-inertia for every link, platform and payload, the mass of every body within reach
+of its joints, friction and rotor inertia not negative, and the bounds and priors that are given. With the
+gains free it is a sequence of convex programmes, each one Gauss-Newton step of the maximum likelihood in
+the current domain.
 
 What the data leave open is taken close to a plausible robot: solid links of equal masses, no friction.
 """
@@ -183,6 +184,7 @@ def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, n
         np.concatenate([unknowns.unit, 1 / np.where(sizes > 0, sizes, 1.0)]),
         unknowns.mass,
         unknowns.length,
+        np.pad(unknowns.within, ((0, 0), (0, rest))),
     )
     return solved[:c], solved[c:]
 

@@ -44,6 +44,19 @@ def pseudo_inertia(values: np.ndarray) -> np.ndarray:
     return np.einsum("k,kij->ij", values, BASIS)
 
 
+def ball_row(centre: np.ndarray, radius: float) -> np.ndarray:
+    """Row (10,) whose product with a body's inertial parameters is not negative if its mass lies within a ball.
+
+    It is ``tr(J Q)`` of the pseudo-inertia J, the integral of ``radius^2 - |x - centre|^2`` over the mass: it bounds
+    the distance of the centre of mass, and the radius of gyration about the centre of the ball, by the ball's radius
+    (Wensing, Kim and Slotine, 2018).
+    """
+    Q = np.zeros((4, 4))
+    Q[:3, :3], Q[3, 3] = -np.eye(3), radius**2 - centre @ centre
+    Q[:3, 3] = Q[3, :3] = centre
+    return np.einsum("kij,ij->k", BASIS, Q)
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
     """A body: the place of each of its ten parameters among the unknowns, -1 for ``known`` values (10,)."""
@@ -66,6 +79,7 @@ def constrained_least_squares(
     unit: np.ndarray,
     mass: float,
     length: float,
+    within: np.ndarray | None = None,
 ) -> np.ndarray:
     """Minimise ``|R x - y|`` over unknowns that are possible for rigid bodies.
 
@@ -79,6 +93,8 @@ def constrained_least_squares(
         Bounds of the unknowns (c,), infinite where there are none.
     unit : ndarray
         Natural size of each unknown, (c,), for the solver's scaling.
+    within : ndarray, optional
+        Rows (k, c) of ``within @ x >= 0``; see :func:`ball_row`.
 
     Returns
     -------
@@ -109,6 +125,10 @@ def constrained_least_squares(
             rows.append(csc_array((np.full(k.size, sign), (np.arange(k.size), k)), shape=(k.size, c + r)))
             right.append(sign * bound[k] / unit[k])
             cones.append(clarabel.NonnegativeConeT(k.size))
+    if within is not None and len(within):
+        rows.append(hstack([csc_array(-within * unit), csc_array((len(within), r))]))
+        right.append(np.zeros(len(within)))
+        cones.append(clarabel.NonnegativeConeT(len(within)))
     upper_triangle = [(i, j) for j in range(4) for i in range(j + 1)]
     i, j = np.array(upper_triangle).T
     scale = np.append(np.full(3, 1 / length), 1.0)

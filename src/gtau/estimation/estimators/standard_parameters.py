@@ -5,18 +5,19 @@ Their natural sizes follow from the robot's size and torques; the user may state
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.estimators.semidefinite import Body
+from gtau.estimation.estimators.semidefinite import Body, ball_row
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System, known_values
 from gtau.estimation.regression.torque_sensors import joint_behind
-from gtau.robots.geometry import characteristic_length
+from gtau.estimation.thresholds import LAST_OVERHANG, OVERHANG
+from gtau.robots.geometry import characteristic_length, extent, longest_placement
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.experiment import Prior
 
@@ -26,7 +27,7 @@ SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
 
 @dataclass(frozen=True, eq=False)
 class StandardUnknowns:
-    """Unknowns x (c,) of the consistent fit, and ``theta = S x`` of the problem, (n_theta, c)."""
+    """Unknowns x (c,) of the consistent fit, ``theta = S x`` of the problem, (n_theta, c), and ``within @ x >= 0``."""
 
     names: tuple[str, ...]
     S: np.ndarray
@@ -36,6 +37,7 @@ class StandardUnknowns:
     centre: np.ndarray
     spread: np.ndarray
     unit: np.ndarray
+    within: np.ndarray
     mass: float
     length: float
 
@@ -92,7 +94,17 @@ def standard_unknowns(
         upper[k] = upper[k] if prior.max is None else prior.max
         if prior.value is not None and prior.std is not None:
             centre[k], spread[k] = prior.value, prior.std
-    return StandardUnknowns(tuple(names), S, tuple(bodies), lower, upper, centre, spread, unit, mass, length)
+    within = _within_reach(robot, bodies[: len(bodies) - len(system.payloads)], len(names)) / (mass * length**2)
+    return StandardUnknowns(tuple(names), S, tuple(bodies), lower, upper, centre, spread, unit, within, mass, length)
+
+
+def _within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray:
+    """Rows (bodies, count) that keep the mass of each body within reach of its frames; see :func:`extent`."""
+    longest, rows = longest_placement(robot), np.zeros((len(bodies), count))
+    for row, body in zip(rows, bodies, strict=True):
+        middle, radius, ends = extent(robot, body.name)
+        row[body.places] = ball_row(middle, radius + (LAST_OVERHANG if ends else OVERHANG) * longest)
+    return rows
 
 
 def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:
