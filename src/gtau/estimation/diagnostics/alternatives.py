@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from gtau.estimation.diagnostics.linearisation import (
     side_by_side,
     stack,
 )
-from gtau.estimation.diagnostics.score_test import score_tests
+from gtau.estimation.diagnostics.score_test import ScoreTests, score_tests
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.thresholds import ALTERNATIVE_PRIOR, REFUTED_STD, TOGETHER_SHARE
@@ -146,11 +147,14 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     linear, known = linearise(fit, side_by_side(offers), windows), known_rows(fit, windows)
     found: list[Alternative] = []
     ends = np.cumsum([0, *(len(candidates.names) for _, candidates in tried)])
-    for k, (hypothesis, candidates) in enumerate(tried):
-        mine = [
-            LinearisedWindow(each.errors, each.jacobian, each.offered[..., ends[k] : ends[k + 1]]) for each in linear
-        ]
-        found += _alternatives(fit, hypothesis, candidates, mine, known)
+    columns = [slice(*pair) for pair in pairwise(ends.tolist())]
+    shared = [hypothesis.shared for hypothesis, _ in tried]
+    tests = score_tests(lambda: linear, list(zip(columns, shared, strict=True)), known[1])
+    for (hypothesis, candidates), mine, of_columns in zip(tried, columns, tests, strict=True):
+        found += _alternatives(fit, hypothesis, candidates, of_columns)
+        if candidates.describe is not None:
+            windows_of = [replace(each, offered=each.offered[..., mine]) for each in linear]
+            found += _together(fit, hypothesis, candidates.describe, windows_of, known)
     return tuple(found)
 
 
@@ -158,11 +162,9 @@ def _alternatives(
     fit: Fit,
     hypothesis: Hypothesis,
     candidates: Candidates,
-    windows: Sequence[LinearisedWindow],
-    known: tuple[np.ndarray, np.ndarray],
+    tests: ScoreTests,
 ) -> list[Alternative]:
     problem, joints = fit.system.problem, fit.dataset.model.actuated
-    tests = score_tests(lambda: windows, hypothesis.shared, known[1])
     T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
     gains = problem.gain_rows
     found = []
@@ -188,8 +190,6 @@ def _alternatives(
                     hypothesis.description,
                 )
             )
-    if candidates.describe is not None:
-        found += _together(fit, hypothesis, candidates.describe, windows, known)
     return found
 
 

@@ -11,6 +11,7 @@ from gtau.estimation.diagnostics.delays import delay_verdicts
 from gtau.estimation.diagnostics.findings import Findings
 from gtau.estimation.diagnostics.gain_verdicts import gain_verdicts
 from gtau.estimation.diagnostics.leg_symmetry import unlike_legs
+from gtau.estimation.diagnostics.other_estimators import noise_note
 from gtau.estimation.diagnostics.position_ripple import ripple_notes
 from gtau.estimation.diagnostics.prior_checks import check_limits, check_payloads, check_priors, share_doubts
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
@@ -70,6 +71,7 @@ def diagnose(
     delays = delay_verdicts(problem, solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)
     notes = (
         *unlike_legs(dataset, system, solution.theta, uncertainty.covariance),
+        *noise_note(fit, findings.alternatives),
         *ripple_notes(findings.ripple, fit),
         *_small_refutations(fit, findings, accuracy),
     )

@@ -10,14 +10,16 @@ from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_
 from gtau.estimation.diagnostics.gain_change import gain_changes
 from gtau.estimation.diagnostics.lack_of_fit import lack_of_fit
 from gtau.estimation.diagnostics.lengths import other_length
+from gtau.estimation.diagnostics.other_estimators import (
+    alternatives_of,
+    other_estimators,
+    two_stage_difference,
+)
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.swapped_channels import swapped_channels
 from gtau.estimation.diagnostics.verdict import Refutation
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.solution import jackknife
-from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.thresholds import (
-    APART,
     DOMINANT,
     LACKING,
     PLAUSIBLE_GAIN_CHANGE,
@@ -26,8 +28,6 @@ from gtau.estimation.thresholds import (
     SCALED,
 )
 from gtau.progress import Progress, silent
-
-TWO_STAGE = "two-stage least squares"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,24 +83,22 @@ def examine(fit: Fit, progress: Progress = silent) -> Findings:
     lack = lack_of_fit(fit.system.problem, fit.solution)
     alternatives = list(find_alternatives(fit))
     scaled = False
+    differences = list(other_estimators(fit))
     if fit.free_gains:
-        alternatives += _of_two_stage(fit)
+        differences.append(two_stage_difference(fit))
         changes = _of_gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += changes
     if lack > LACKING:
         alternatives += _of_lengths(fit, progress)
     ripple = PositionRipple.none(fit) if scaled or lack < LACKING else position_ripple(fit)
-    return Findings(lack, compete(alternatives), ripple, swapped_channels(fit.dataset) if lack > LACKING else ())
+    weighed = (*compete(alternatives), *alternatives_of(fit, differences))
+    return Findings(lack, weighed, ripple, swapped_channels(fit.dataset) if lack > LACKING else ())
 
 
 RUNS_ADVICE = (
     "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and make loaded and "
     "unloaded runs in turn, as a motor's torque constant falls while it gets warmer"
-)
-APART_ADVICE = (
-    "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction that "
-    "grows with the load looks alike"
 )
 
 
@@ -149,20 +147,4 @@ def _of_gain_changes(fit: Fit) -> list[Alternative]:
         certain = _certain(fit, "gain change", subject, each.change, std, each.moves)
         weighed = replace(certain, plausible=PLAUSIBLE_GAIN_CHANGE, log_factor=factor, second_moment=moment)
         found.append(replace(weighed, share=each.share, advice=RUNS_ADVICE))
-    return found
-
-
-def _of_two_stage(fit: Fit) -> list[Alternative]:
-    """By how much 2SLS, which uses the same equations differently, finds other gains."""
-    problem, solution, gains = fit.system.problem, fit.solution, fit.system.problem.gain_rows
-    # with the same delays: where motions are slow, a joint's own equations hardly determine its delay
-    other = two_stage(problem, solution.delays)
-    std = np.sqrt(np.diag(jackknife((solution.replicates() - other.replicates())[:, gains])))
-    std = np.maximum(std, np.sqrt(np.diag(solution.jackknife)[gains])) / np.abs(fit.gains)
-    moves, found = other.gains[: len(std)] / fit.gains - 1, []
-    for j in np.flatnonzero(np.abs(moves) > APART * std):
-        of_joint = np.where(np.arange(len(moves)) == j, moves, 0.0)
-        subject = f"2SLS as the estimator of '{problem.joints[j]}'"
-        certain = _certain(fit, TWO_STAGE, subject, float(moves[j]), float(std[j]), of_joint)
-        found.append(replace(certain, description=False, advice=APART_ADVICE))
     return found

@@ -56,7 +56,8 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
     if not len(groups):
         return (GainChange((), 0.0, 0.0, 0.0, np.zeros(n)),) * n
     known = jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels))
-    found = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), known=known)
+    offers = [(slice(None), False)]
+    (found,) = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), offers, known)
     shares = found.share.sum(axis=1)
     worst = np.argmax(np.abs(found.t[:, :n]), axis=0)
     if shares.max() > DOMINANT:  # the same runs for all joints

@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.findings import TWO_STAGE, Findings
+from gtau.estimation.diagnostics.findings import Findings
+from gtau.estimation.diagnostics.other_estimators import TWO_STAGE
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
 from gtau.estimation.estimators.estimator import Fit

@@ -50,8 +50,8 @@ def central_windows(dataset: Dataset, pieces: int = 1) -> list[tuple[int, InMemo
         if dataset.preparation.at(whole.run.rate).decimator.outputs(size) == 0:
             continue
         begin = (len(whole) - size * pieces) // 2
-        starts = (begin + k * size for k in range(pieces))
-        found += [(run, InMemoryRun(whole.run, whole.samples(start, start + size))) for start in starts]
+        middle = whole.samples(begin, begin + size * pieces)
+        found += [(run, InMemoryRun(whole.run, middle[k * size : (k + 1) * size])) for k in range(pieces)]
     return found
 
 
@@ -79,37 +79,59 @@ def linearise(
     GtauError
         Where the model refuses a sample.
     """
-    dataset, system, solution = fit.dataset, fit.system, fit.solution
-    problem, c = system.problem, len(system.problem.channels)
-    model = dataset.model if model is None else model
-    regressor = model.columns(dataset.base.standard)
-    p = dataset.base.count + EXTRA
+    fast = fit.dataset.model if model is None else model
+    reduced = []
+    for run, window in windows:
+        candidates = None if offer is None else offer(window, fit.system.motion(run, fit.solution.theta))
+        A, keep = window_rows(fit, run, window, candidates, fast)
+        reduced.append((run, [triangle(of_joint[kept]) for of_joint, kept in zip(A, keep, strict=True)]))
+    height = max((len(T) for _, of_window in reduced for T in of_window), default=0)
+    found = []
+    for run, of_window in reduced:
+        T = np.stack([np.pad(each, ((0, height - len(each)), (0, 0))) for each in of_window])
+        e, J, weights = errors_and_jacobian(fit, run, T)
+        offered = -(fit.solution.iterate.b * weights)[:, None, None] * T[:, :, fit.dataset.base.count + EXTRA :]
+        found.append(LinearisedWindow(e, J, offered))
+    return found
+
+
+def window_rows(
+    fit: Fit, run: int, window: InMemoryRun, candidates: CandidateColumns | None, model: InverseDynamics
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the decimated rows of a window: the columns of the factors and m candidates, and which rows are kept.
+
+    Returns
+    -------
+    A : ndarray
+        (c, K, columns + m), see :class:`gtau.estimation.regression.factors.Factors`.
+    keep : ndarray
+        (c, K) of bool.
+    """
+    regressor, c = model.columns(fit.dataset.base.standard), len(fit.system.problem.channels)
+    loaded = any(term.startswith("fl_") for term in fit.system.friction.terms)
+    load = fit.system.load(run, fit.solution.theta) if loaded else None
+    decimator = fit.dataset.preparation.at(window.run.rate).decimator
+    parts, keep = [], []
+    for part in stream_rows(model, regressor, window, decimator, load):
+        torques = np.zeros((c, len(part.time), 0)) if candidates is None else candidates(part)
+        parts.append(np.concatenate([equations(regressor, window.run.measured_joints, part), torques], axis=-1))
+        keep.append(part.keep)
+    return np.concatenate(parts, axis=1), np.concatenate(keep, axis=1)
+
+
+def errors_and_jacobian(fit: Fit, run: int, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute errors (c, p), their Jacobian (c, p, k), both in standard deviations, and the weights (c,) behind them.
+
+    ``rows`` (c, p, .) begin with the columns of the factors.
+    """
+    system, problem, state = fit.system, fit.system.problem, fit.solution.iterate
     kept = [system.whole.parameters.index(name) for name in problem.parameters]
     columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + 1 + CURRENTS)]
-    state = solution.iterate
-    weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    with_load = any(term.startswith("fl_") for term in system.friction.terms)
-    found = []
-    for run, window in windows:
-        load = system.load(run, solution.theta) if with_load else None
-        candidates = None if offer is None else offer(window, system.motion(run, solution.theta))
-        waiting: list[list[np.ndarray]] = [[] for _ in range(c)]
-        m = 0
-        decimator = dataset.preparation.at(window.run.rate).decimator
-        for part in stream_rows(model, regressor, window, decimator, load):
-            torques = np.zeros((c, len(part.time), 0)) if candidates is None else candidates(part)
-            m = torques.shape[-1]
-            A = np.concatenate([equations(regressor, window.run.measured_joints, part), torques], axis=-1)
-            for j in range(c):
-                waiting[j].append(A[j, part.keep[j]])
-        blocks, offered = np.zeros((c, p + m, len(columns))), np.zeros((c, p + m, m))
-        for j in range(c):
-            T = triangle(*waiting[j])
-            blocks[j, : len(T)] = (T[:, :p] @ system.maps[run, j])[:, columns]
-            offered[j, : len(T)] = -state.b[j] * weights[j] * T[:, p:]
-        e, J = residuals(blocks, state, problem.n_theta), jacobian(blocks, state, problem, fit.free_gains)
-        found.append(LinearisedWindow(e * weights[:, None], J * weights[:, None, None], offered))
-    return found
+    maps = system.maps[run][..., columns]
+    blocks = rows[..., : maps.shape[1]] @ maps
+    weights = 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
+    e, J = residuals(blocks, state, problem.n_theta), jacobian(blocks, state, problem, fit.free_gains)
+    return e * weights[:, None], J * weights[:, None, None], weights
 
 
 def stack(windows: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

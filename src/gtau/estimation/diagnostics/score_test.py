@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,9 +38,11 @@ class ScoreTests:
 
 
 def score_tests(
-    windows: Callable[[], Iterable[LinearisedWindow]], shared: bool = False, known: np.ndarray | None = None
-) -> ScoreTests:
-    """Test each candidate column alone, in each channel's equations alone or ``shared`` by all channels.
+    windows: Callable[[], Iterable[LinearisedWindow]],
+    hypotheses: Sequence[tuple[slice, bool]],
+    known: np.ndarray | None = None,
+) -> tuple[ScoreTests, ...]:
+    """Test each candidate column alone, in each channel's equations alone or shared by all channels.
 
     All other unknowns adapt to it. Standard deviations follow from the scatter over the windows, within which
     residuals may be autocorrelated (a sandwich estimate with windows as clusters).
@@ -49,51 +51,75 @@ def score_tests(
     ----------
     windows : callable
         Gives the windows anew each time, so that they need not be in memory together.
-    shared : bool
-        Whether a column acts on all channels with one size.
+    hypotheses : sequence of (slice, bool)
+        Columns that belong together, and whether each of them acts on all channels with one size.
     known : ndarray, optional
         Jacobian (., k) of further equations, of known parameters, with errors of unit variance.
+
+    Returns
+    -------
+    tuple of ScoreTests
+        One for each hypothesis.
     """
 
-    def each() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        for window in windows():
-            J, e, c = window.jacobian, window.errors, window.offered
-            if shared:
-                J, e, c = J.reshape(1, -1, J.shape[-1]), e.reshape(1, -1), c.reshape(1, -1, c.shape[-1])
-            yield J, e, c
+    def folded(of_joints: np.ndarray) -> list[np.ndarray]:
+        """Sums (m, n, ...) by hypothesis, those of shared columns summed over the channels, (m, 1, ...)."""
+        return [
+            of_joints[columns].sum(axis=1, keepdims=True) if shared else of_joints[columns]
+            for columns, shared in hypotheses
+        ]
 
     count, joints = 0, next(iter(windows())).errors.shape[0]
     blocks = []
-    for J, _, _ in each():
-        blocks.append(J.reshape(-1, J.shape[-1]))
+    for each in windows():
+        blocks.append(each.jacobian.reshape(-1, each.jacobian.shape[-1]))
         count += 1
     if known is not None:
         blocks.append(known)
     back = whitening(np.concatenate(blocks), np.zeros(joints))
     J_e, e_e = np.zeros(back.shape[1]), 0.0
-    J_c, c_c, c_e = (np.zeros(()) for _ in range(3))
-    for J, e, c in each():
-        W = J @ back  # orthonormal columns over all windows
+    sums = [np.zeros(())] * 3
+    for each in windows():
+        W, e, c = each.jacobian @ back, each.errors, each.offered  # W has orthonormal columns over all windows
         J_e, e_e = J_e + np.einsum("jpk,jp->k", W, e), e_e + float(np.sum(e**2))
-        J_c = J_c + np.einsum("jpk,jpm->mjk", W, c)
-        c_c = c_c + np.einsum("jpm,jpm->mj", c, c)
-        c_e = c_e + np.einsum("jpm,jp->mj", c, e)
-    left = c_c - np.sum(J_c**2, axis=2)
-    spanned = left <= SPANNED * np.maximum(c_c, 1e-300)
-    left = np.where(spanned, 1.0, left)
-    size = -np.where(spanned, 0.0, (c_e - J_c @ J_e) / left)
-    scatter = np.zeros(left.shape)
-    for J, e, c in each():
-        W = J @ back
-        rest = e - np.einsum("jpk,k->jp", W, J_e)
+        more = _products(W, c, e)
+        sums = [before + now for before, now in zip(sums, more, strict=True)]
+    J_c, c_c, c_e = (folded(each) for each in sums)
+    left = [squares - np.sum(along**2, axis=2) for squares, along in zip(c_c, J_c, strict=True)]
+    spanned = [rest <= SPANNED * np.maximum(squares, 1e-300) for rest, squares in zip(left, c_c, strict=True)]
+    left = [np.where(lost, 1.0, rest) for lost, rest in zip(spanned, left, strict=True)]
+    size = [
+        -np.where(lost, 0.0, (score - along @ J_e) / rest)
+        for lost, score, along, rest in zip(spanned, c_e, J_c, left, strict=True)
+    ]
+    scatter = [np.zeros(rest.shape) for rest in left]
+    for each in windows():
+        W, c = each.jacobian @ back, each.offered
+        rest = each.errors - W @ J_e
         # the score of a window: what is left of its column, (m, j) of joint j in all rows i, times its residuals
-        W_rest, W_W = np.einsum("ipk,ip->k", W, rest), np.einsum("ipk,ipl->kl", W, W)
-        own_rest = np.einsum("jpm,jp->mj", c, rest)
-        own_W = np.einsum("jpm,jpk->mjk", c, W)
-        own_own = np.einsum("jpm,jpm->mj", c, c)
-        score = own_rest - J_c @ W_rest
-        square = own_own - 2 * np.sum(own_W * J_c, axis=2) + np.einsum("mjk,kl,mjl->mj", J_c, W_W, J_c)
-        scatter += (score + size * square) ** 2
-    std = np.where(spanned, np.inf, np.sqrt(scatter * count / max(count - 1, 1)) / left)
-    share = np.where(spanned, 0.0, size**2 * left / max(e_e - float(J_e @ J_e), 1e-300))
-    return ScoreTests(size, std, share, -J_c @ back.T)
+        W_rest, W_W = np.einsum("ipk,ip->k", W, rest), np.einsum("ipk,ipl->kl", W, W, optimize=True)
+        own_W, own_own, own_rest = (folded(part) for part in _products(W, c, rest))
+        for k, along in enumerate(J_c):
+            score = own_rest[k] - along @ W_rest
+            square = own_own[k] + np.sum((along @ W_W - 2 * own_W[k]) * along, axis=2)
+            scatter[k] += (score + size[k] * square) ** 2
+    least = max(e_e - float(J_e @ J_e), 1e-300)
+    return tuple(
+        ScoreTests(
+            size[k],
+            np.where(spanned[k], np.inf, np.sqrt(scatter[k] * count / max(count - 1, 1)) / left[k]),
+            np.where(spanned[k], 0.0, size[k] ** 2 * left[k] / least),
+            -J_c[k] @ back.T,
+        )
+        for k in range(len(hypotheses))
+    )
+
+
+def _products(W: np.ndarray, c: np.ndarray, e: np.ndarray) -> list[np.ndarray]:
+    """Products of columns (c, p, m) with W (c, p, k), with themselves and with errors (c, p), channel by channel."""
+    of_joint = c.swapaxes(1, 2)  # (c, m, p)
+    return [
+        (of_joint @ W).swapaxes(0, 1),
+        np.einsum("jpm,jpm->mj", c, c),
+        (of_joint @ e[..., None])[..., 0].T,
+    ]

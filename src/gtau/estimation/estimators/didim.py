@@ -69,7 +69,8 @@ def along_simulated_motion(
 
 def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     solver = ml_or_wls(given)
-    return fit_either(solver, *along_simulated_motion(dataset, system, solver, given.progress), given)
+    fit = fit_either(solver, *along_simulated_motion(dataset, system, solver, given.progress), given)
+    return replace(fit, noise_free=True)
 
 
 DIDIM = Estimator("didim", "parameters from the currents, the motion simulated (DIDIM)", Gains.EITHER, ml_or_wls, _fit)

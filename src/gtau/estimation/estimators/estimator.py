@@ -63,6 +63,8 @@ class Fit:
         Solves for fewer parameters with the gains of ``solution``.
     free_gains : bool
         Whether the gains were estimated.
+    noise_free : bool
+        Whether the noise of the positions is kept from biasing the estimates.
     """
 
     dataset: Dataset
@@ -72,6 +74,7 @@ class Fit:
     unrefined: Solution
     solve_fixed: Solve
     free_gains: bool
+    noise_free: bool = False
 
     @property
     def gains(self) -> np.ndarray:

@@ -229,7 +229,7 @@ def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     def solve_fixed(problem: Problem) -> Solution:
         return with_instruments(pair.of(problem.parameters), solution, free_gains=False)
 
-    return Fit(dataset, system, solution, solver, unrefined, solve_fixed, free_gains)
+    return Fit(dataset, system, solution, solver, unrefined, solve_fixed, free_gains, noise_free=True)
 
 
 IV = Estimator(

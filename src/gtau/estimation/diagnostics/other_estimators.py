@@ -1,0 +1,271 @@
+"""Hausman's test: other estimators agree with the one used where the model holds and the regressor is exact.
+
+What another estimator finds otherwise is then chance, of a standard deviation that follows from how the difference
+scatters over the windows of the runs. More of it says that the estimates rest on a choice:
+
+- the cut-off of the position filter and the rate of rows, 0.7 and 1.4 times those chosen;
+- the speed below which a joint's rows are left out, half and twice the one chosen;
+- two-stage least squares: the same equations with the currents that their joint's motion explains;
+- instrumental variables: the equations are weighed along the motion filtered much further, whose noise is not that of
+  the regressor, so that noise of the positions does not bias them.
+
+Each takes one step from the solution, on the middle of the runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative, compete, support
+from gtau.estimation.diagnostics.linearisation import (
+    central_windows,
+    errors_and_jacobian,
+    known_rows,
+    linearise,
+    window_rows,
+)
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import to_gains, whitening
+from gtau.estimation.estimators.solution import jackknife
+from gtau.estimation.estimators.two_stage import two_stage
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.factors import CURRENTS
+from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.thresholds import NOISE_STD
+from gtau.signals.notes import Kind, Note
+from gtau.signals.preparation import Preparation
+
+WINDOWS = 10  # of a run
+FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
+HALF = (
+    0.5  # of the position filter's cut-off: instruments above would share more than 3 % of the noise in accelerations
+)
+SPANNED = 1e-6  # of the largest singular value: directions that the instruments do not reach are left as they are
+LISTED = 3.0  # standard deviations of a difference in a parameter, from which it is listed
+LISTED_PROBABILITY = 0.1
+GROUP = "estimator of "  # and what it estimates: differences in one estimate compete
+INSTRUMENTS = "instrumental variables"
+TWO_STAGE = "two-stage least squares"
+
+Moments = tuple[np.ndarray, np.ndarray]
+"""Of a window: ``Z^T J`` (k, k) and ``Z^T e`` (k,) of instruments Z; those of least squares are J."""
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """What another estimator finds otherwise.
+
+    Attributes
+    ----------
+    estimator : str
+        Which one.
+    moves, std : ndarray
+        Of (theta, gains, delays), (k,), and their standard deviations, SI units.
+    advice : str
+        What to do where the difference is significant.
+    """
+
+    estimator: str
+    moves: np.ndarray
+    std: np.ndarray
+    advice: str
+
+
+def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alternative]:
+    """Make an alternative of each difference in a gain, and of those in a parameter that chance does not explain.
+
+    They compete for each estimate: one of the other estimators is right, or the one used. Before the data a difference
+    is thought to be as large as the random standard deviation.
+    """
+    problem, solution = fit.system.problem, fit.solution
+    n_theta = problem.n_theta
+    plausible = np.sqrt(np.diag(solution.jackknife))
+    names = [*problem.parameters, *(f"the gain of '{joint}'" for joint in problem.joints)]
+    found = []
+    for each in differences:
+        for k, name in enumerate(names):
+            value, size, std = solution.stacked[k], each.moves[k], each.std[k]
+            if not (std > 0 and plausible[k] > 0 and value) or (k < n_theta and abs(size) < LISTED * std):
+                continue
+            found_size = float(size / value), float(std / abs(value)), float(plausible[k] / abs(value))
+            factor, moment = support(*found_size)
+            slopes = np.zeros(len(solution.stacked))
+            slopes[k] = value
+            found.append(
+                Alternative(
+                    hypothesis=each.estimator,
+                    subject=f"{each.estimator} as the estimator of {name}",
+                    size=found_size[0],
+                    std=found_size[1],
+                    unit="of itself",
+                    plausible=found_size[2],
+                    group=GROUP + name,
+                    log_factor=factor,
+                    second_moment=moment,
+                    share=0.0,
+                    slopes=slopes,
+                    moves=slopes[problem.gain_rows] * (size / value) / fit.gains,
+                    advice=each.advice,
+                    description=False,
+                )
+            )
+    return [each for each in compete(found) if each.moves.any() or each.probability > LISTED_PROBABILITY]
+
+
+def noise_note(fit: Fit, alternatives: Sequence[Alternative]) -> list[Note]:
+    """What noise of the positions does to the estimates, where Hausman's test against instruments shows it."""
+    biased = [
+        each
+        for each in alternatives
+        if each.hypothesis == INSTRUMENTS and abs(each.t) > NOISE_STD and abs(each.size) > each.plausible
+    ]
+    if not biased:
+        return []
+    worst = max(biased, key=lambda each: abs(each.size) / each.plausible)
+    estimate = worst.group.removeprefix(GROUP)
+    what = (
+        f"noise of the positions biases {len(biased)} of {len(fit.solution.theta) + len(fit.gains)} estimates by more "
+        f"than their standard deviations: {estimate} by {abs(worst.size) / worst.plausible:.1f} of them (Hausman's test "
+        f"against instrumental variables: {abs(worst.t):.0f} standard deviations of the difference); the intervals "
+        "allow for it"
+    )
+    return [Note(Kind.MODEL, what, NOISE_ADVICE)]
+
+
+def two_stage_difference(fit: Fit) -> Difference:
+    """Find what 2SLS, which uses the same equations otherwise, finds otherwise, from the jackknife of both.
+
+    The standard deviation counts as no smaller than that of the estimates themselves.
+    """
+    problem, solution = fit.system.problem, fit.solution
+    # with the same delays: where motions are slow, a joint's own equations hardly determine its delay
+    other = two_stage(problem, solution.delays)
+    between = np.sqrt(np.diag(jackknife(solution.replicates() - other.replicates())))
+    std = np.maximum(between, np.sqrt(np.diag(solution.jackknife)))
+    moves = np.zeros(len(std))
+    moves[problem.gain_rows] = other.gains[: len(problem.joints)] - fit.gains
+    return Difference(TWO_STAGE, moves, std, TWO_STAGE_ADVICE)
+
+
+def other_estimators(fit: Fit) -> tuple[Difference, ...]:
+    """Find what estimators with other preparations, and instrumental variables, find otherwise.
+
+    Parameters
+    ----------
+    fit : Fit
+        What was estimated.
+    """
+    dataset = fit.dataset
+    further = _filtered_further(dataset.preparation)
+    try:
+        pairs = _pairs(fit, dataset if further is None else _prepared_as(dataset, further))
+        if not pairs:
+            return ()
+        rows = [J for _, J, _ in pairs]
+        known = known_rows(fit, central_windows(dataset, WINDOWS))[1]
+        back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
+        T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains) @ back
+        usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
+        found = []
+        if further is not None and not fit.noise_free:
+            weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]
+            found.append(Difference(INSTRUMENTS, *_difference(usual, weighed, known, back, T), NOISE_ADVICE))
+        for name, preparation, advice in _preparations(dataset.preparation):
+            other = replace(fit, dataset=_prepared_as(dataset, preparation))
+            windows = linearise(other, None, central_windows(other.dataset, WINDOWS))
+            if len(windows) != len(pairs):
+                continue  # its filters are longer than a window
+            moments = [(each.jacobian.reshape(-1, len(back)), each.errors.ravel()) for each in windows]
+            weighed = [(J.T @ J, J.T @ e) for J, e in moments]
+            found.append(Difference(name, *_difference(usual, weighed, known, back, T), advice))
+    except GtauError:
+        return ()  # the loops do not close along motion that is filtered otherwise
+    return tuple(found)
+
+
+NOISE_ADVICE = "use --method iv or didim, or encoders with less noise"
+FILTER_ADVICE = "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"
+TWO_STAGE_ADVICE = (
+    "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction that "
+    "grows with the load looks alike"
+)
+SPEED_ADVICE = "make motions with fewer reversals, or give 'preparation' by hand"
+
+
+def _preparations(chosen: Preparation) -> list[tuple[str, Preparation, str]]:
+    """The preparations tried, by name, with what to do where they matter."""
+    found = []
+    for factor in (0.7, 1.4):
+        cutoff = None if chosen.cutoff is None else factor * chosen.cutoff
+        cutoff = None if cutoff is not None and cutoff >= 0.4 * chosen.rate else cutoff
+        decimator = replace(chosen.decimator, factor=max(1, round(chosen.decimator.factor / factor)))
+        other = replace(chosen, cutoff=cutoff, decimator=decimator)
+        if other != chosen:
+            found.append((f"a bandwidth {factor:g} times as large", other, FILTER_ADVICE))
+    for factor in (0.5, 2.0):
+        fraction = factor * chosen.speed_fraction
+        name = f"leaving out rows below {100 * fraction:.2g} % of a joint's rms speed"
+        found.append((name, replace(chosen, speed_fraction=fraction), SPEED_ADVICE))
+    return found
+
+
+def _filtered_further(chosen: Preparation) -> Preparation | None:
+    """The preparation of the instruments; None where the logs are too slow for a filter."""
+    cutoff = FURTHER * chosen.bandwidth
+    cutoff = cutoff if chosen.cutoff is None else min(cutoff, HALF * chosen.cutoff)
+    return replace(chosen, cutoff=cutoff) if cutoff < 0.4 * chosen.rate else None
+
+
+def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
+    """The same samples of the same runs, prepared otherwise."""
+    prepared = tuple(replace(each, preparation=preparation.at(each.run.rate)) for each in dataset.prepared)
+    return replace(dataset, preparation=preparation, prepared=prepared)
+
+
+def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Jacobians along the motion filtered further and as usual, (., k) each, and errors (.,), window by window.
+
+    Rows of a joint are reduced together, so that products of their columns remain.
+    """
+    model, found = fit.dataset.model, []
+    windows = zip(central_windows(fit.dataset, WINDOWS), central_windows(further, WINDOWS), strict=True)
+    for (run, usual), (_, filtered) in windows:
+        A, keep = window_rows(fit, run, usual, None, model)
+        Z, keep_filtered = window_rows(fit, run, filtered, None, model)
+        b = A.shape[-1] - CURRENTS
+        both = np.concatenate([Z[..., :b], A], axis=-1)
+        factors = [triangle(of_joint[kept]) for of_joint, kept in zip(both, keep & keep_filtered, strict=True)]
+        height = max(map(len, factors))
+        R = np.stack([np.pad(each, ((0, height - len(each)), (0, 0))) for each in factors])
+        e, J, _ = errors_and_jacobian(fit, run, R[..., b:])
+        _, J_filtered, _ = errors_and_jacobian(fit, run, np.concatenate([R[..., :b], R[..., -CURRENTS:]], axis=-1))
+        found.append((J_filtered.reshape(-1, J.shape[-1]), J.reshape(-1, J.shape[-1]), e.ravel()))
+    return found
+
+
+def _difference(
+    usual: Sequence[Moments], weighed: Sequence[Moments], known: np.ndarray, back: np.ndarray, T: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Moves of (theta, gains, delays) from one estimator to another, (k,) each, and their standard deviations.
+
+    The solution counts as where the first estimator ends; a window's share in the difference is its influence on one
+    estimator less that on the other (windows as clusters).
+    """
+    whole, white = np.eye(back.shape[1]), known @ back
+    curvatures = [back.T @ A @ back for A, _ in weighed]
+    rest = white.T @ white
+    inverse = np.linalg.pinv(np.sum(curvatures, axis=0) + rest, rcond=SPANNED)
+    scale = np.trace(np.sum(curvatures, axis=0)) / max(np.trace(whole - rest), 1.0)  # as there are other rows
+    gradients = [back.T @ g - scale * (back.T @ g_usual) for (_, g), (_, g_usual) in zip(weighed, usual, strict=True)]
+    step = -inverse @ np.sum(gradients, axis=0)
+    count = len(weighed)
+    shares = [
+        -inverse @ (back.T @ g + A @ step) + back.T @ g_usual
+        for A, (_, g), (_, g_usual) in zip(curvatures, weighed, usual, strict=True)
+    ]
+    scatter = np.array([T @ (each - np.mean(shares, axis=0)) for each in shares])
+    return T @ step, np.sqrt(count / max(count - 1, 1) * np.sum(scatter**2, axis=0))

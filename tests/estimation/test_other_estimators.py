@@ -1,0 +1,113 @@
+"""Hausman's test: other preparations and instrumental variables against the estimator used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from five_bar_logs import CHI, GAINS, STEEL, Plant
+from threadpoolctl import threadpool_limits
+
+from gtau.estimation.diagnostics.other_estimators import (
+    INSTRUMENTS,
+    Difference,
+    alternatives_of,
+    noise_note,
+    other_estimators,
+    two_stage_difference,
+)
+from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.maximum_likelihood import ML
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.friction import Friction
+from gtau.model.home import load_robot
+from gtau.signals.decimation import Decimator
+from gtau.signals.experiment import Payload
+from gtau.signals.preparation import Preparation, choose_preparation
+from gtau.signals.run import Run
+
+ROBOT = load_robot("five-bar")
+NOISY = Preparation(bandwidth=2.5, cutoff=100.0, decimator=Decimator(10), rate=500.0)  # a filter that is far too wide
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    with threadpool_limits(1, "blas"):
+        yield
+
+
+def logs(encoder_noise: float = 0.0) -> list[Run]:
+    plant, rng = Plant(noise=0.01), np.random.default_rng(5)
+    runs = [
+        plant.run("free", 8.0, seed=1),
+        replace(plant.run("loaded", 8.0, STEEL, seed=2), payload=Payload(name="steel", mass=STEEL["m"])),
+    ]
+    return [replace(run, position=run.position + encoder_noise * rng.normal(size=run.position.shape)) for run in runs]
+
+
+def fit_of(runs: list[Run], preparation: Preparation | None = None) -> Fit:
+    dataset = reduce_runs(ROBOT, runs, preparation)
+    return ML.fit(dataset, dataset.system(Friction(per_run=True)), Given())
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Fit:
+    return fit_of(logs(4e-4), NOISY)
+
+
+def of(fit: Fit, name: str) -> Difference:
+    return next(each for each in other_estimators(fit) if name in each.estimator)
+
+
+def test_instruments_undo_what_noise_of_the_encoders_does(noisy: Fit) -> None:
+    found, n_theta = of(noisy, INSTRUMENTS), noisy.system.problem.n_theta
+    fv_left = noisy.system.problem.parameters.index("fv_left")
+    for k, truth in ((fv_left, CHI["fv_left"]), (n_theta, GAINS[0])):
+        bias = noisy.solution.stacked[k] - truth
+        assert abs(bias) > 0.04 * truth
+        assert abs(bias + found.moves[k]) < 0.35 * abs(bias)
+
+
+def test_the_summary_names_the_noise_and_the_intervals_allow_for_it(noisy: Fit) -> None:
+    alternatives = alternatives_of(noisy, other_estimators(noisy))
+    assert "noise of the positions biases" in noise_note(noisy, alternatives)[0]
+    of_first_moment = [each for each in alternatives if each.group.endswith("my_L2")]
+    assert sum(each.probability for each in of_first_moment) > 0.8
+    assert other_estimators(replace(noisy, noise_free=True))[0].estimator != INSTRUMENTS
+
+
+def test_nothing_is_said_of_clean_logs() -> None:
+    fit = fit_of(logs())
+    alternatives = alternatives_of(fit, (*other_estimators(fit), two_stage_difference(fit)))
+    assert noise_note(fit, alternatives) == []
+    n_theta = fit.system.problem.n_theta
+    std = np.sqrt(np.diag(fit.solution.jackknife))[n_theta : n_theta + 2]
+    added = np.sqrt([sum(a.mean_square * a.slopes[n_theta + j] ** 2 for a in alternatives) for j in range(2)])
+    assert np.all(added < 0.7 * std)
+    # five preparations and estimators, each with its move of each gain
+    assert len([each for each in alternatives if "the gain of" in each.subject]) == 6 * 2
+
+
+def test_one_step_is_what_another_preparation_gives() -> None:
+    def sticking(run: Run) -> Run:
+        speed = np.gradient(run.position, run.time, axis=0)
+        return replace(run, command=run.command + 1.0 * np.sign(speed) * np.exp(-np.abs(speed) / 0.1) / GAINS)
+
+    runs = [sticking(run) for run in logs()]
+    fit = fit_of(runs)
+    found, names = of(fit, "below 10 %"), fit.system.problem.parameters
+    again = fit_of(runs, replace(choose_preparation(runs), speed_fraction=0.1))
+    exact = again.solution.stacked - fit.solution.stacked
+    assert names == again.system.problem.parameters
+    seen = found.std > 0
+    exact, moves = (each[seen] / found.std[seen] for each in (exact, found.moves))
+    assert np.corrcoef(exact, moves)[0, 1] > 0.9
+
+
+def test_alternatives_are_listed_with_the_result() -> None:
+    result = identify(ROBOT, logs())
+    listed = {each.hypothesis for each in result.alternatives}
+    assert {INSTRUMENTS, "two-stage least squares", "a bandwidth 0.7 times as large"} <= listed
