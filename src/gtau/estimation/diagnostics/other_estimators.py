@@ -129,11 +129,11 @@ def noise_note(fit: Fit, alternatives: Sequence[Alternative]) -> list[Note]:
     estimate = worst.group.removeprefix(GROUP)
     what = (
         f"noise of the positions biases {len(biased)} of {len(fit.solution.theta) + len(fit.gains)} estimates by more "
-        f"than their standard deviations: {estimate} by {abs(worst.size) / worst.plausible:.1f} of them (Hausman's test "
-        f"against instrumental variables: {abs(worst.t):.0f} standard deviations of the difference); the intervals "
-        "allow for it"
+        f"than their standard deviations: {estimate} by {abs(worst.size) / worst.plausible:.1f} of them (Hausman's "
+        f"test against instrumental variables: {abs(worst.t):.0f} standard deviations of the difference); the "
+        "intervals allow for it"
     )
-    return [Note(Kind.MODEL, what, NOISE_ADVICE)]
+    return [Note(Kind.NOISE, what, NOISE_ADVICE)]
 
 
 def two_stage_difference(fit: Fit) -> Difference:
