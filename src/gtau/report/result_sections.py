@@ -15,6 +15,7 @@ from gtau.estimation.results.estimate import AlternativeMoves, Estimate, Payload
 from gtau.estimation.results.headline import headline
 from gtau.estimation.results.remarks import remarks
 from gtau.estimation.results.result import Result
+from gtau.estimation.results.scale_text import scale_lines
 from gtau.report.evidence import (
     GOOD_OUTCOMES,
     Evidence,
@@ -138,11 +139,11 @@ def scale_note(result: Result) -> str:
     """What the scale of the gains rests on."""
     if not any(gain.std is not None for gain in result.drive_gains.values()):
         return ""
-    masses = {each.name: each.parameters["m"].value for each in result.payloads if "m" in each.known}
-    if not masses:
-        return ""
-    named = ", ".join(f"'{name}' ({mass:g} kg)" for name, mass in masses.items())
-    return paragraph(f"The scale of all gains rests on the known mass of payload {named}.", "soft")
+    masses = {f"payload '{each.name}'": each.parameters["m"].value for each in result.payloads if "m" in each.known}
+    said = " ".join(scale_lines(result))
+    for source, mass in masses.items():
+        said = said.replace(source, f"{source} ({mass:g} kg)", 1)
+    return paragraph(said, "soft") if said else ""
 
 
 def _interval_table(joints: Sequence[str], bars: Sequence[Interval], split: bool, prior: bool) -> str:

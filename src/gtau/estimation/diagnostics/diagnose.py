@@ -14,6 +14,7 @@ from gtau.estimation.diagnostics.leg_symmetry import unlike_legs
 from gtau.estimation.diagnostics.other_estimators import noise_note
 from gtau.estimation.diagnostics.position_ripple import ripple_notes
 from gtau.estimation.diagnostics.prior_checks import check_limits, check_payloads, check_priors, share_doubts
+from gtau.estimation.diagnostics.sensor_checks import SensorScale, check_sensors, sensor_scales
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict
 from gtau.estimation.estimators.estimator import Fit
@@ -26,7 +27,8 @@ class Diagnosis:
     """Verdicts on gains, delays and known payloads, and notes on what was found.
 
     Of the drive ``gains`` (n,), the ``delays`` (c,), those of torque sensors included, and the ``payloads`` by name.
-    ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good.
+    ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good; ``sensors`` are the scales
+    of torque sensors by all else that is known.
     """
 
     gains: tuple[Verdict, ...]
@@ -34,6 +36,7 @@ class Diagnosis:
     payloads: Mapping[str, Verdict]
     notes: tuple[Note, ...]
     accuracy: float
+    sensors: tuple[SensorScale, ...] = ()
 
 
 def diagnose(
@@ -60,9 +63,11 @@ def diagnose(
     dataset, system, solution = fit.dataset, fit.system, fit.solution
     robot, problem, joints = dataset.robot, system.problem, dataset.model.actuated
     torques = np.abs(solution.gains) * problem.signal
+    sensors = sensor_scales(fit) if fit.free_gains else ()
     if fit.free_gains:
         verdicts: Sequence[Verdict] = gain_verdicts(fit, findings, uncertainty, accuracy)
-        verdicts = check_priors(check_payloads(verdicts, payloads), robot, fit.gains, prior_gains)
+        verdicts = check_sensors(check_payloads(verdicts, payloads), sensors, accuracy)
+        verdicts = check_priors(verdicts, robot, fit.gains, prior_gains)
     else:
         verdicts = _given_verdicts(fit, findings)
     verdicts = share_doubts(check_limits(verdicts, robot, torques), joints)
@@ -75,7 +80,7 @@ def diagnose(
         *ripple_notes(findings.ripple, fit),
         *_small_refutations(fit, findings, accuracy),
     )
-    return Diagnosis(tuple(verdicts), tuple(delays), payloads, notes, accuracy)
+    return Diagnosis(tuple(verdicts), tuple(delays), payloads, notes, accuracy, sensors)
 
 
 def _given_verdicts(fit: Fit, findings: Findings) -> tuple[Verdict, ...]:

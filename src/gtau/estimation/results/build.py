@@ -273,7 +273,11 @@ def _sensors(
             freedom=None if freedom is None else float(freedom[row]),
         )
         residual = TorqueError(joint, float(solution.sigma[k]), float(problem.signal[k]), unit)
-        sensors.append(SensorEstimate(joint, own, delay, residual))
+        scale = next((each for each in diagnosis.sensors if each.joint == joint), None)
+        ratio = None
+        if scale is not None:
+            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=scale.verdict(diagnosis.accuracy))
+        sensors.append(SensorEstimate(joint, own, delay, residual, ratio))
     return tuple(sensors)
 
 

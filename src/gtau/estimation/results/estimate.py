@@ -114,13 +114,20 @@ class PayloadEstimate:
 class SensorEstimate:
     """The torque sensor of a joint: its offset and friction by name, its delay (s), and its residual.
 
-    The residual is that of its torque, N m or N, over the rows used.
+    The residual is that of its torque, N m or N, over the rows used. ``ratio`` is the torque by all else that is known
+    over what the sensor reads, to first order; None where nothing else gives a scale.
     """
 
     joint: str
     parameters: Mapping[str, Estimate]
     delay: Estimate
     residual: TorqueError
+    ratio: Estimate | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether it agrees with all else that is known."""
+        return GOOD if self.ratio is None else self.ratio.verdict
 
 
 @dataclass(frozen=True)

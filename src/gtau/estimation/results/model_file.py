@@ -51,6 +51,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
                 "parameters": [_estimate(estimate) for estimate in each.parameters.values()],
                 "delay": _estimate(each.delay, "joint"),
                 "residual": torque_error(each.residual),
+                "ratio": None if each.ratio is None else _estimate(each.ratio, "joint"),
             }
             for each in result.sensors
         ],
@@ -242,6 +243,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
                 _estimates(each["parameters"]),
                 _read(each["delay"], "joint"),
                 _read_error(each["residual"]),
+                None if each["ratio"] is None else _read(each["ratio"], "joint"),
             )
             for each in document.get("sensors", [])
         ),

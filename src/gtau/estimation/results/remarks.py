@@ -26,6 +26,10 @@ def remarks(result: IdentifiedModel) -> list[Note]:
         if payload.verdict.outcome != Outcome.GOOD:
             what = f"payload '{payload.name}' {payload.verdict.outcome.value}: {payload.verdict.why}"
             notes.append(Note(Kind.MODEL, what, payload.verdict.advice))
+    for sensor in result.sensors:
+        if sensor.verdict.outcome != Outcome.GOOD:
+            what = f"the torque sensor of '{sensor.joint}' {sensor.verdict.outcome.value}: {sensor.verdict.why}"
+            notes.append(Note(Kind.MODEL, what, sensor.verdict.advice))
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
         what = (

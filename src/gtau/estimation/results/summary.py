@@ -11,10 +11,11 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.grades import by_grade
-from gtau.estimation.results.estimate import Estimate, PayloadEstimate
+from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
 from gtau.estimation.results.headline import headline
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.remarks import VISIBLE, findings
+from gtau.estimation.results.scale_text import all_sources, scale_lines
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.signals.notes import Note
 
@@ -49,7 +50,7 @@ def summary(result: IdentifiedModel) -> str:
         ),
         "=" * WIDTH,
     ]
-    lines += gain_lines(result)
+    lines += [*gain_lines(result), *sensor_lines(result)]
     for payload in result.payloads:
         lines += ["-" * WIDTH, *payload_lines(payload)] if set(payload.parameters) - payload.known else []
     if result.friction:
@@ -79,10 +80,7 @@ def summary(result: IdentifiedModel) -> str:
         "-" * WIDTH,
         f"{'Torque fit':<26}{'error rms':>12}{'signal':>10}{'error %':>8}   unit",
     ]
-    lines += [
-        f"  {each.joint:<24}{each.rms:>12.4g}{each.signal:>10.4g}{each.relative:>8.2f}   {each.unit}"
-        for each in result.residuals
-    ]
+    lines += [_fit_row(each) for each in result.residuals]
     lines += singularity_lines(result.singularities)
     if result.consistency is not None:
         lines += ["-" * WIDTH, *_consistency_lines(result.consistency)]
@@ -138,7 +136,33 @@ def gain_lines(result: IdentifiedModel) -> list[str]:
             f"{gain.verdict.outcome}"
         )
     lines.append("  +-95 %: half the interval; random, model: standard deviations, % of the gain")
-    return lines
+    found = all_sources(result)
+    return [*lines, *_wrapped(f"  scale: from {found}", "    ")] if found else lines
+
+
+def _wrapped(text: str, indent: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, subsequent_indent=indent)
+
+
+def sensor_lines(result: IdentifiedModel) -> list[str]:
+    """Torque sensors as lines of tables: what each gain rests on, and what was found of the sensors."""
+    lines = [line for text in scale_lines(result) for line in _wrapped(text, "  ")]
+    if not result.sensors:
+        return ["-" * WIDTH, *lines] if len(lines) > 1 else []
+    lines = ["-" * WIDTH, *(lines if len(lines) > 1 else [])]
+    lines.append(f"{'Torque sensors':<26}{'value':>12}{'std':>10}{'std %':>8}   unit")
+    for each in result.sensors:
+        lines += [f"{_row(name, estimate)}   {estimate.unit}" for name, estimate in each.parameters.items()]
+        if each.ratio is not None:
+            lines.append(f"{_row(f'ratio_{each.joint}', each.ratio)}   {each.ratio.unit}")
+    if any(each.ratio is not None for each in result.sensors):
+        lines.append("  ratio: torque by all else that is known, over what the sensor reads")
+    lines.append(f"{'Sensor fit':<26}{'error rms':>12}{'signal':>10}{'error %':>8}   unit")
+    return lines + [_fit_row(each.residual) for each in result.sensors]
+
+
+def _fit_row(each: TorqueError) -> str:
+    return f"  {each.joint:<24}{each.rms:>12.4g}{each.signal:>10.4g}{each.relative:>8.2f}   {each.unit}"
 
 
 def _percent(part: float) -> str:

@@ -1,0 +1,308 @@
+"""The scale of drive gains without a payload: torque sensors, known parameters, and all of it together."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engines import closed_torques
+from five_bar_logs import CHI, GAINS, TOOL, five_bar
+from sensed_logs import SensedPlant
+
+from gtau import Result, read_run
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.scale import scale_shares
+from gtau.estimation.diagnostics.sensor_checks import sensor_scales
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.friction_selection import select_friction
+from gtau.estimation.estimators.maximum_likelihood import ML, ml
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.torque_sensors import seen_by_sensor
+from gtau.estimation.results.remarks import remarks
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import silent
+from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
+from gtau.signals.experiment import Payload, Prior
+from gtau.signals.run import Run
+
+ARM = Robot(
+    "arm",
+    (
+        Joint("1", "ground", "revolute", Mdh()),
+        Joint("2", "1", "revolute", Mdh(d=0.4, alpha=np.pi / 2)),
+        Joint("3", "2", "revolute", Mdh(d=0.3)),
+    ),
+    gravity=(0.0, -9.80665, 0.0),
+)
+ARM_GAINS = (8.0, 5.0, 3.0)
+STEEL = {"m": 1.5, "mx": 0.3, "zz": 0.08}
+
+
+def arm() -> SensedPlant:
+    model = InverseDynamics(ARM)
+    chi = dict.fromkeys(model.parameter_names, 0.0)
+    for joint, mass in zip("123", (5.0, 3.0, 1.5), strict=True):
+        chi |= {f"m_{joint}": mass, f"mx_{joint}": 0.2 * mass, f"my_{joint}": 0.03 * mass}
+        chi |= {f"{kind}_{joint}": 0.07 * mass for kind in ("xx", "yy", "zz")}
+        chi |= {f"ia_{joint}": 0.2, f"fv_{joint}": 1.0, f"fs_{joint}": 1.2, f"off_{joint}": 0.1}
+    return SensedPlant(model, chi, ARM_GAINS, (0.2, 0.5, -0.3), (0.5, 0.6, 0.7), tool="3")
+
+
+def linkage() -> SensedPlant:
+    return SensedPlant(five_bar(), CHI, GAINS, np.radians([120.0, 60.0]), (0.5, 0.5), sensor_noise=0.02, tool=TOOL)
+
+
+PLANTS = {"serial": arm(), "parallel": linkage()}
+
+
+def fit_of(robot: Robot, runs: Sequence[Run], priors: dict[str, Prior] | None = None) -> Fit:
+    dataset = reduce_runs(robot, runs, priors=priors)
+    return ML.fit(dataset, dataset.system(Friction((), len(runs) > 1)), Given())
+
+
+def deviations(fit: Fit) -> np.ndarray:
+    """Relative standard deviations of the gains, (n,)."""
+    return np.sqrt(np.diag(fit.solution.jackknife)[fit.system.problem.gain_rows]) / np.abs(fit.gains)
+
+
+def scores(fits: Sequence[Fit], truth: Sequence[float]) -> np.ndarray:
+    """Errors of the gains in standard deviations, (fits, n)."""
+    return np.array([(fit.gains / truth - 1) / deviations(fit) for fit in fits])
+
+
+# The rows of a sensor
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_a_sensor_feels_all_but_its_drive(name: str, rng: np.random.Generator) -> None:
+    """Its torque is that of an outside engine for a robot whose drive has neither inertia nor friction nor offset."""
+    model = PLANTS[name].model
+    chi = {each: rng.uniform(0.5, 1.0) for each in model.parameter_names}
+    q = np.array(PLANTS[name].home) + rng.uniform(-0.2, 0.2, (4, len(model.actuated)))
+    qd, qdd = rng.normal(size=(2, *q.shape))
+    for j, joint in enumerate(model.actuated):
+        bare = chi | {f"{kind}_{joint}": 0.0 for kind in DRIVE}
+        theirs = closed_torques(model.robot, bare, q, qd, qdd)[:, j]
+        felt = np.array(list(chi.values())) * seen_by_sensor(model.parameter_names, joint)
+        assert model.regressor(q, qd, qdd)[:, j] @ felt == pytest.approx(theirs, rel=1e-8, abs=1e-8)
+
+
+def test_a_sensor_separates_the_rotor_from_the_link() -> None:
+    plain, sensed = (base_parameters(five_bar(), sensors=sensors) for sensors in ((), ("left",)))
+    assert "ia_left" in plain.regroupings["zz_leftR"]
+    assert "ia_left" not in sensed.regroupings["zz_leftR"]
+    assert set(sensed.names) == {*plain.names, "ia_left"}
+    assert "ia_right" in sensed.regroupings["zz_rightR"]
+
+
+# Gains without a payload
+
+
+@pytest.mark.parametrize(("name", "sensor", "truth"), [("serial", "2", ARM_GAINS), ("parallel", "left", GAINS)])
+def test_one_sensor_scales_all_gains(name: str, sensor: str, truth: Sequence[float]) -> None:
+    plant = PLANTS[name].with_sensors(sensor)
+    fits = [fit_of(plant.model.robot, [plant.run(2 * k), plant.run(2 * k + 1)]) for k in range(6)]
+    found = scores(fits, truth)
+    assert np.abs(found).max() < 4
+    assert 0.5 < np.sqrt(np.mean(found**2)) < 1.6
+    assert np.all(deviations(fits[0]) < 0.03)
+
+
+@pytest.mark.parametrize(("name", "truth"), [("serial", ARM_GAINS), ("parallel", GAINS)])
+def test_known_parameters_scale_all_gains_with_their_deviations(name: str, truth: Sequence[float]) -> None:
+    """Values drawn about the truth: a standard deviation of 3 % of the masses' moments is one of the gains."""
+    plant, rng = PLANTS[name], np.random.default_rng(1)
+    kinds = ("m", "mx", "my", "mz")
+    fits = []
+    for k in range(6):
+        priors = {}
+        for each in plant.model.parameter_names:
+            if each.split("_")[0] in kinds:
+                value, std = plant.chi.get(each, 0.0), 0.03 * abs(plant.chi.get(each, 0.0)) + 1e-3
+                priors[each] = Prior(value=value + std * rng.standard_normal(), std=std)
+        fits.append(fit_of(plant.model.robot, [plant.run(2 * k), plant.run(2 * k + 1)], priors))
+    found = scores(fits, truth)
+    assert np.abs(found).max() < 4
+    assert 0.4 < np.sqrt(np.mean(found**2)) < 1.6
+    assert np.all(deviations(fits[0]) > 0.008)  # the known values' own, which no length of the logs takes away
+
+
+@pytest.mark.parametrize(("name", "sensor", "truth"), [("serial", "2", ARM_GAINS), ("parallel", "left", GAINS)])
+def test_payload_and_sensor_together_are_better_than_each(name: str, sensor: str, truth: Sequence[float]) -> None:
+    bare, plant = PLANTS[name], PLANTS[name].with_sensors(sensor)
+    known, robot = Payload(name="steel", mass=STEEL["m"]), plant.model.robot
+    both = fit_of(robot, [plant.run(1), plant.run(2, STEEL, known)])
+    alone = fit_of(robot, [bare.run(1), bare.run(2, STEEL, known)])
+    unknown = fit_of(robot, [plant.run(1), plant.run(2, STEEL, Payload(name="steel"))])
+    better = np.minimum(deviations(alone), deviations(unknown))
+    assert np.all(deviations(both) < 1.05 * better)
+    assert np.mean(deviations(both)) < 0.95 * min(np.mean(deviations(alone)), np.mean(deviations(unknown)))
+    assert np.abs(scores([both], truth)).max() < 4
+
+
+def test_sensor_and_current_have_lags_of_their_own() -> None:
+    plant = replace(arm(), sensors=("2",), lag=0.006)
+    fit = fit_of(ARM, [plant.run(1), plant.run(2)])
+    assert fit.solution.delays == pytest.approx([0, 0, 0, -0.006], abs=6e-4)
+    assert np.abs(scores([fit], ARM_GAINS)).max() < 4
+
+
+def test_friction_of_a_bearing_is_found_where_there_is_some() -> None:
+    for bearing in (0.0, 0.4):
+        plant = replace(arm(), sensors=("2",), bearing=bearing)
+        dataset, system = select_friction(reduce_runs(ARM, [plant.run(1), plant.run(2)]), ml, silent)
+        fit = ML.fit(dataset, system, Given())
+        values = dict(zip(system.problem.parameters, fit.solution.theta, strict=True))
+        assert ("fs_2_sensor" in values) == bool(bearing)
+        if bearing:
+            assert values["fs_2_sensor"] == pytest.approx(bearing, rel=0.1)
+        assert values["off_2_sensor"] == pytest.approx(0.3, abs=0.1)
+        assert np.abs(scores([fit], ARM_GAINS)).max() < 4
+
+
+# What the scale rests on
+
+
+def test_shares_are_what_a_gain_gains() -> None:
+    """A sensor that reads a per cent more, or a mass a per cent larger, moves the gains by their shares of it."""
+    plant = arm().with_sensors("2")
+    runs = [plant.run(1), plant.run(2, STEEL, Payload(name="steel", mass=STEEL["m"]))]
+    shares = scale_shares(before := fit_of(ARM, runs))
+    assert np.sum(list(shares.values()), axis=0) == pytest.approx(1.0)
+    more = [replace(run, command=run.command * np.array([1, 1, 1, 1.01])) for run in runs]
+    by_sensor = fit_of(ARM, more).gains / before.gains - 1
+    assert 100 * by_sensor == pytest.approx(shares["torque sensor of '2'"], abs=0.03)
+    heavier = [runs[0], replace(runs[1], payload=Payload(name="steel", mass=1.01 * STEEL["m"]))]
+    by_mass = fit_of(ARM, heavier).gains / before.gains - 1
+    assert 100 * by_mass == pytest.approx(shares["payload 'steel'"], abs=0.03)
+
+
+def test_a_sensor_out_of_scale_contradicts_the_others() -> None:
+    plant = arm().with_sensors("1", "2", "3")
+    runs = [plant.run(1), plant.run(2)]
+    true = sensor_scales(fit_of(ARM, runs))
+    assert all(abs(each.value - 1) < 4 * each.std for each in true)
+    faulty = [replace(run, command=run.command * np.array([1, 1, 1, 1, 0.9, 1])) for run in runs]
+    found = {each.joint: each for each in sensor_scales(fit_of(ARM, faulty))}
+    assert found["2"].value == pytest.approx(1 / 0.9, rel=0.03)
+    result = identify(ARM, faulty)
+    assert [sensor.joint for sensor in result.sensors if sensor.verdict.outcome == Outcome.CONTRADICTORY] == ["2"]
+    assert any("its torques are 1.1 +-" in note for note in map(str, remarks(result)))
+    # its residuals show that it does not fit, so it hardly counts
+    assert [gain.value for gain in result.drive_gains.values()] == pytest.approx(ARM_GAINS, rel=5e-3)
+
+
+def test_a_wrong_mass_beside_a_sensor_is_named() -> None:
+    plant = arm().with_sensors("1", "2", "3")
+    result = identify(ARM, [plant.run(1), plant.run(2, STEEL, Payload(name="steel", mass=1.2 * STEEL["m"]))])
+    assert result.payloads[0].verdict.outcome == Outcome.CONTRADICTORY
+    assert "weighs 1.5" in result.payloads[0].verdict.why
+
+
+# The way through
+
+
+def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
+    plant = arm().with_sensors("2", "3")
+    runs = [plant.run(1), plant.run(2)]
+    result = identify(ARM, runs)
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.GOOD}
+    assert "torque sensor" in result.summary(verbose=False)
+    assert "off_2_sensor" in result.summary()
+    result.save(tmp_path / "model.json")
+    again = Result.load(tmp_path / "model.json")
+    assert again.sensors == result.sensors
+    assert {name: gain.scale for name, gain in again.drive_gains.items()} == {
+        name: gain.scale for name, gain in result.drive_gains.items()
+    }
+    bare = arm().run(3)
+    assert [each.rms for each in again.validate(bare)] == [each.rms for each in result.validate(bare)]
+    assert max(each.relative for each in again.validate(bare)) < 1.0
+
+
+def test_a_sensor_column_is_read_like_a_current(tmp_path: Path) -> None:
+    run, log = arm().with_sensors("3", "2").run(1), tmp_path / "log.csv"
+    table = np.column_stack([run.time, run.position, run.command[:, :3], 1e3 * run.command[:, 3:]])
+    np.savetxt(log, table, delimiter=",", header="t,q1,q2,q3,i1,i2,i3,s3,s2", comments="", fmt="%.9g")
+    signals = {
+        "time": "t",
+        "position": {"1": "q1", "2": "q2", "3": "q3"},
+        "current": {"1": "i1", "2": "i2", "3": "i3"},
+        "joint_torque": {"3": "s3", "2": "s2"},
+    }
+    read = read_run(log, signals, units={"joint_torque": "mN m"})
+    assert read.sensors == ("2", "3")  # in the order of the joints
+    assert read.command == pytest.approx(run.command[:, [0, 1, 2, 4, 3]], abs=1e-6)
+    sent = pickle.loads(pickle.dumps(read.only(range(200, 600))))
+    assert sent.sensors == read.sensors
+    assert sent.command[200:600] == pytest.approx(read.command[200:600], abs=1e-12)
+    # a sample that is missing in the sensor alone is missing
+    text = log.read_text().splitlines()
+    cells = text[500].split(",")
+    text[500] = ",".join([*cells[:-1], ""])
+    log.write_text("\n".join(text))
+    assert any("missing" in note for note in read_run(log, signals).notes)
+
+
+def test_other_estimators_with_a_sensor() -> None:
+    plant = arm().with_sensors("2")
+    runs = [plant.run(1), plant.run(2)]
+    for method in ("huber", "2sls", "didim", "ridge"):
+        for gain, truth in zip(identify(ARM, runs, method=method).drive_gains.values(), ARM_GAINS, strict=True):
+            low, high = gain.interval(0.999) or (0.0, 0.0)
+            assert low < truth < high, method
+    for method in ("tls", "mixed", "iv"):
+        with pytest.raises(GtauError, match=rf"method '{method}' takes no torque sensors.*choose from ml"):
+            identify(ARM, runs, method=method)
+        with pytest.raises(GtauError, match=rf"method '{method}' takes no known parameters.*choose from ml"):
+            identify(ARM, [arm().run(1)], method=method, priors={"m_3": Prior(value=1.5, std=0.1)})
+
+
+def test_outliers_of_a_sensor_count_less_with_huber() -> None:
+    plant = arm().with_sensors("2")
+    runs = []
+    for run in (plant.run(1), plant.run(2)):
+        command = run.command.copy()
+        command[400:1600:100, 3] += 60.0
+        runs.append(replace(run, command=command))
+    off = [
+        np.abs([gain.value / truth - 1 for gain, truth in zip(found.drive_gains.values(), ARM_GAINS, strict=True)])
+        for found in (identify(ARM, runs, method=method) for method in ("ml", "huber"))
+    ]
+    assert off[1].max() < 0.5 * off[0].max()
+
+
+# Refusals
+
+
+def test_what_is_refused() -> None:
+    runs = [arm().run(1), arm().run(2)]
+    with pytest.raises(GtauError, match=r"needs a scale.*torque sensors \('joint_torque'.*known parameters"):
+        identify(ARM, runs)
+    with pytest.raises(GtauError, match=r"priors' \(m_1\) cannot give the scale.*give priors for all parameters"):
+        identify(ARM, runs, priors={"m_1": Prior(value=5.0, std=0.1)})
+    with pytest.raises(GtauError, match=r"'m_4', which is no parameter of the robot; did you mean 'm_"):
+        identify(ARM, runs, priors={"m_4": Prior(value=5.0, std=0.1)})
+    with pytest.raises(GtauError, match=r"torque sensors at other joints \(2; none\); give 'joint_torque'"):
+        identify(ARM, [arm().with_sensors("2").run(1), runs[1]])
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"joint_torque": {"4": "s"}}, "'joint_torque' names the joint '4', which has no position"),
+        ({"joint_torque": {"1": "i1"}}, "the column 'i1' is given both as a current and as a joint_torque"),
+    ],
+)
+def test_columns_that_are_refused(more: dict, said: str, tmp_path: Path) -> None:
+    signals = {"time": "t", "position": {"1": "q1"}, "current": {"1": "i1"}, **more}
+    with pytest.raises(GtauError, match=said):
+        read_run(tmp_path / "log.csv", signals)
