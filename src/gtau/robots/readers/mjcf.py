@@ -18,6 +18,7 @@ from gtau.robots.geometry import compose, pose_of, rounded, turn
 from gtau.robots.parts import hold_joints, listed
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.mjcf_file import MjcfFile, compile_mjcf
+from gtau.robots.readers.mjcf_idle import moving_base, scenery, with_linkages
 from gtau.robots.readers.mjcf_ties import (
     actuated_joints,
     equalities,
@@ -157,6 +158,8 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         pulled = set()
     slaves = {coupling.joint for coupling in couplings}
     actuated = driven.union(base_rows(floating)) if file.actuators else {joint.name for joint in joints} - slaves
+    if closures and not file.actuators:
+        raise GtauError("it has loops and no actuators, so it is not known which joints have motors; add actuators.")
     weightless = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     if weightless:
         notes.append("gravity is switched off in the file, and here; where it acts, write it in a saved robot file")
@@ -181,33 +184,13 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     )
     for names, why in (
         (held.keys(), "by an equality with a constant"),
-        (pulled - driven, "since a tendon pulls them, which is not modelled"),
-        (_scenery(robot), "since they carry no motor and nothing ties them to one that does"),
-        (_moving_base(robot) if isinstance(base, Base) else set(), "with the base"),
+        (with_linkages(robot, pulled - driven), "since a tendon pulls them, which is not modelled"),
+        (scenery(robot), "since they carry no motor and nothing ties them to one that does"),
+        (moving_base(robot) if isinstance(base, Base) else set(), "with the base"),
     ):
         if here := {joint.name: held.get(joint.name, joint.home) for joint in robot.joints if joint.name in names}:
             robot = hold_joints(robot, here, why)
     return robot
-
-
-def _scenery(robot: Robot) -> set[str]:
-    """Joints of doors, targets and the like: of trees from the ground without a motor, a closure or a coupling."""
-    tied = robot.driven | {end.body for closure in robot.closures for end in (closure.a, closure.b)}
-    root: dict[str, str] = {}
-    for joint in robot.joints:
-        root[joint.name] = root.get(joint.antecedent, joint.name)
-    moving = {root[name] for name in tied if name in root}
-    return {name for name in root if root[name] not in moving}
-
-
-def _moving_base(robot: Robot) -> set[str]:
-    """Joints without a motor that carry all motors: those of a base that rolls or slides, but for its last link's."""
-    tied = robot.driven | {end.body for closure in robot.closures for end in (closure.a, closure.b)}
-    before: dict[str, set[str]] = {GROUND: set()}
-    for joint in robot.joints:
-        before[joint.name] = before[joint.antecedent] | {joint.antecedent}
-    carrying = set.intersection(*(before[name] for name in robot.driven)) - {GROUND}
-    return carrying - tied
 
 
 def _carriers(model: mujoco.MjModel) -> set[int]:
