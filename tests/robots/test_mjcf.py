@@ -531,3 +531,47 @@ def test_a_linkage_on_the_ground_is_no_moving_base(tmp_path: Path) -> None:
     (tmp_path / "linkage.xml").write_text(text)
     robot = load_robot(tmp_path / "linkage.xml", base="fixed")
     assert [joint.name for joint in robot.joints] == ["crank", "rocker", "bar"]
+
+
+INERTIAL_ELEMENT = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
+
+
+def body(name: str, pos: str = "0 0 0", inner: str = "") -> str:
+    """A body on a hinge about y of its own name."""
+    return f'<body name="{name}" pos="{pos}">{INERTIAL_ELEMENT}<joint name="{name}" axis="0 1 0"/>{inner}</body>'
+
+
+def test_the_linkage_of_a_gripper_is_held_with_it(tmp_path: Path) -> None:
+    """A tendon pulls the crank of a four-bar on an arm: nothing of the four-bar is left to move."""
+    gripper = body("crank") + body("rocker", "0.5 0 0", body("bar", "0 0 0.3"))
+    text = f"""<mujoco><worldbody>{body("arm", inner=gripper)}</worldbody>
+      <equality><connect body1="bar" body2="crank" anchor="-0.5 0 -0.1"/></equality>
+      <tendon><fixed name="t"><joint joint="crank" coef="1"/></fixed></tendon>
+      <actuator><motor joint="arm"/><motor tendon="t"/></actuator></mujoco>"""
+    robot = load(text, tmp_path)
+    assert [joint.name for joint in robot.joints] == ["arm"]
+    assert any("3 joints held since a tendon pulls them" in note for note in robot.notes)
+
+
+def test_coupled_joints_without_a_motor_are_scenery(tmp_path: Path) -> None:
+    text = f"""<mujoco><worldbody>{body("arm")}{body("turn", "1 0 0", body("rise"))}</worldbody>
+      <equality><joint joint1="rise" joint2="turn" polycoef="0 0.1 0 0 0"/></equality>
+      <actuator><motor joint="arm"/></actuator></mujoco>"""
+    robot = load(text, tmp_path)
+    assert [joint.name for joint in robot.joints] == ["arm"]
+    assert not robot.couplings
+
+
+def test_each_robot_on_a_moving_base_has_its_own(tmp_path: Path) -> None:
+    arms = "".join(body(f"base{k}", f"{k} 0 0", body(f"arm{k}")) for k in (1, 2))
+    motors = "".join(f'<motor joint="arm{k}"/>' for k in (1, 2))
+    (tmp_path / "two.xml").write_text(f"<mujoco><worldbody>{arms}</worldbody><actuator>{motors}</actuator></mujoco>")
+    robot = load_robot(tmp_path / "two.xml", base="fixed")
+    assert [joint.name for joint in robot.joints] == ["arm1", "arm2"]
+
+
+def test_loops_without_actuators_are_refused(tmp_path: Path) -> None:
+    text = f"""<mujoco><worldbody>{body("crank")}{body("rocker", "0.5 0 0", body("bar", "0 0 0.3"))}</worldbody>
+      <equality><connect body1="bar" body2="crank" anchor="-0.5 0 -0.1"/></equality></mujoco>"""
+    with pytest.raises(GtauError, match="it has loops and no actuators, so it is not known which joints have motors"):
+        load(text, tmp_path)

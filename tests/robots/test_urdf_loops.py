@@ -56,11 +56,11 @@ def test_models_load_as_they_are(folder: str, shared: Path, tmp_path: Path, rng:
 def test_what_the_models_notes_say(shared: Path) -> None:
     five_bar, delta = (load_robot(shared / "parallel_models" / folder) for folder in MODELS)
     assert five_bar.actuated == ("mot1", "mot2")
-    heavy = [note for note in five_bar.notes if "654,498 kg" in note]
+    (heavy,) = (note for note in five_bar.notes if "654,498 kg" in note)
     idle = [note for note in five_bar.notes + delta.notes if "is idle" in note]
     home = [note for note in five_bar.notes + delta.notes if "home was solved" in note]
-    assert (len(heavy), len(idle), len(home)) == (2, 4, 2)
-    assert len(five_bar.notes + delta.notes) == 8
+    assert (heavy.count("654,498 kg"), len(idle), len(home)) == (2, 4, 2)
+    assert len(five_bar.notes + delta.notes) == 7
     assert (
         "with mot1_rod1 = 0, mot1_rod2 = 0, is closer to a singularity: condition number 243 instead of 42.9" in home[1]
     )

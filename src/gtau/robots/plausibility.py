@@ -71,8 +71,8 @@ def _angles(robot: Robot) -> Iterator[str]:
     ]
     if far:
         yield (
-            f"position limits of many turns: {', '.join(far)}; angles are in rad, so where these are degrees write "
-            "deg(...)"
+            f"position limits of many turns: {', '.join(far)}; angles are in rad, so where these are degrees divide "
+            "them by 57.2958, or write deg(...) in a robot file"
         )
 
 

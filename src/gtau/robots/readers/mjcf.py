@@ -17,6 +17,8 @@ from gtau.robots.floating import base_joints
 from gtau.robots.geometry import compose, pose_of, rounded, turn
 from gtau.robots.parts import hold_joints, listed
 from gtau.robots.readers.idle_joints import without_idle_pins
+from gtau.robots.readers.inertias import mjcf_masses
+from gtau.robots.readers.mjcf_angles import angle_notes
 from gtau.robots.readers.mjcf_file import MjcfFile, compile_mjcf
 from gtau.robots.readers.mjcf_idle import moving_base, scenery, with_linkages
 from gtau.robots.readers.mjcf_ties import (
@@ -163,7 +165,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     weightless = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     if weightless:
         notes.append("gravity is switched off in the file, and here; where it acts, write it in a saved robot file")
-    notes += _simulated_alone(model)
+    notes += (*_simulated_alone(model), *mjcf_masses(file.elements), *angle_notes(file.elements))
     joints.sort(key=lambda joint: joint.name not in base_rows(floating))  # those of the base stand first
     if not joints:
         raise GtauError("it has no joints of a robot, but for those of free bodies; give the file of a robot.")

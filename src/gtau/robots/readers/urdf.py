@@ -16,8 +16,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
+from gtau.robots.readers.inertias import urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
-from gtau.robots.readers.xml_document import attribute, numbers, read_xml
+from gtau.robots.readers.xml_document import attribute, line_of, numbers, read_xml
 from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose, Robot
 from gtau.robots.units import in_degrees
 
@@ -119,8 +120,8 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
                 )
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
-        notes = (*_odd_masses(root), *_limit_notes(ordered))
-        notes += short_angles_note(edge.name for edge in ordered if edge.short)
+        notes = (*urdf_masses(root, _carried(ordered)), *_limit_notes(ordered))
+        notes += (*_reduction_notes(root), *short_angles_note(edge.name for edge in ordered if edge.short))
         return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
@@ -248,6 +249,17 @@ def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list
     ]
 
 
+def _carried(ordered: list[_Edge]) -> dict[str, str]:
+    """The moving joint of whose link each link is a part, for links that move."""
+    found: dict[str, str] = {}
+    for edge in ordered:
+        if edge.kind is not None:
+            found[edge.child] = edge.name
+        elif edge.parent in found:
+            found[edge.child] = found[edge.parent]
+    return found
+
+
 def _mimic(edge: _Edge) -> Coupling | None:
     mimic = edge.element.find("mimic")
     if mimic is None or edge.kind is None:
@@ -260,20 +272,23 @@ def _mimic(edge: _Edge) -> Coupling | None:
     return Coupling(edge.name, ((master, ratio),), offset)
 
 
-def _odd_masses(root: Element) -> Iterator[str]:
-    """Notes on masses that cannot be meant; they are not used, but other programs would."""
-    masses: dict[str, float] = {}
-    for link in root.findall("link"):
-        name, inertial = attribute(link, "name", "a link"), link.find("inertial/mass")
-        if inertial is not None:
-            masses[name] = numbers(inertial.get("value", ""), 1, f"mass of link '{name}'")[0]
-    typical = float(np.median([mass for mass in masses.values() if mass > 1e-6] or [1.0]))
-    for name, mass in masses.items():
-        if mass < 0.0 or mass > max(1000.0 * typical, 1000.0):
-            yield (
-                f"link '{name}' weighs {mass:,.0f} kg in the file, which cannot be meant; masses are identified, not "
-                "read, but correct it before you use the file elsewhere"
-            )
+def _reduction_notes(root: Element) -> Iterator[str]:
+    """A note on the gears of transmissions, which are not part of the geometry but say what gains to expect."""
+    ratios = []
+    for transmission in root.findall("transmission"):
+        joint = transmission.find("joint")
+        for reduction in transmission.iter("mechanicalReduction"):
+            try:
+                ratio = float(reduction.text or "1")
+            except ValueError:
+                continue
+            if joint is not None and ratio not in (0.0, 1.0):
+                ratios.append(f"'{joint.get('name', '')}' {ratio:g}")
+    if ratios:
+        yield (
+            f"gear ratios of the file's transmissions: {', '.join(dict.fromkeys(ratios))}; positions and gains are "
+            "those at the joint, and with the motors' data sheets they go under 'drives' in the experiment file"
+        )
 
 
 def _origin(element: Element, name: str) -> tuple[Pose, bool]:
@@ -283,8 +298,8 @@ def _origin(element: Element, name: str) -> tuple[Pose, bool]:
     xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
     if degrees := [angle for angle in rpy if in_degrees(angle)]:
         raise GtauError(
-            f"rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by 57.2958 where it is in "
-            "degrees."
+            f"line {line_of(origin)}: rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by "
+            "57.2958 where it is in degrees."
         )
     return written_pose(xyz, rpy)
 

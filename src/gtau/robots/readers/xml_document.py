@@ -5,15 +5,11 @@ from __future__ import annotations
 import re
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
-from xml.etree.ElementTree import ParseError
+from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 from xml.parsers.expat import errors
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
 
 MAX_BYTES = 1 << 24
 MAX_DEPTH = 200
@@ -31,17 +27,16 @@ def read_xml(path: Path) -> Element:
         more than 200 levels deep. The message does not name the file; the caller does.
     """
     from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import fromstring
 
     larger = "the file is larger than 16 MiB; a robot is text without meshes, so check the path."
     content = read_at_most(MAX_BYTES, path, larger)
     try:
         try:
-            root: Element = fromstring(content, forbid_dtd=True)
+            root = _parsed(content)
         except ParseError as error:
             if error.code != errors.codes[errors.XML_ERROR_UNBOUND_PREFIX]:
                 raise
-            root = fromstring(PREFIX.sub(rb"\1\2.", content), forbid_dtd=True)
+            root = _parsed(PREFIX.sub(rb"\1\2.", content))
     except DefusedXmlException:
         raise GtauError("the file declares entities or a document type; write their values out.") from None
     except (ParseError, ValueError, LookupError) as error:
@@ -52,6 +47,34 @@ def read_xml(path: Path) -> Element:
     if level:
         raise GtauError(f"elements are nested more than {MAX_DEPTH} levels deep; check the file.")
     return root
+
+
+class _Element(Element):
+    """An element that knows its line."""
+
+    line = 0
+
+
+def _parsed(content: bytes) -> Element:
+    from defusedxml.ElementTree import DefusedXMLParser
+
+    class Parser(DefusedXMLParser):  # type: ignore[misc, unused-ignore]
+        """A parser that keeps the line in which an element begins."""
+
+        def _start(self, tag: str, attributes: list[str]) -> Element:
+            element: Element = super()._start(tag, attributes)
+            element.line = self.parser.CurrentLineNumber  # type: ignore[attr-defined]
+            return element
+
+    parser = Parser(target=TreeBuilder(element_factory=_Element), forbid_dtd=True)
+    parser.feed(content)
+    root: Element = parser.close()
+    return root
+
+
+def line_of(element: Element) -> int:
+    """The line of the file in which an element begins, 0 where it is not known."""
+    return int(getattr(element, "line", 0))
 
 
 def numbers(text: str, count: int, what: str) -> list[float]:
