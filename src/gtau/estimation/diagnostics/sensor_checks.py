@@ -62,7 +62,8 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
                 e * weights[:, None], J * weights[:, None, None], -(torque * weights[:, None])[..., None]
             )
 
-    tests = score_tests(windows, known=jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels)))
+    known = jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels))
+    (tests,) = score_tests(windows, [(slice(None), False)], known)
     T = to_gains(state, problem.n_theta, True)
     return tuple(
         SensorScale(
