@@ -31,8 +31,9 @@ def quick() -> Iterator[None]:
     """Base parameters found once for each robot, and one thread."""
     found: dict[str, BaseParameters] = {}
 
-    def remembered(model: InverseDynamics) -> BaseParameters:
-        return found.setdefault(model.robot.name, found.get(model.robot.name) or base_parameters(model))
+    def remembered(model: InverseDynamics, sensors: tuple[str, ...] = ()) -> BaseParameters:
+        name = model.robot.name
+        return found.setdefault(name, found.get(name) or base_parameters(model, sensors=sensors))
 
     with pytest.MonkeyPatch.context() as patch, threadpool_limits(1, "blas"):
         patch.setattr(gtau.estimation.regression.dataset, "base_parameters", remembered)

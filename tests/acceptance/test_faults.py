@@ -34,9 +34,9 @@ def base_once() -> Iterator[None]:
     """Base parameters found once for each robot, as most of these experiments are of the same."""
     found: dict[Robot, BaseParameters] = {}
 
-    def remembered(model: InverseDynamics) -> BaseParameters:
+    def remembered(model: InverseDynamics, sensors: tuple[str, ...] = ()) -> BaseParameters:
         if model.robot not in found:
-            found[model.robot] = base_parameters(model)
+            found[model.robot] = base_parameters(model, sensors=sensors)
         return found[model.robot]
 
     with pytest.MonkeyPatch.context() as patch:

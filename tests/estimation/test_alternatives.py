@@ -10,6 +10,8 @@ import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, support
+from gtau.estimation.diagnostics.findings import Findings
+from gtau.estimation.diagnostics.position_ripple import PositionRipple
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
@@ -107,6 +109,23 @@ def test_alternatives_of_a_group_compete() -> None:
         pytest.approx(0.0, abs=1e-6),
         pytest.approx(0.0, abs=1e-4),
     ]
+
+
+@pytest.mark.parametrize(("lag", "refuted"), [(0.34, False), (0.1, True)])
+def test_what_a_lag_leaves_does_not_refute_the_description(lag: float, refuted: bool) -> None:
+    """Tried alone, gravity explains part of what the lag leaves: it refutes only where it explains more."""
+    nothing = np.zeros(2)
+
+    def held(hypothesis: str, share: float, description: bool) -> Alternative:
+        return Alternative(
+            hypothesis, hypothesis, 1.0, 0.05, "", 1.0, hypothesis, 180.0, 1.0, share, nothing, nothing, "",
+            description, probability=1.0,
+        )  # fmt: skip
+
+    gravity = held("gravity", 0.19, True)
+    weighed = (held("current lag", lag, False), gravity)
+    found = Findings(2.0, weighed, PositionRipple(nothing, nothing), ())
+    assert found.refuted == ((gravity,) if refuted else ())
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2])
