@@ -10,6 +10,7 @@ import numpy as np
 
 from gtau import display
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.command_lag import lag_notes
 from gtau.estimation.diagnostics.plausibility import require_felt_payload
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.grades import Grade, by_grade, grade_of
@@ -191,7 +192,7 @@ def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
 def _together(dataset: Dataset, prior_gains: Mapping[str, float]) -> list[Note]:
     """What only all runs together show: the scale of the gains, the payload's effect, parameters not separable."""
     system = dataset.system(Friction())
-    notes = not_separated(system.unexcited)
+    notes = [*lag_notes(dataset, system), *not_separated(system.unexcited)]
     if dataset.runs[0].kind == "torque":
         return notes
     payloads = [run.payload for run in dataset.runs]

@@ -10,6 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.command_lag import lag_notes
 from gtau.estimation.diagnostics.plausibility import require_felt_payload
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
@@ -110,17 +111,19 @@ def identify(
         dataset = reduce_runs(
             robot, runs, decimator=options.decimator, progress=progress, mapper=mapper, priors=usable(estimator, priors)
         )
+        system = dataset.system(Friction())
         if gains is None:
-            require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], estimator.name)
+            require_scale(robot, system, [run.payload for run in dataset.runs], estimator.name)
         try:
             result = estimate(dataset, estimator, Given(gains, priors, progress), options, prior_gains, consistent)
         except GtauError:
-            require_felt_payload(dataset.system(Friction()))
+            require_felt_payload(system)
             raise
         outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
         if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
-            require_felt_payload(dataset.system(Friction()))
-        return replace(result, notes=(*_data_sheet_notes(drives, result), *result.notes))
+            require_felt_payload(system)
+        found = (*lag_notes(dataset, system), *_data_sheet_notes(drives, result), *result.notes)
+        return replace(result, notes=found)
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:

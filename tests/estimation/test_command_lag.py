@@ -1,0 +1,82 @@
+"""Commands that lag behind the motion: low-passed, or logged late."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from five_bar_logs import STEEL, Plant
+from scipy.signal import lfilter
+
+from gtau.estimation.diagnostics.command_lag import command_lags, lag_notes
+from gtau.estimation.grades import Grade, grade_of
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.estimation.regression.friction import Friction
+from gtau.model.home import load_robot
+from gtau.signals.experiment import Payload
+from gtau.signals.notes import Kind
+from gtau.signals.run import Run
+
+FIVE_BAR = load_robot("five-bar")
+NOISE = 0.02  # A, of some 1 to 2 A rms
+
+
+def low_passed(run: Run, lag: float) -> Run:
+    """The run behind a low-pass of first order with a time constant of ``lag`` s."""
+    if not lag:
+        return run
+    pole = np.exp(-1 / (run.rate * lag))
+    command, _ = lfilter([1 - pole], [1, -pole], run.command, axis=0, zi=pole * run.command[:1])
+    return replace(run, command=command)
+
+
+def logged(lag: float, late: int = 0, kind: str = "current") -> Dataset:
+    plant = Plant(noise=NOISE, gains=(1.0, 1.0) if kind == "torque" else (2.5, 4.0))
+    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, STEEL, 2)
+    runs = [free, replace(loaded, payload=Payload(name="steel", mass=STEEL["m"]))]
+    runs = [replace(low_passed(run, lag), kind=kind) for run in runs]
+    runs = [replace(run, command=np.roll(run.command, late, axis=0)) for run in runs]
+    return reduce_runs(FIVE_BAR, runs)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.005, 0.01, 0.02, 0.05])
+def test_the_time_constant_of_a_low_pass_is_found(lag: float) -> None:
+    dataset = logged(lag)
+    system = dataset.system(Friction())
+    found, error = command_lags(system.problem)
+    period = 1 / dataset.runs[0].rate
+    np.testing.assert_allclose(found, lag, atol=0.05 * lag + 0.5 * period + 4 * error.max())
+    assert bool(lag_notes(dataset, system)) == (lag > 0)
+
+
+@pytest.mark.parametrize("late", [-5, 5])
+def test_currents_before_the_motion_are_a_delay_and_those_after_it_are_late(late: int) -> None:
+    dataset = logged(0.0, late)
+    (lag, _), _ = command_lags(dataset.system(Friction()).problem)
+    assert lag == pytest.approx(late / 500, rel=0.2)  # a delay is a low-pass to first order only, here of 0.2 rad
+    assert bool(lag_notes(dataset, dataset.system(Friction()))) == (late > 0)
+
+
+def test_torques_are_judged_alike_and_the_grade_follows_what_is_lost() -> None:
+    strong, weak = (logged(lag, kind="torque") for lag in (0.02, 0.005))
+    (note,) = lag_notes(strong, strong.system(Friction()))
+    assert note.startswith("the torques lag behind the motion by ")
+    assert (note.kind, grade_of(note)) == (Kind.FILTERED, Grade.MEND)
+    (note,) = lag_notes(weak, weak.system(Friction()))
+    assert grade_of(note) == Grade.INFORMATION
+
+
+def test_noise_alone_has_no_lag() -> None:
+    """Currents that are mostly noise say nothing, however they are filtered."""
+    run = Plant(noise=20.0).run("free", 8.0, seed=1)
+    dataset = reduce_runs(FIVE_BAR, [low_passed(run, 0.05)])
+    assert lag_notes(dataset, dataset.system(Friction())) == []
+
+
+def test_gains_that_are_given_come_with_the_note() -> None:
+    plant = Plant(noise=NOISE)
+    runs = [low_passed(plant.run("free", 8.0, seed=1), 0.02)]
+    result = identify(FIVE_BAR, runs, method="wls", prior_gains={"left": 2.5, "right": 4.0})
+    assert "the currents lag behind the motion by" in " ".join(result.summary(verbose=False).split())
