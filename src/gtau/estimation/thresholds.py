@@ -93,8 +93,8 @@ REFUTED_STD = Threshold(
 REFUTED_SHARE = Threshold(
     0.05,
     "share of the residual variance that goes with it",
-    "up to 0.03 at more than 6 deviations with moves above the accuracy: none (UR10e pairs); 0.06 to 0.21 beside a lag or "
-    "elasticity of 0.07 to 0.39, which then explains it",
+    "up to 0.03 at more than 6 deviations with moves above the accuracy: none (UR10e pairs); 0.06 to 0.21 beside a "
+    "lag or elasticity of 0.07 to 0.39, which then explains it",
     "0.06 to 0.86 (faults)",
     "faults, UR10e pairs; a dVRK arm, and currents low-passed or joints elastic in benchmarks/calibration.py",
 )
