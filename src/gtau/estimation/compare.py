@@ -129,8 +129,8 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
             progress("estimators", k, len(chosen))
             rows.append(row(estimator))
         progress("estimators", len(chosen), len(chosen))
-    units = tuple(f"{torque_unit(robot, joint)}/A" for joint in robot.actuated)
-    return EstimatorComparison(robot.actuated, tuple(rows), units)
+    units = tuple(f"{torque_unit(robot, joint)}/A" for joint in robot.motors)
+    return EstimatorComparison(robot.motors, tuple(rows), units)
 
 
 WIDTH = 80

@@ -205,6 +205,12 @@ def gains_for(
         Where it estimates gains of logs that hold torques, or takes them and some joint has no prior gain.
     """
     torques = runs[0].kind == "torque"
+    if robot.floating and not estimator.joint:
+        takers = ", ".join(each.name for each in ESTIMATORS.values() if each.joint)
+        raise GtauError(
+            f"method '{estimator.name}' takes no floating base, and that of robot '{robot.name}' floats; choose from "
+            f"{takers} with --method."
+        )
     if estimator.gains == Gains.GIVEN or (estimator.gains == Gains.EITHER and torques):
         return given_gains(robot, runs, prior_gains, estimator.name)
     if torques:
@@ -225,10 +231,11 @@ def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, flo
     """
     if runs[0].kind == "torque":
         return np.ones(len(robot.actuated))
-    missing = [joint for joint in robot.actuated if joint not in (prior_gains or {})]
+    known = {**dict.fromkeys(robot.base, 1.0), **(prior_gains or {})}
+    missing = [joint for joint in robot.actuated if joint not in known]
     if missing:
         raise GtauError(
             f"method '{method}' needs a drive gain for every joint, and joint '{missing[0]}' has none; "
             "add 'prior_gains' to the experiment file, or use --method ml with a known payload."
         )
-    return np.array([prior_gains[joint] for joint in robot.actuated])  # type: ignore[index]
+    return np.array([known[joint] for joint in robot.actuated])

@@ -68,7 +68,7 @@ def weigh(
     if gains == "prior":
         g_tau, covariance = given_gains(robot, runs, described.expected_gains, "wls"), None
     else:
-        g_tau = np.array([model.drive_gains[joint].value for joint in robot.actuated], dtype=float)
+        g_tau = model.gains
         rows = [model.covariance_names.index(f"gain_{joint}") for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
     runs = tuple(without_sensors(run) for run in runs)  # the model's gains say as much

@@ -19,6 +19,7 @@ from gtau.report.robot_drawing import robot_drawing
 from gtau.report.run_sections import COLOURS, distances_part, logs_section
 from gtau.report.style import joint_label
 from gtau.robots.robot import Robot
+from gtau.robots.units import command_unit
 from gtau.signals.samples import counted
 
 
@@ -68,7 +69,7 @@ def _joints(log: LogCheck, robot: Robot) -> str:
                 number(each.bandwidth if np.isfinite(each.bandwidth) else None, 3, "at rest"),
                 number(each.command_rms, 3),
                 number(each.command_max, 3),
-                text("A" if log.run.kind == "current" else _torque_unit(robot, each.joint), "unit"),
+                text(command_unit(robot, each.joint, log.run.kind), "unit"),
                 Cell(f"{100 * each.usable:.0f}", True, each.usable),
             ]
         )
@@ -111,7 +112,3 @@ def _motion(checked: ExperimentCheck, arrays: Arrays) -> str:
 
 def _unit(robot: Robot, joint: str) -> str:
     return "rad" if robot.joint(joint).kind == "revolute" else "m"
-
-
-def _torque_unit(robot: Robot, joint: str) -> str:
-    return "N m" if robot.joint(joint).kind == "revolute" else "N"

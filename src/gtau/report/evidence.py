@@ -62,7 +62,7 @@ class Evidence:
     @property
     def joints(self) -> tuple[str, ...]:
         """Actuated joints in the order of the result."""
-        return tuple(self.result.drive_gains)
+        return self.robot.actuated
 
     @property
     def units(self) -> list[str]:

@@ -17,7 +17,7 @@ from gtau.estimation.results.summary import findings_lines
 from gtau.estimation.thresholds import NEAR_SINGULAR
 from gtau.report.style import BLACK, LINES, has_matplotlib, joint_label, light_grid, new_figure, save_figure, styled
 from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit
+from gtau.robots.units import command_unit
 from gtau.signals.notes import Note
 from gtau.signals.samples import counted
 from gtau.signals.storage import block, spans
@@ -65,7 +65,7 @@ def _describe(log: LogCheck, robot: Robot) -> dict[str, Any]:
                 "position": list(each.position),
                 "speed": {"rms": each.speed_rms, "max": each.speed_max},
                 "bandwidth": each.bandwidth if np.isfinite(each.bandwidth) else None,
-                "command_unit": "A" if run.kind == "current" else torque_unit(robot, each.joint),
+                "command_unit": command_unit(robot, each.joint, run.kind),
                 "command": {"rms": each.command_rms, "max": each.command_max},
                 "usable": each.usable,
             }
@@ -128,7 +128,7 @@ def _log_lines(log: dict[str, Any]) -> list[str]:
             f"  {each['joint']:<22}{low:>14.3g}{high:>10.3g} {each['unit']:<4}{each['speed']['rms']:>10.3g}"
             f"{each['speed']['max']:>10.3g} {each['unit']}/s"
         )
-    command = "current" if log["joints"][0]["command_unit"] == "A" else "torque"
+    command = "current" if log["joints"][-1]["command_unit"] == "A" else "torque"
     lines.append(f"  {'joint':<22}{f'{command} rms':>14}{'max':>10}{'':5}{'bandwidth':>10}{'rows used':>15}")
     for each in log["joints"]:
         bandwidth = "at rest   " if each["bandwidth"] is None else f"{each['bandwidth']:.3g} Hz"

@@ -94,7 +94,7 @@ class Plots:
         return robot_figure(self.result.robot)
 
     def _predicted(self, joint: str | None, run: str | Run | None) -> tuple[Run, Prediction, tuple[str, ...]]:
-        joints = tuple(self.result.drive_gains)
+        joints = self.result.robot.actuated
         if joint is not None and joint not in joints:
             raise GtauError(f"there is no joint '{joint}'; choose from {', '.join(joints)}.")
         chosen = run if isinstance(run, Run) else self._run(run)

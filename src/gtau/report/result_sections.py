@@ -348,7 +348,7 @@ def alternatives_section(evidence: Evidence) -> Section | None:
         [
             text(each.subject),
             Cell(_share(each.probability), True, each.probability),
-            *(_move_cell(each.moves.get(joint)) for joint in evidence.joints),
+            *(_move_cell(each.moves.get(joint)) for joint in evidence.robot.motors),
             _size_cell(each),
             text(each.unit),
             Cell(_share(each.share), True, each.share),
@@ -358,7 +358,7 @@ def alternatives_section(evidence: Evidence) -> Section | None:
     columns = [
         Column("alternative"),
         Column("probability, %", True),
-        *(Column(f"moves {joint_label(joint)} by, %", True) for joint in evidence.joints),
+        *(Column(f"moves {joint_label(joint)} by, %", True) for joint in evidence.robot.motors),
         Column("size", True),
         Column("unit"),
         Column("share of the residual, %", True),

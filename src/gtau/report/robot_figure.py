@@ -96,7 +96,8 @@ def robot_figure(robot: Robot) -> Figure:
         _scale(axes, low - [0.0, 0.15 * size], size)
         axes.set_axis_off()
         left, right = key.subplots(1, 2, width_ratios=(1, 2.6))
-        _compass(left, view @ scene.upright, bool(np.any(robot.gravity)))
+        axes_of = "world" if robot.floating else "base"
+        _compass(left, view @ scene.upright, axes_of, bool(np.any(robot.gravity)))
         _legend(right, robot, joints, {body for body, _ in lines})
     return figure
 
@@ -186,10 +187,10 @@ def _triad(axes: Axes, origin: np.ndarray, ends: np.ndarray, color: str, zorder:
         )  # fmt: skip
 
 
-def _compass(axes: Axes, base: np.ndarray, gravity: bool) -> None:
-    """The axes of the base (2, 3), and which way gravity points."""
+def _compass(axes: Axes, base: np.ndarray, name: str, gravity: bool) -> None:
+    """The axes of the base (2, 3), or of what bears this name, and which way gravity points."""
     _triad(axes, np.zeros(2), base, GREY)
-    axes.text(0.0, -1.75, "base", ha="center", va="center", color=GREY, fontsize=7.5)
+    axes.text(0.0, -1.75, name, ha="center", va="center", color=GREY, fontsize=7.5)
     if gravity:
         axes.annotate("", (2.0, -1.0), (2.0, 0.9), arrowprops={"arrowstyle": "-|>", "color": BLACK, "linewidth": 1.3})
         axes.text(2.0, -1.75, "gravity", ha="center", va="center", fontsize=7.5)
@@ -227,7 +228,8 @@ def _legend(axes: Axes, robot: Robot, joints: list[Joint], linked: set[str]) -> 
         entries["travel"] = Line2D([], [], **RAIL)
     if linked - {robot.tool}:
         entries["link"] = Line2D([], [], color=BLUE, **LINK)
-    entries["base"] = Line2D([], [], **BASE)
+    if not robot.floating:
+        entries["base"] = Line2D([], [], **BASE)
     hexagon: dict[str, Any] = {"markeredgecolor": BLACK, "markersize": 9}
     if any(platform.name != robot.tool for platform in robot.platforms):
         entries["platform"] = mark("h", color=SKY, **hexagon)

@@ -45,7 +45,7 @@ def describe(robot: Robot) -> dict[str, Any]:
                 "name": joint.name,
                 "antecedent": joint.antecedent,
                 "kind": joint.kind,
-                "actuated": joint.actuated and joint.name not in robot.base,
+                "actuated": joint.name in robot.motors,
                 "parameters": joint.parameters,
                 "home": float(home[k]),
                 "unit": "rad" if joint.kind == "revolute" else "m",

@@ -61,7 +61,7 @@ def scene_of(robot: Robot) -> Scene:
     layout = coordinates(robot)
     found = {name: (upright @ R, upright @ p) for name, (R, p) in poses(layout, layout.home).items()}
     shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
-    joints = [joint for joint in robot.joints if joint.name not in shafts]
+    joints = [joint for joint in robot.joints if joint.name not in shafts.union(robot.base)]
     lines = link_lines(robot, joints, found)
     rails = [rail_of(joint, found) for joint in joints if joint.kind == "prismatic"]
     feet = [foot_of(joint, found) for joint in joints if joint.antecedent == GROUND]

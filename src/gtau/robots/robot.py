@@ -242,6 +242,11 @@ class Robot:
         return base_rows(self.floating)
 
     @property
+    def motors(self) -> tuple[str, ...]:
+        """Names of the actuated joints that have a motor: all but those of a floating base."""
+        return tuple(joint for joint in self.actuated if joint not in self.base)
+
+    @property
     def bodies(self) -> tuple[str, ...]:
         """Names of all links and platforms, in order."""
         return tuple(joint.name for joint in self.joints) + tuple(platform.name for platform in self.platforms)
@@ -333,7 +338,7 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield f"the tool '{robot.named_tool}' is no body that has a mass; choose from {', '.join(carriers)}"
     if robot.floating and tuple(joint.name for joint in robot.joints[: len(robot.base)]) != robot.base:
         yield f"its base '{robot.floating}' floats, but its first joints are not {', '.join(robot.base)}"
-    if not set(robot.actuated) - set(robot.base):
+    if not robot.motors:
         yield "no joint is actuated; mark the motors' joints with 'actuated: true'"
 
 

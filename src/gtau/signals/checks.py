@@ -95,13 +95,14 @@ def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
         raise GtauError(f"{source.name}: no position ever changes; give a log of a moving robot.")
     joints = (*source.joints, *source.sensors)
     for joint, column, least, most in zip(joints, source.columns[n:], low[n:], high[n:], strict=False):
-        if least == most:
+        if least == most and joint not in source.base:  # nothing acts on a base in flight
             raise GtauError(
                 f"{source.name}, column '{column}' (joint '{joint}') is stuck at {least + 0.0:g}; "
                 "give the column with the measured values, or record the log again."
             )
-    if still.any():
-        names = _quoted([joint for joint, s in zip(source.joints, still, strict=True) if s])
+    if names := _quoted(
+        [joint for joint, s in zip(source.joints, still, strict=True) if s and joint not in source.base]
+    ):
         notes.append(Note(Kind.REST, f"the position of joint {names} never changes: it yields no rows"))
 
 

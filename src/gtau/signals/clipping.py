@@ -27,6 +27,8 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
     low, high = extremes(samples.command)
     moving = [*range(len(source.joints)), *map(source.joints.index, source.sensors)]
     for j, (what, mover) in enumerate(zip(source.measured, moving, strict=True)):
+        if low[j] == high[j]:
+            continue  # nothing acts on a floating base
         for level in (float(high[j]), float(low[j])):
             at = _count_at(samples.command, j, level)
             if at < CLIPPED_RUN or at < PILE_UP * _count_beside(samples.command, j, level):

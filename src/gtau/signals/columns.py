@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from gtau.documents.yaml_document import Document, validate
+from gtau.signals.base_columns import BaseColumns, BaseUnits
 from gtau.signals.presets import expanded, time_unit
 from gtau.signals.units import SHARES, Kind, is_angle, si_factor
 
@@ -79,12 +80,13 @@ class Signals(Keys):
     motor_torque: dict[str, str] | None = None
     gear_ratio: dict[str, FiniteFloat] | None = None
     joint_torque: dict[str, str] | None = None
+    base: BaseColumns | None = None
     preset: str | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints, in the order of the file."""
-        return tuple(self.position)
+        """Names of the joints, in the order of the file, after those of a floating base."""
+        return (*(self.base.joints if self.base else ()), *self.position)
 
     @property
     def kind(self) -> Literal["current", "torque"]:
@@ -105,7 +107,7 @@ class Signals(Keys):
     def measured(self) -> tuple[str, ...]:
         """Columns of the commands, then of the torque sensors."""
         sensed = self.joint_torque or {}
-        return (*(self.command[joint] for joint in self.joints), *(sensed[joint] for joint in self.sensors))
+        return (*(self.command[joint] for joint in self.position), *(sensed[joint] for joint in self.sensors))
 
     @property
     def time_columns(self) -> tuple[str, ...]:
@@ -220,6 +222,7 @@ class Units(Keys):
     torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
     joint_torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
     rated: dict[str, Positive] = Field(default_factory=dict)
+    base: BaseUnits = BaseUnits()
 
     @model_validator(mode="after")
     def _rated_values_of_shares(self) -> Units:
@@ -250,8 +253,8 @@ class Units(Keys):
         GtauError
             A share is logged of a rated value that is not given.
         """
-        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.joints]
-        commands = [self._of_command(joint, signals) for joint in signals.joints]
+        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
+        commands = [self._of_command(joint, signals) for joint in signals.position]
         commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
         return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
 

@@ -22,7 +22,6 @@ from gtau.documents.files import matching
 from gtau.documents.kinds import EXPERIMENT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
-from gtau.robots.floating import refuse_floating
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units, document_of
@@ -239,7 +238,7 @@ class Experiment(Keys):
         if signals.kind == "torque":
             raise ValueError("the signals hold torques, which need no gains; remove 'prior_gains'")
         _known_joints(gains, signals)
-        missing = [joint for joint in signals.joints if joint not in gains]
+        missing = [joint for joint in signals.position if joint not in gains]
         if missing:
             raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
         zero = [joint for joint, gain in gains.items() if gain == 0]
@@ -356,6 +355,24 @@ def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
     return validate(Payload, document_of("payload", payload))
 
 
+def _check_base(signals: Signals, robot: Robot) -> None:
+    if robot.floating and signals.base is None:
+        raise GtauError(
+            f"the base '{robot.floating}' of robot '{robot.name}' floats, and 'signals' do not say how it moved; add "
+            "'base' with the columns of its 'position' and 'quaternion', and of the 'wrenches' on it."
+        )
+    if signals.base is not None and signals.base.body != robot.floating:
+        raise GtauError(
+            f"signals.base is of a floating base '{signals.base.body}', but "
+            + (
+                f"that of robot '{robot.name}' is called '{robot.floating}'; write 'body: {robot.floating}' there."
+                if robot.floating
+                else f"that of robot '{robot.name}' is fixed; write 'robot: {{file: ..., base: floating}}', or remove "
+                "'base'."
+            )
+        )
+
+
 def check_robot(experiment: Experiment, robot: Robot) -> None:
     """Check that an experiment's signals, units and drives suit its robot.
 
@@ -366,14 +383,14 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
         is among the robot's couplings too.
     """
     signals = experiment.signals
-    refuse_floating(robot, "identification from logs is")
+    _check_base(signals, robot)
     for joint in signals.joints:
         if joint not in robot.actuated:
             raise GtauError(
                 f"signals.position names the joint '{joint}', but the actuated joints of robot '{robot.name}' are "
                 f"{', '.join(robot.actuated)}; correct the name."
             )
-    for joint in robot.actuated:
+    for joint in robot.motors:
         if joint not in signals.position:
             raise GtauError(
                 f"signals.position lacks the actuated joint '{joint}' of robot '{robot.name}'; add its column."

@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.aligned import Aligned, align, seconds
+from gtau.signals.base_columns import BaseColumns
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.formats.table import Place
 from gtau.signals.log_file import ALL, LogFile, read_log
@@ -37,6 +38,7 @@ class Logged:
     rate: float | None
     aligned: Aligned | None
     notes: tuple[Note, ...]
+    base: BaseColumns | None = None
 
     @property
     def places(self) -> tuple[tuple[Place, ...], ...]:
@@ -81,7 +83,16 @@ class Logged:
                 commands[np.isnan(found).all(axis=1)] = np.nan  # rows that hold other topics
                 found = np.hstack([found, commands])
             row += len(values)
-            yield np.column_stack([found * self.scale, time])
+            yield np.column_stack([self._with_base(found * self.scale), time])
+
+    def _with_base(self, values: np.ndarray) -> np.ndarray:
+        """Put positions and forces of a floating base before those of the joints, from its pose and wrenches."""
+        if self.base is None:
+            return values
+        n = len(self.source.joints) - len(self.base.joints)
+        pose, wrenches = len(self.base.pose), values.shape[1] - len(self.base.forces)
+        six, forces = self.base.converted(values[:, n : n + pose], values[:, wrenches:])
+        return np.hstack([six, values[:, :n], forces, values[:, n + pose : wrenches]])
 
 
 def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
@@ -89,13 +100,21 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     times, stamps = signals.time_columns, signals.command_time_columns
-    positions, commands = [signals.position[joint] for joint in signals.joints], list(signals.measured)
+    positions, commands, base = list(signals.position.values()), list(signals.measured), signals.base
+    labels = (*positions, *commands)
+    position_scale, command_scale, time_scale = units.scale(signals)
+    if base is not None:
+        labels = (*base.labels[:6], *positions, *base.labels[6:], *commands)
+        position_scale, command_scale = (
+            position_scale + base.scale(units.base),
+            command_scale + [1.0] * len(base.forces),
+        )
+        positions, commands = [*positions, *base.pose], [*commands, *base.forces]
     if len(paths) == 1 and set(positions) & set(commands):
         raise GtauError(
             f"{paths[0]}: the column '{min(set(positions) & set(commands))}' is given both as a position and as a "
             f"{signals.kind}; correct one of the two."
         )
-    position_scale, command_scale, time_scale = units.scale(signals)
     beside = commands if len(paths) == 1 and not stamps else []
     files = [read_log(paths[0], (*times, *positions, *beside))]
     aligned = None
@@ -111,11 +130,12 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
     source = Source(
         name=" and ".join(str(path) for path in paths),
         joints=signals.joints,
-        columns=(*positions, *commands, " and ".join(times) or "rate"),
+        columns=(*labels, " and ".join(times) or "rate"),
         texts=ChainMap(*(file.texts for file in reversed(files))),
         first_line=first.first_line + (aligned.rows.start if aligned else 0),
         line_word=first.line_word,
         sensors=signals.sensors,
+        base=() if base is None else base.joints,
     )
     notes = [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
     return Logged(
@@ -128,6 +148,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         rate=signals.time.rate if isinstance(signals.time, SampleRate) else None,
         aligned=aligned,
         notes=(*notes, *([aligned.note] if aligned and aligned.note else [])),
+        base=base,
     )
 
 

@@ -156,7 +156,9 @@ class PreparedRun:
             np.einsum("yi,ij,yj->y", self.friction_speed_ratios, self.speeds, self.friction_speed_ratios)
         )
         slow = np.abs(qd @ self.friction_speed_ratios.T) < limit
-        moving = ~(slow @ (np.abs(self.friction_speed_ratios) > 1e-9)) & self.moves
+        rubbing = np.abs(self.friction_speed_ratios) > 1e-9
+        # joints without friction may rest
+        moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
         usable = moving[:, run.measured_joints] & self.valid(start, stop)
         return SampleWindow(
             block(run.time, at.start, at.stop), q, qd, qdd, command[mine], command_d, command_dd, usable
@@ -343,6 +345,7 @@ def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarra
             "side); give a longer log of a moving robot."
         )
     kept = range(first, last + 1)
+    ratios = np.eye(n) if friction_speed_ratios is None else friction_speed_ratios
     # Of the moving part alone, as rest lowers the rms speed that the threshold refers to.
     within = [(max(start, kept.start), min(stop, kept.stop)) for start, stop in pieces]
     moved = [
@@ -356,15 +359,17 @@ def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarra
         kept=kept,
         moves=moves,
         speeds=np.sum(moved, axis=0) / len(kept),
-        friction_speed_ratios=np.eye(n) if friction_speed_ratios is None else friction_speed_ratios,
-        notes=tuple(_notes(run, found, preparation)),
+        friction_speed_ratios=ratios,
+        notes=tuple(_notes(run, found, preparation, np.any(ratios, axis=0))),
     )
 
 
-def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation) -> Iterator[Note]:
-    """What a user should know of the motion and its noise."""
+def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray) -> Iterator[Note]:
+    """What a user should know of the motion and its noise; joints that are not ``rubbing`` (n,) may rest."""
     noisy = []
-    for joint, each in zip(run.joints, found, strict=True):
+    for joint, each, rubs in zip(run.joints, found, rubbing, strict=True):
+        if not each.moves and not rubs:
+            continue
         if not each.moves:
             yield Note(Kind.REST, f"joint '{joint}' hardly moves: its rows are left out", joint=joint)
         elif each.signal_to_noise < NOISY:

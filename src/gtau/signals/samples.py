@@ -22,7 +22,7 @@ class Source:
 
     ``columns`` are the names of the position columns, the command columns, those of the torque ``sensors`` (by joint)
     and the time column; ``texts`` their first entries that are no numbers, as far as they have been read. Row 0 stands
-    in ``first_line``.
+    in ``first_line``. The joints of a floating ``base`` stand first; their commands are forces from outside.
     """
 
     name: str
@@ -32,6 +32,7 @@ class Source:
     first_line: int = 1
     line_word: str = "line"
     sensors: tuple[str, ...] = ()
+    base: tuple[str, ...] = ()
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -170,6 +170,8 @@ def _alternatives(
     found = []
     for m, (name, unit) in enumerate(zip(candidates.names, candidates.units, strict=True)):
         for j in range(1 if hypothesis.shared else len(joints)):
+            if not (hypothesis.shared or problem.free[j]):
+                continue  # a base that floats has no current and no friction
             slopes = T @ tests.slopes[m, j]
             size, std = float(tests.size[m, j]), float(tests.std[m, j])
             plausible = float(candidates.plausible[m, j])

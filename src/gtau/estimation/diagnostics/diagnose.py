@@ -85,7 +85,7 @@ def diagnose(
 
 def _given_verdicts(fit: Fit, findings: Findings) -> tuple[Verdict, ...]:
     """Verdicts on gains that are given, or 1 for torques: contradictory where the model does not explain the joint."""
-    misfit = (fit.solution.sigma / fit.system.problem.signal)[: len(fit.gains)]
+    misfit = (fit.solution.sigma / fit.system.problem.balance(fit.solution.theta))[: len(fit.gains)]
     kind = fit.dataset.runs[0].kind
     found = [GIVEN] * len(misfit)
     for j, share in enumerate(misfit):

@@ -53,13 +53,13 @@ def _verdict(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: f
             f"total least squares confuses the payload with the noise (standard deviation over {LOST_GAIN:.0%})",
             "use --method ml, or a heavier payload and longer runs with less noise",
         )
-    if np.all(fit.gains < 0):
+    if np.all(fit.gains[problem.free[: len(fit.gains)]] < 0):
         return Verdict(
             Outcome.CONTRADICTORY,
             "all drive gains are negative",
             "check the sign of the currents and positions, gravity, which runs carry the payload, and on which body",
         )
-    misfit = float(solution.sigma[j] / problem.signal[j])
+    misfit = float(solution.sigma[j] / problem.balance(solution.theta)[j])
     swapped = [each for each in findings.swapped if j in each.joints]
     if swapped:
         return Verdict(Outcome.CONTRADICTORY, swapped[0].why, swapped[0].advice)

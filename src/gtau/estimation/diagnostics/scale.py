@@ -1,8 +1,9 @@
 """What the scale of each drive gain rests on.
 
 Currents alone leave the scale open: gains and parameters may all be twice as large. It comes from what is known in N m
-or kg: payloads, torque sensors, known parameters. With all of it larger by one per cent, every gain and parameter is
-larger by one per cent too; so the shares by which a gain grows with each source alone add up to one.
+or kg: payloads, torque sensors, the wrench on a floating base, known parameters. With all of it larger by one per cent,
+every gain and parameter is larger by one per cent too; so the shares by which a gain grows with each source alone add
+up to one.
 """
 
 from __future__ import annotations
@@ -48,6 +49,11 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
     for k, joint in enumerate(problem.sensors, start=len(problem.joints)):
         torque = triangles[k][:, n_theta + 1 :] @ delayed(state.delays[k])
         sides[f"torque sensor of '{joint}'"] = J[k].T @ torque * weights[k]
+    if problem.driveless:
+        acting = [k for k, joint in enumerate(problem.joints) if joint in problem.driveless]
+        forces = np.array([triangles[k][:, n_theta + 1 :] @ delayed(state.delays[k]) for k in acting])
+        side = np.einsum("jpk,jp,j->k", J[acting], forces, weights[acting])
+        sides[f"wrench on '{problem.driveless[-1]}'"] = side
     if len(problem.known):
         sides["known parameters"] = -known.T @ problem.known[:, -1]
     shares = {source: -slopes @ (back.T @ side) for source, side in sides.items()}

@@ -24,7 +24,7 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     Terms that the joints' own equations ask for, but that all equations together do not identify, are left out.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
-    joints, sensors, per_run = dataset.model.actuated, dataset.runs[0].sensors, len(dataset.runs) > 1
+    joints, sensors, per_run = dataset.robot.motors, dataset.runs[0].sensors, len(dataset.runs) > 1
     offered = (*all_terms(joints), *bearing_terms(sensors))
     friction = Friction(select_friction_terms(dataset.system(Friction(offered, per_run)).problem), per_run)
     if not any(term.startswith("fl_") for term in friction.terms):

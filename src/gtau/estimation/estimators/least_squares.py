@@ -30,8 +30,13 @@ def ols(problem: Problem, gains: np.ndarray) -> Solution:
 
 def wls(problem: Problem, gains: np.ndarray) -> Solution:
     """Weighted least squares with given ``gains`` (c,): joints weighted by their own error level (eq. 28)."""
-    weights = 1 / problem.own_sigma
-    return _with_given(problem, gains, lambda state, errors: weights, "weighted")
+    own, silent = problem.own_sigma, problem.silent
+
+    def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
+        # of a base in flight by its residuals, as with maximum likelihood: it has no error level of its own
+        return 1 / np.where(silent & (errors > 0), np.sqrt(errors / problem.total_rows), own)
+
+    return _with_given(problem, gains, weights, "weighted")
 
 
 def _with_given(

@@ -48,7 +48,7 @@ def ml(problem: Problem) -> Solution:
         return 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
 
     solution = solve(problem, start, weights, True)
-    if not solution.settled and np.all(solution.sigma < MISFIT * problem.signal):
+    if not solution.settled and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
         raise GtauError(
             "the maximum-likelihood iteration did not settle, so the data do not fix the drive gains: "
             f"{scarcity(problem)}check the signs and units of positions and currents, add runs that move every joint "

@@ -40,6 +40,11 @@ MEASURED = ("command", "command_d", "command_dd", "usable")
 
 def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tuple[InMemoryRun, ...]:
     """All runs along the motion that the loop, simulated with what was found, gives them; see :func:`resimulated`."""
+    if dataset.robot.floating:
+        raise GtauError(
+            f"motion is simulated from the currents of motors, and the base '{dataset.robot.floating}' has none; use "
+            "--method ml."
+        )
     regressor = dataset.model.columns(dataset.base.standard)
     return tuple(
         resimulated(dataset.model, regressor, system.motion(k, solution.theta), each, dataset.preparation)

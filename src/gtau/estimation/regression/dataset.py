@@ -228,19 +228,21 @@ def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Prepa
     GtauError
         Where nothing moves in a run, or its log is shorter than its filters.
     """
-    friction_speed_ratios = _friction_speed_ratios(model)
-    return tuple(
-        within_limits(model.robot, prepare(run, preparation.at(run.rate), friction_speed_ratios)) for run in runs
-    )
+    ratios = friction_speed_ratios(model)
+    return tuple(within_limits(model.robot, prepare(run, preparation.at(run.rate), ratios)) for run in runs)
 
 
-def _friction_speed_ratios(model: InverseDynamics) -> np.ndarray:
+def friction_speed_ratios(model: InverseDynamics) -> np.ndarray:
     """Speeds of the joints (n_y, n) that a motor drives through couplings too: their friction acts in its row.
 
     The ratios do not change along a run. Where closures drive the joints, a motor's own joint is all.
     """
     n, robot = len(model.actuated), model.robot
+    without_friction = [robot.actuated.index(joint) for joint in robot.base]
     if not robot.couplings or robot.closures:
-        return np.eye(n)
-    still = np.zeros((n, 1))
-    return model.motion(still, still, still).J[:, :, 0]
+        ratios = np.eye(n)
+    else:
+        still = np.zeros((n, 1))
+        ratios = model.motion(still, still, still).J[:, :, 0]
+    ratios[:, without_friction] = 0.0
+    return ratios

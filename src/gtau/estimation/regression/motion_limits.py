@@ -49,8 +49,8 @@ def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
 
 def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -> None:
     """Refuse motions that no robot of this size makes, and name the unit or clock behind them; (n,) rad or m, s."""
-    # Motors behind gears turn as often as they like.
-    geared = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}
+    # Motors behind gears turn as often as they like, and floating bases go where they like.
+    geared = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}.union(robot.base)
     for kind, (basic, other) in UNITS.items():
         joints = [j for j, name in enumerate(run.joints) if robot.joint(name).kind == kind and name not in geared]
         if not joints:

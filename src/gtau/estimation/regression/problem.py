@@ -45,6 +45,8 @@ class Problem:
     known : ndarray
         (k, n_theta + 1) further equations ``[P | y]``, of known parameters: ``P theta = y`` with errors of unit
         variance.
+    driveless : tuple of str
+        Joints of a floating base, whose commands are measured forces: their gain is 1.
     """
 
     parameters: tuple[str, ...]
@@ -54,6 +56,7 @@ class Problem:
     slowest: float
     sensors: tuple[str, ...] = ()
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    driveless: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.known.size:
@@ -66,13 +69,13 @@ class Problem:
 
     @property
     def free(self) -> np.ndarray:
-        """Whether the gain of a channel is to be found, (c,); that of a sensor is 1."""
-        return np.arange(len(self.channels)) < len(self.joints)
+        """Whether the gain of a channel is to be found, (c,); that of a sensor or a base is 1."""
+        return np.array([each not in self.driveless for each in self.joints] + [False] * len(self.sensors))
 
     @property
     def scaled(self) -> bool:
-        """Whether torque sensors or known parameters say how large the gains are, beside payloads."""
-        return bool(self.sensors) or len(self.known) > 0
+        """Whether torque sensors, forces on a base or known parameters say how large gains are, beside payloads."""
+        return bool(self.sensors) or bool(self.driveless) or len(self.known) > 0
 
     @property
     def gain_rows(self) -> slice:
@@ -143,13 +146,26 @@ class Problem:
             rest = T @ delayed(self.own_delays[j])
             free = max(self.total_rows[j] - len(self.own_columns[j]), 1)
             sigma[j] = np.sqrt(rest @ rest / free)
-        return np.maximum(sigma, self.smallest_sigma)
+        found = np.maximum(sigma, self.smallest_sigma)
+        # where nothing is measured, its own model says nothing: no channel weighs less to begin with
+        return np.where(self.silent, found.max() or 1.0, found)
 
     @property
     def signal(self) -> np.ndarray:
         """Each channel's current or torque, rms, (c,)."""
         norms = [np.linalg.norm(R[:, self.n_theta + 1]) for R in self.triangles]
         return np.asarray(norms / np.sqrt(self.total_rows))
+
+    @property
+    def silent(self) -> np.ndarray:
+        """Whether nothing is measured in a channel, (c,): nothing acts on a base in flight."""
+        return self.signal == 0.0
+
+    def balance(self, theta: np.ndarray) -> np.ndarray:
+        """Signal of each channel, rms, (c,); of a silent one the largest of the terms that balance each other."""
+        terms = [np.linalg.norm(R[:, : self.n_theta], axis=0) * np.abs(theta) for R in self.triangles]
+        largest = np.array([each.max(initial=0.0) for each in terms]) / np.sqrt(self.total_rows)
+        return np.where(self.silent, largest, self.signal)
 
     @property
     def smallest_sigma(self) -> np.ndarray:

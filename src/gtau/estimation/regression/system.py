@@ -182,7 +182,14 @@ def assemble_system(
     )
     known = known_equations(base, idm.parameter_names, names, priors or {})
     problem = Problem(
-        tuple(names), idm.actuated, np.concatenate(blocks)[filled], rows[filled], slowest, tuple(sensors), known
+        tuple(names),
+        idm.actuated,
+        np.concatenate(blocks)[filled],
+        rows[filled],
+        slowest,
+        tuple(sensors),
+        known,
+        idm.robot.base,
     )
     for joint, rows in zip(problem.channels, problem.total_rows, strict=True):
         if rows < FEWEST_ROWS:
@@ -190,6 +197,12 @@ def assemble_system(
                 f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps; "
                 "add runs in which it moves, or longer ones."
             )
+    if idm.robot.base and problem.silent[[joint in idm.robot.base for joint in problem.channels]].all():
+        raise GtauError(
+            f"nothing that is measured acts on the base '{idm.robot.floating}' in any run, so that its equations give "
+            "ratios of parameters alone, which noise of its motion shrinks; log the wrench that holds it in some runs "
+            "('wrenches' of 'base' under 'signals')."
+        )
     unexcited = _unexcited(problem)
     stated = tuple(name for name, prior in (priors or {}).items() if prior.value is not None)
     return System(
@@ -277,6 +290,12 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
         )
     if len(problem.known):
         raise _hidden(system.stated, other)
+    if problem.driveless:
+        raise GtauError(
+            f"nothing measured acts on the base '{robot.floating}' from outside, or it has no effect of its own "
+            "on the motors, so the scale of the drive gains is open; log the wrench that holds the base ('base' under "
+            f"'signals'), carry a payload of known mass in some runs, {other}."
+        )
     on = f"'{robot.tool}'" + ("" if robot.named_tool else ", which was assumed")
     raise GtauError(
         f"the payload's known parameters have no effect of their own on any actuated joint where it sits, on {on}, "

@@ -90,7 +90,7 @@ def build_result(
             name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, free.get(name), model
         )
 
-    scales = scale_shares(fit) if fit.free_gains else {}
+    scales, signal = scale_shares(fit) if fit.free_gains else {}, problem.balance(solution.theta)
     return Result(
         robot=robot,
         method=estimator.name,
@@ -107,6 +107,7 @@ def build_result(
                 scale={source: float(share[k]) for source, share in scales.items()},
             )
             for k, joint in enumerate(joints)
+            if joint in robot.motors
         },
         delays={
             joint: Estimate(
@@ -132,7 +133,7 @@ def build_result(
             TorqueError(
                 joint,
                 float(abs(solution.gains[k]) * solution.sigma[k]),
-                float(abs(solution.gains[k]) * problem.signal[k]),
+                float(abs(solution.gains[k]) * signal[k]),
                 units[k],
             )
             for k, joint in enumerate(joints)
@@ -153,7 +154,7 @@ def build_result(
         runs=tuple(run.name for run in dataset.runs),
         notes=(*dataset.notes, *diagnosis.notes),
         consistency=consistency,
-        alternatives=tuple(_moves(each, joints) for each in findings.alternatives),
+        alternatives=tuple(_moves(each, robot) for each in findings.alternatives),
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
         data=dataset.runs,
@@ -213,7 +214,7 @@ def _known(std: float, verdict: Verdict) -> float | None:
     return None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std) or None
 
 
-def _moves(each: Alternative, joints: tuple[str, ...]) -> AlternativeMoves:
+def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
     return AlternativeMoves(
         each.hypothesis,
         each.subject,
@@ -222,7 +223,11 @@ def _moves(each: Alternative, joints: tuple[str, ...]) -> AlternativeMoves:
         each.unit,
         each.probability,
         each.share,
-        {joint: 100 * float(move) for joint, move in zip(joints, each.moves, strict=True)},
+        {
+            joint: 100 * float(move)
+            for joint, move in zip(robot.actuated, each.moves, strict=True)
+            if joint in robot.motors
+        },
     )
 
 

@@ -121,6 +121,12 @@ class IdentifiedModel:
         return base_parameters(self.model, sensors=[each.joint for each in self.sensors])
 
     @property
+    def gains(self) -> np.ndarray:
+        """Gains of the rows of the model, (n,): of the motors, N m/A or N/A, and 1 of a floating base."""
+        known = self.drive_gains
+        return np.array([known[joint].value if joint in known else 1.0 for joint in self.robot.actuated], dtype=float)
+
+    @property
     def params(self) -> dict[str, float]:
         """Values of ``parameters`` by name, as predictions take them; 0 for one that is not identifiable."""
         return {name: estimate.value or 0.0 for name, estimate in self.parameters.items()}

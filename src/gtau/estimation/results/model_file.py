@@ -204,9 +204,12 @@ def _damaged(path: str | Path, problem: str) -> GtauError:
 
 
 def _problems(result: IdentifiedModel) -> Iterator[str]:
-    joints, preparation = list(result.robot.actuated), result.preparation
-    for what, estimates in (("drive gains", result.drive_gains), ("delays", result.delays)):
-        if list(estimates) != joints:
+    robot, preparation = result.robot, result.preparation
+    for what, estimates, joints in (
+        ("drive gains", result.drive_gains, robot.motors),
+        ("delays", result.delays, robot.actuated),
+    ):
+        if tuple(estimates) != joints:
             yield f"the {what} are not those of the joints {', '.join(joints)}"
         if any(each.value is None for each in estimates.values()):
             yield f"one of the {what} is null"
@@ -218,7 +221,7 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
     size = len(result.covariance_names)
     if result.covariance.shape != (size, size) or not np.isfinite(result.covariance).all():
         yield "the covariance is no matrix of its names"
-    if not {f"gain_{joint}" for joint in joints} <= set(result.covariance_names):
+    if not {f"gain_{joint}" for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
     if result.kind not in ("current", "torque"):
         yield f"the kind '{result.kind}' is neither current nor torque"

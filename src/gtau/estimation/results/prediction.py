@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.dataset import at_rate_of
+from gtau.estimation.regression.dataset import at_rate_of, friction_speed_ratios
 from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import known_values
@@ -34,11 +34,11 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
             "same kind."
         )
     preparation = at_rate_of([run], result.preparation)
-    prepared = prepare(run, preparation)
+    prepared = prepare(run, preparation, friction_speed_ratios(model))
     decimator = preparation.decimator
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     regressor = model.columns(base.standard)
-    gains = np.array([result.drive_gains[joint].value for joint in model.actuated])
+    gains = result.gains
     delays = np.array([result.delays[joint].value for joint in model.actuated])
     time, predicted, measured, keep, valid = [], [], [], [], []
     load = chi * transmitted(base.names)
@@ -120,7 +120,7 @@ def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[Torq
     difference = prediction.measured - prediction.predicted  # e of eq. (16)
     for j, joint in enumerate(prediction.joints):
         kept, valid = prediction.keep[:, j], prediction.valid[:, j]
-        if kept.any():
+        if kept.any() and prediction.measured[:, j].any():  # on a base in flight nothing is measured
             used, every = ((rms(difference[rows, j]), rms(prediction.measured[rows, j])) for rows in (kept, valid))
             errors.append(TorqueError(joint, *used, torque_unit(result.robot, joint), *every))
     return tuple(errors)

@@ -75,10 +75,9 @@ class Result(IdentifiedModel):
         """Currents (N, n) in A that give the torques of :meth:`torques`: ``v = tau / g_tau``.
 
         Delays are not applied: the current reference leads the motion by ``delays``. From logs of torques, whose gains
-        are 1, they are these torques.
+        are 1, they are these torques, and so are the rows of a floating base.
         """
-        gains = np.array([gain.value for gain in self.drive_gains.values()])
-        return self.torques(q, qd, qdd, payload) / gains
+        return self.torques(q, qd, qdd, payload) / self.gains
 
     def predict(self, run: Run) -> Prediction:
         """Torques that the model predicts along ``run``, beside the measured ``v g_tau``.

@@ -33,7 +33,7 @@ def _candidates(fit: Fit) -> Candidates:
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
         of = window.samples()
-        ratio, sign = of.qd / speeds, np.sign(of.qd)
+        ratio, sign = of.qd / np.where(speeds > 0, speeds, 1.0), np.sign(of.qd)
         cubic = level * ratio**3 / 3 * absent["f3"]
         torques = regressor.torques_along(model.layout, window_motion(model, window), values * acting)
         load = np.abs(torques.T) * sign * absent["fl"]

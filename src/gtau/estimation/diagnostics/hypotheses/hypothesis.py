@@ -78,7 +78,7 @@ def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 def rms_torques(fit: Fit) -> np.ndarray:
     """Rms torques of the joints, (n,), N m or N."""
-    return np.asarray(np.abs(fit.gains) * fit.system.problem.signal[: len(fit.gains)])
+    return np.asarray(np.abs(fit.gains) * fit.system.problem.balance(fit.solution.theta)[: len(fit.gains)])
 
 
 def rms_speeds(fit: Fit) -> np.ndarray:
