@@ -19,7 +19,7 @@ from five_bar_logs import DESIGN, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write
 from typer.testing import CliRunner
 
 import gtau.estimation.identify
-from gtau.cli.commands import app
+from gtau.cli.commands import COMMANDS, app
 from gtau.robots.readers.read import CATALOG
 
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
@@ -600,3 +600,10 @@ def test_a_reader_that_goes_away(here: Path) -> None:
     process.stdout.close()
     assert process.stderr.read() == ""
     process.wait(timeout=60)
+
+
+@pytest.mark.parametrize("command", ["", *(each.__name__.replace("_", "-") for each in COMMANDS), "excite"])
+def test_help_fits_a_terminal_and_names_no_types_of_flags(command: str) -> None:
+    said = CliRunner().invoke(app, [*command.split(), "--help"]).stdout
+    assert max(map(len, said.splitlines())) <= 80
+    assert not re.search(r"<bool>|<float|<integer|\.\.\.$", said, re.MULTILINE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -27,6 +28,7 @@ def show_version(wanted: bool) -> None:
 app = typer.Typer(
     name="gtau",
     no_args_is_help=True,
+    rich_markup_mode=None,  # its tables name the type of every flag and cut long values
     pretty_exceptions_enable=False,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -42,7 +44,23 @@ def gtau(
     """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""
 
 
-for command in (tutorial, init, check, identify, fleet, compare, validate, payload, use, export, robot, demo, simulate):
-    app.command()(command)
-app.command(name="compare-control")(compare_control)
-app.command(context_settings={"allow_extra_args": True})(excite)  # the masses after --payload-mass
+COMMANDS: dict[Callable[..., None], str] = {
+    tutorial: "Copy the logs of the ten-minute tutorial to a folder.",
+    init: "Draft an experiment file from logs.",
+    check: "Check the logs before identifying.",
+    identify: "Identify drive gains and dynamic parameters.",
+    fleet: "Identify many robots; mark outliers among them.",
+    compare: "Identify with every estimator, and compare.",
+    validate: "Compare measured and predicted torques on other runs.",
+    payload: "Weigh unknown payloads.",
+    use: "Compute external joint torques along a log.",
+    export: "Export a model for other programs.",
+    robot: "Show joints, loops and base parameters of a robot.",
+    demo: "Simulate, identify and weigh on an Orthoglide.",
+    simulate: "Simulate a robot under control, and write its logs.",
+    compare_control: "Compare PID and computed torque (the paper's Table 4).",
+}
+for command, short in COMMANDS.items():
+    app.command(name=command.__name__.replace("_", "-"), short_help=short)(command)
+# The masses after --payload-mass are extra arguments.
+app.command(context_settings={"allow_extra_args": True}, short_help="Design the most informative motion.")(excite)

@@ -54,6 +54,7 @@ def identify(
         float | None,
         typer.Option(
             min=1.0,
+            metavar="RATIO",
             help="The paper's ratio r_sigma (10 to 30) for selecting essential parameters; default: BIC.",
         ),
     ] = None,
