@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.linearisation import LinearisedWindow
-from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, modelled, residuals, to_gains
+from gtau.estimation.estimators.newton import (
+    jacobian,
+    jacobian_of_known,
+    modelled,
+    one_step,
+    residuals,
+    stacked,
+    to_gains,
+    whitening,
+)
+from gtau.estimation.estimators.solution import Iterate, jackknife
+from gtau.estimation.regression.base_parameters import independent_columns
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds import APART
 
 
@@ -39,42 +50,54 @@ class SensorScale:
 
 
 def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
-    """Find the scale of each torque sensor from all else that is known, to first order; of those where there is such.
+    """Find the scale of each torque sensor from all else that is known, to first order, where there is such.
 
-    Each sensor is offered the torque of its model once more, see :func:`score_tests`.
+    Each sensor is offered the torque of its model once more, with an unknown factor; all other unknowns adapt to it.
 
     Parameters
     ----------
     fit : Fit
         With gains that were estimated.
     """
-    problem, solution = fit.system.problem, fit.solution
+    problem, solution, n = fit.system.problem, fit.solution, len(fit.gains)
     if not problem.sensors:
         return ()
-    state, n = solution.iterate, len(problem.joints)
+    state = solution.iterate
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
+    whole, *units = (_linear(block, problem, state, weights) for block in (stacked(problem), *problem.blocks))
+    m, size = len(problem.sensors), whole.shape[1] - len(problem.sensors) - 1
+    of_known = np.zeros((len(problem.known), whole.shape[1]))
+    of_known[:, :size] = jacobian_of_known(problem, size)
+    of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
+    R = triangle(whole, of_known)
+    T = to_gains(state, problem.n_theta, True)[problem.gain_rows] / fit.gains[:, None]
+    found = []
+    for k, joint in enumerate(problem.sensors):
+        columns = [*range(size), size + k]
+        J, e = R[:, columns], R[:, -1]
+        if size not in independent_columns(J)[0]:
+            continue  # without this sensor nothing gives the scale
+        back = whitening(J, np.zeros(n + m))
+        step = -back @ (back.T @ (J.T @ e))
+        sides = []
+        for unit in units:
+            A = unit[:, columns] @ back
+            sides.append((A.T @ A, A.T @ (unit[:, -1] + unit[:, columns] @ step)))
+        std = float(np.sqrt(jackknife(one_step(sides) @ back[-1:].T)[0, 0]))
+        found.append(SensorScale(joint, 1 - float(step[-1]), std, T @ step[:-1]))
+    return tuple(found)
 
-    def windows() -> Iterator[LinearisedWindow]:
-        for block in problem.blocks:
-            e, J = residuals(block, state, problem.n_theta), jacobian(block, state, problem, True)
-            torque = modelled(block, state.theta) * state.b[:, None]
-            yield LinearisedWindow(
-                e * weights[:, None], J * weights[:, None, None], -(torque * weights[:, None])[..., None]
-            )
 
-    known = jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels))
-    (tests,) = score_tests(windows, [(slice(None), False)], known)
-    T = to_gains(state, problem.n_theta, True)
-    return tuple(
-        SensorScale(
-            joint,
-            1 - float(tests.size[0, k]),
-            float(tests.std[0, k]),
-            (T @ tests.slopes[0, k])[problem.gain_rows] * tests.size[0, k] / fit.gains,
-        )
-        for k, joint in enumerate(problem.sensors, start=n)
-        if np.isfinite(tests.std[0, k])
-    )
+def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.ndarray) -> np.ndarray:
+    """Weighted rows ``[J | torques of the sensors | residuals]`` (., size + m + 1) of all channels in a block."""
+    n, m = len(problem.joints), len(problem.sensors)
+    torques = modelled(block, state.theta) * state.b[:, None]
+    offered = np.zeros((*torques.shape, m))
+    for k in range(m):
+        offered[n + k, :, k] = -torques[n + k]
+    J, e = jacobian(block, state, problem, True), residuals(block, state, problem.n_theta)
+    rows = np.concatenate([J, offered, e[..., None]], axis=-1) * weights[:, None, None]
+    return np.asarray(rows.reshape(-1, rows.shape[-1]))
 
 
 def check_sensors(verdicts: Sequence[Verdict], found: Sequence[SensorScale], accuracy: float) -> tuple[Verdict, ...]:
