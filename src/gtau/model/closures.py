@@ -24,6 +24,7 @@ from gtau.model.kinematics import (
     configuration_rates,
     constant,
     frames,
+    position_of,
     twists,
 )
 from gtau.model.least_squares import solve
@@ -59,7 +60,7 @@ class ClosureEquations:
 def _acceleration(
     end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist], acceleration: dict[str, Twist]
 ) -> Twist:
-    body, omega, arm = acceleration[end.body], twist[end.body].angular, constant(end.placement.position)
+    body, omega, arm = acceleration[end.body], twist[end.body].angular, position_of(end.placement)
     R_0 = frame[end.body].R_0
     linear = body.linear + ca.cross(body.angular, arm) + ca.cross(omega, ca.cross(omega, arm))
     return Twist(R_0 @ body.angular, R_0 @ linear)

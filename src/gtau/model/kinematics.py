@@ -6,13 +6,13 @@ its inertial parameters are constant.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
 
 from gtau.model.coordinates import Coordinates
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint
+from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Placement, Pose
 
 Vector = ca.SX  # (3, 1)
 
@@ -40,6 +40,19 @@ def constant(matrix: np.ndarray) -> ca.SX:
     return ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
 
 
+@dataclass(frozen=True)
+class Shifted(Pose):
+    """A placement whose position is shifted by a symbol ``shift`` (3,), to vary the geometry of a robot."""
+
+    shift: ca.SX = field(default_factory=lambda: ca.SX(3, 1))
+
+
+def position_of(placement: Placement) -> Vector:
+    """Express the origin of a placed frame."""
+    position = constant(placement.position)
+    return position if not isinstance(placement, Shifted) else position + placement.shift
+
+
 def _turn(axis: np.ndarray, angle: ca.SX) -> ca.SX:
     """Express the rotation by ``angle`` about the unit vector ``axis`` (Rodrigues)."""
     outer = constant(np.outer(axis, axis))
@@ -56,7 +69,7 @@ def _rotation_of(quaternion: ca.SX) -> ca.SX:
 
 
 def _placed(joint: Joint, q: ca.SX) -> tuple[ca.SX, Vector]:
-    rotation, position = constant(joint.placement.rotation), constant(joint.placement.position)
+    rotation, position = constant(joint.placement.rotation), position_of(joint.placement)
     axis = np.array(joint.axis)
     if joint.kind == "prismatic":
         return rotation, position + rotation @ constant(axis) * q
@@ -132,13 +145,13 @@ def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[s
 def attached_frame(end: Attachment, frame: dict[str, Frame]) -> tuple[ca.SX, Vector]:
     """Express orientation and position of an attached frame in the base."""
     body = frame[end.body]
-    rotation, arm = constant(end.placement.rotation), constant(end.placement.position)
+    rotation, arm = constant(end.placement.rotation), position_of(end.placement)
     return body.R_0 @ rotation, body.p_0 + body.R_0 @ arm
 
 
 def attached_velocity(end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist]) -> Twist:
     """Express the twist of an attached frame, at its origin, in base axes."""
-    body, arm = twist[end.body], constant(end.placement.position)
+    body, arm = twist[end.body], position_of(end.placement)
     R_0 = frame[end.body].R_0
     return Twist(R_0 @ body.angular, R_0 @ (body.linear + ca.cross(body.angular, arm)))
 

@@ -206,7 +206,8 @@ class Robot:
     acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
     file names it, see :attr:`tool`. ``notes`` say what a reader found odd in the robot's file or decided for the user,
     a sentence each. Without ``home_given`` the joints' and platforms' homes are only where the search for one begins.
-    ``floating`` names the link that is a floating base, see :mod:`gtau.robots.floating`.
+    ``floating`` names the link that is a floating base, see :mod:`gtau.robots.floating`, and ``constants`` are the
+    numbers that the robot's file names.
     """
 
     name: str
@@ -221,6 +222,7 @@ class Robot:
     floating: str = ""
     home_given: bool = field(default=True, compare=False)
     springs: tuple[Spring, ...] = ()
+    constants: tuple[tuple[str, float], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         _check(self)

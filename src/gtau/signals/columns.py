@@ -21,6 +21,7 @@ from pydantic import (
 
 from gtau.documents.yaml_document import Document, validate
 from gtau.signals.base_columns import BaseColumns, BaseUnits
+from gtau.signals.pose_columns import PoseColumns, PoseUnits
 from gtau.signals.presets import expanded, time_unit
 from gtau.signals.units import SHARES, Kind, is_angle, si_factor
 
@@ -64,7 +65,8 @@ class Signals(Keys):
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
-    the gears, of all joints or some. A ``preset`` has filled in the columns of a maker's log.
+    the gears, of all joints or some. A ``pose`` tests the robot's geometry. A ``preset`` has filled in the
+    columns of a maker's log.
     """
 
     time: Annotated[
@@ -82,6 +84,7 @@ class Signals(Keys):
     joint_torque: dict[str, str] | None = None
     base: BaseColumns | None = None
     preset: str | None = None
+    pose: PoseColumns | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -223,6 +226,7 @@ class Units(Keys):
     joint_torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
     rated: dict[str, Positive] = Field(default_factory=dict)
     base: BaseUnits = BaseUnits()
+    pose: PoseUnits = PoseUnits()
 
     @model_validator(mode="after")
     def _rated_values_of_shares(self) -> Units:

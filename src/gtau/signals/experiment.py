@@ -224,6 +224,8 @@ class Experiment(Keys):
             raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
         if units.joint_torque is not None and not signals.sensors:
             raise ValueError("a unit of 'joint_torque' is given, but the signals hold no torque sensor; remove it")
+        if "pose" in units.model_fields_set and signals.pose is None:
+            raise ValueError("units of a 'pose' are given, but the signals hold none; remove them")
         for by_joint in (units.position, units.current, units.torque, units.joint_torque, units.rated):
             if isinstance(by_joint, dict):
                 _known_joints(by_joint, signals)
@@ -384,6 +386,17 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
     """
     signals = experiment.signals
     _check_base(signals, robot)
+    if signals.pose is not None and robot.floating:
+        raise GtauError(
+            f"signals.pose is to test the geometry of robot '{robot.name}', whose base floats; remove it, or fix the "
+            "base by 'base: fixed' beside the robot's 'file'."
+        )
+    body = None if signals.pose is None else signals.pose.body
+    if body is not None and body not in robot.bodies:
+        raise GtauError(
+            f"signals.pose names the body '{body}', but those of robot '{robot.name}' are {', '.join(robot.bodies)}; "
+            "correct the name."
+        )
     for joint in signals.joints:
         if joint not in robot.actuated:
             raise GtauError(

@@ -261,6 +261,7 @@ def _robot(document: Document) -> Robot:
             floating=entry.floating,
             notes=tuple(entry.notes),
             springs=tuple(_spring(name, spring) for name, spring in entry.springs.items()),
+            constants=tuple(_constants(document).items()),
         )
     except GtauError as error:
         raise GtauError(f"{document.path}: {error}") from None

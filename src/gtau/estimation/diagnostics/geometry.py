@@ -1,0 +1,319 @@
+"""Whether logged poses confirm the robot's geometry, and which lengths would explain them otherwise.
+
+Poses computed from the joints' positions are compared with logged ones; a wrong length leaves residuals that depend on
+the pose. Each constant of the geometry is fitted by itself, and the one that explains most is taken; then further ones
+beside it, as long as they explain most of what is left. Torques hardly show a wrong length: a platform 26 mm too large
+leaves the torque errors of the UPV robot (docs/measured.md) as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.estimation.diagnostics.pose_fit import PoseFit, fit_frames, fit_poses
+from gtau.estimation.diagnostics.poses import component_names
+from gtau.estimation.thresholds import GEOMETRY_CHANGE, GEOMETRY_RMS, GEOMETRY_SHARE, GEOMETRY_STD
+from gtau.model.blas import single_threaded_blas
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.lengths import Constant
+from gtau.progress import Progress, silent
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.robot import Robot
+from gtau.signals.pose import LoggedPoses
+from gtau.signals.pose_columns import PoseColumns
+
+TRIED = 4  # constants that are fitted beyond the first order,
+LIKELY = 0.5  # if to first order they explain this part of what makes one the explanation
+MOST = 4  # constants that explain the residuals together
+ALIKE = 1.5  # times the squares that the best leaves: a constant that leaves less is as likely
+FREE = 1e-6  # share of a constant's effect that the frames leave: with less it has none of its own
+
+
+@dataclass(frozen=True)
+class ConstantChange:
+    """A constant of the geometry: the ``change`` of its ``value`` that explains the poses best, in ``unit``.
+
+    ``std`` is the standard deviation of the change, ``share`` that of the residual variance which goes with it;
+    ``alike`` are constants that explain as much.
+    """
+
+    name: str
+    value: float
+    change: float
+    std: float
+    unit: str
+    share: float
+    alike: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """What it is and would be: ``Rm 326 -> 300.00 +- 0.01 mm``."""
+        unit, factor = ("mm", 1e3) if self.unit == "m" else ("mrad", 1e3)
+        digits = max(0, min(6, 1 - int(np.floor(np.log10(max(factor * self.std, 1e-6))))))
+        new, std = f"{factor * (self.value + self.change):.{digits}f}", f"{factor * self.std:.{digits}f}"
+        either = f" (or {', '.join(self.alike)})" if self.alike else ""
+        return f"{self.name} {factor * self.value:.5g} -> {new} +- {std} {unit}{either}"
+
+
+@dataclass(frozen=True)
+class PoseResidual:
+    """A component of the pose in a run, logged less computed: rms and mean (``bias``) in ``unit``.
+
+    ``rms_after`` is what the constants of :attr:`GeometryTest.explained_by` leave.
+    """
+
+    run: str
+    name: str
+    unit: str
+    rms: float
+    bias: float
+    rms_after: float
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrace:
+    """Residuals of a run for figures: ``time`` (K,) in s, ``before`` and ``after`` (K, m) constants are changed."""
+
+    run: str
+    time: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class GeometryTest:
+    """What logged poses say of a robot's geometry.
+
+    Attributes
+    ----------
+    body, source : str
+        Whose pose, and from where; see :class:`gtau.signals.pose_columns.PoseColumns`.
+    outcome : {"confirmed", "other constants", "unexplained"}
+        The last where the residuals are too large for the robot and no constant explains them.
+    position_rms, angle_rms : float or None
+        Distance in m and angle in rad between logged and computed poses, rms; None where none is logged.
+    position_after, angle_after : float or None
+        What ``explained_by`` leaves of them.
+    explained_by : tuple of ConstantChange
+        Constants that together explain the residuals, if any do.
+    share : float
+        Of the residual variance that goes with them.
+    tried : tuple of ConstantChange
+        Each constant by itself, the best first.
+    unseen : tuple of str
+        Constants of which the poses say nothing, as the frames would explain the same or the closures hold them.
+    delay, delay_std : float
+        By how much poses lag behind the positions, s.
+    residuals : tuple of PoseResidual
+        Component by component and run by run.
+    traces : tuple of PoseTrace
+        The residuals in time; ``model.json`` does not hold them.
+    """
+
+    body: str
+    source: str
+    outcome: str
+    position_rms: float | None
+    position_after: float | None
+    angle_rms: float | None
+    angle_after: float | None
+    explained_by: tuple[ConstantChange, ...]
+    share: float
+    tried: tuple[ConstantChange, ...]
+    unseen: tuple[str, ...]
+    delay: float
+    delay_std: float
+    residuals: tuple[PoseResidual, ...]
+    traces: tuple[PoseTrace, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in words."""
+        before, after = _sizes(self.position_rms, self.angle_rms), _sizes(self.position_after, self.angle_after)
+        logged = f"the logged pose of '{self.body}'"
+        if self.outcome == "confirmed":
+            return f"{logged} confirms the geometry to {before} rms"
+        if self.outcome == "unexplained":
+            return (
+                f"{logged} is {before} rms from the one computed from the positions, which no length and no encoder "
+                "zero explains; check the columns, their units and the angles' sequence, whether the pose is of this "
+                "body ('source: tool') and in the robot's base ('source: tracker'), and angles of the robot's geometry"
+            )
+        changes = ", ".join(map(str, self.explained_by))
+        return (
+            f"the geometry is off: {changes} explains {_percent(self.share)} of the residual variance of {logged}, "
+            f"which is {before} rms from the one computed and {after} with it; correct the robot file"
+        )
+
+
+def _sizes(position: float | None, angle: float | None) -> str:
+    sizes = [] if position is None else [f"{1e3 * position:.2g} mm"]
+    return " and ".join(sizes + ([] if angle is None else [f"{1e3 * angle:.2g} mrad"]))
+
+
+def _percent(share: float) -> str:
+    """A share that is not rounded to the whole."""
+    return f"{100 * share:.3g} %" if share < 0.9995 else "more than 99.9 %"
+
+
+@single_threaded_blas
+def geometry_test(
+    model: InverseDynamics,
+    columns: PoseColumns,
+    joints: Sequence[str],
+    logged: Sequence[LoggedPoses],
+    progress: Progress = silent,
+) -> GeometryTest:
+    """Test the geometry of a robot by logged poses.
+
+    Parameters
+    ----------
+    model, columns : InverseDynamics, PoseColumns
+        Of the robot, and what is logged.
+    joints : sequence of str
+        Order of the logged positions.
+    logged : sequence of LoggedPoses
+        One for each run.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed along the logged positions, or a run's time does not rise.
+    """
+    progress("geometry", 0, MOST + 1)
+    given = fit_frames(model, columns, joints, logged)
+    tried, found = _tried(given), given
+    for k in range(MOST):
+        progress("geometry", k + 1, MOST + 1)
+        better = _better(found, _tried(found) if k else tried, characteristic_length(model.robot))
+        if better is None:
+            break
+        found = better
+    progress("geometry", MOST + 1, MOST + 1)
+    runs = [each.run for each in logged]
+    return _tested(columns, columns.body or model.robot.tool, runs, given, found, tried, model.robot)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A constant beside those that a fit has: what it explains, to first order or, where it was fitted, for good.
+
+    ``left`` are the squares that it leaves.
+    """
+
+    constant: int
+    change: float
+    std: float
+    left: float
+    fit: PoseFit | None = None
+
+
+def _tried(fit: PoseFit) -> list[_Candidate]:
+    """All constants with an effect of their own that could be taken next, the best first and these fitted."""
+    residual, candidates = fit.beyond(fit.residual), []
+    for k in range(len(fit.poses.geometry.constants)):
+        column = fit.column(k)
+        own = fit.beyond(column)
+        if not np.isfinite(own).all() or own @ own <= FREE**2 * (column @ column):
+            continue
+        change = float(own @ residual / (own @ own))
+        left = residual - change * own
+        scores = (own * left).reshape(len(fit.poses.stretch), -1).sum(axis=1)
+        parts = np.bincount(fit.poses.stretch, scores)
+        std = float(np.sqrt(np.sum(parts**2) * len(parts) / (len(parts) - 1)) / (own @ own))
+        candidates.append(_Candidate(k, change, std, float(left @ left)))
+    candidates.sort(key=lambda each: each.left)
+    likely = [each for each in candidates[:TRIED] if 1 - each.left / fit.left > GEOMETRY_SHARE * LIKELY]
+    fitted = [_fitted(fit, each) for each in likely]
+    return sorted([*fitted, *candidates[len(likely) :]], key=lambda each: each.left)
+
+
+def _fitted(before: PoseFit, candidate: _Candidate) -> _Candidate:
+    fit = fit_poses(before.poses, before.state, (*before.chosen, candidate.constant))
+    if fit is None:
+        return candidate
+    change = float(fit.state.change[candidate.constant])
+    return _Candidate(candidate.constant, change, float(fit.std[-1]), fit.left, fit)
+
+
+def _better(before: PoseFit, candidates: Sequence[_Candidate], length: float) -> PoseFit | None:
+    """The fit with the best constant more, if it explains much, is certain, and differs by more than lengths do."""
+    best = next((each for each in candidates if each.fit is not None), None)
+    if best is None or best.constant in before.chosen:
+        return None
+    constant = before.poses.geometry.constants[best.constant]
+    scale = constant.value or (length if constant.unit == "m" else 1.0)
+    wrong = (
+        1 - best.left / before.left > GEOMETRY_SHARE
+        and abs(best.change) > GEOMETRY_STD * best.std
+        and abs(best.change) > GEOMETRY_CHANGE * scale
+    )
+    return best.fit if wrong else None
+
+
+def _tested(
+    columns: PoseColumns,
+    body: str,
+    runs: Sequence[str],
+    given: PoseFit,
+    found: PoseFit,
+    tried: Sequence[_Candidate],
+    robot: Robot,
+) -> GeometryTest:
+    poses, constants, names = given.poses, given.poses.geometry.constants, component_names(columns)
+    before, after = (_unexplained(fit) for fit in (given, found))
+    linear = np.array([unit == "m" for _, unit in names])
+    position, angle = ([_distance(each[:, which]) for each in (before, after)] for which in (linear, ~linear))
+    explained = []
+    for k, std in zip(found.chosen, found.std[len(found.std) - len(found.chosen) :], strict=True):
+        alone = next(each for each in tried if each.constant == k)
+        alike = [each for each in tried if each.constant != k and each.left < ALIKE * alone.left]
+        alike = alike if len(found.chosen) == 1 else []
+        change, share = float(found.state.change[k]), 1 - alone.left / given.left
+        explained.append(_change(constants[k], change, float(std), share, [constants[each.constant] for each in alike]))
+    seen = {each.constant for each in tried}
+    off = position[0] is not None and position[0] > GEOMETRY_RMS * characteristic_length(robot)
+    residuals, traces = [], []
+    for k, run in enumerate(runs):
+        mine = poses.run == k
+        traces.append(PoseTrace(run, poses.time[mine], before[mine], after[mine]))
+        for j, (name, unit) in enumerate(names):
+            rms, left = (float(np.sqrt(np.mean(each[mine, j] ** 2))) for each in (before, after))
+            residuals.append(PoseResidual(run, name, unit, rms, float(np.mean(before[mine, j])), left))
+    return GeometryTest(
+        body=body,
+        source=columns.source,
+        outcome="other constants" if explained else "unexplained" if off else "confirmed",
+        position_rms=position[0],
+        position_after=position[1],
+        angle_rms=angle[0],
+        angle_after=angle[1],
+        explained_by=tuple(explained),
+        share=1 - found.left / given.left,
+        tried=tuple(
+            _change(constants[each.constant], each.change, each.std, 1 - each.left / given.left) for each in tried
+        ),
+        unseen=tuple(each.name for k, each in enumerate(constants) if k not in seen),
+        delay=found.state.frames.delay,
+        delay_std=float(found.std[0]),
+        residuals=tuple(residuals),
+        traces=tuple(traces),
+    )
+
+
+def _change(
+    constant: Constant, change: float, std: float, share: float, alike: Sequence[Constant] = ()
+) -> ConstantChange:
+    names = tuple(each.name for each in alike)
+    return ConstantChange(constant.name, constant.value, change, std, constant.unit, share, names)
+
+
+def _unexplained(fit: PoseFit) -> np.ndarray:
+    """Residuals (N, m) less what is free explains of them, m and rad."""
+    return fit.beyond(fit.residual).reshape(len(fit.poses.run), -1) / fit.poses.weights
+
+
+def _distance(residual: np.ndarray) -> float | None:
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if residual.size else None

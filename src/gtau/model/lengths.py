@@ -1,0 +1,247 @@
+"""The constants of a robot's geometry: its lengths and encoder zeros, and how the pose of a body moves with them.
+
+With another length the closures hold at other passive coordinates (eqs. 3 and 4); differentiated, they say how a pose
+depends on each length while the motors stand still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from gtau.model.closures import closure_expressions
+from gtau.model.coordinates import Coordinates, coordinates
+from gtau.model.interpreter.program import Program, compile_program
+from gtau.model.kinematics import Shifted, frames, twists
+from gtau.robots.geometry import characteristic_length, pose_of
+from gtau.robots.robot import Mdh, Placement, Pose, Robot
+
+SHORT = 1e-4  # of the characteristic length: what is shorter was not meant to be a length
+SAME = 1e-6  # relative difference of lengths that are meant to be the same
+HOLDING = 1e-6  # of a length's change: how far closures may be from following it
+CLOSED = 1e-11  # last correction of the passive coordinates, rad or characteristic lengths
+STEPS = 20
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A constant of the geometry: a length in m that stands at one place or several, or the zero of an encoder.
+
+    ``value`` is 0 for a zero. ``directions`` are its places with the unit vectors along which it is laid off, and
+    ``joint`` the number of the actuated joint whose zero it is.
+    """
+
+    name: str
+    value: float
+    unit: str
+    directions: tuple[tuple[int, Vector], ...] = ()
+    joint: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPose:
+    """Position (N, 3) and orientation (N, 3, 3) of a body in the base.
+
+    ``by_constants`` (N, 6, constants) and ``by_joints`` (N, 6, n) are their derivatives, m and rad in base axes; those
+    by a constant that the closures cannot follow are nan.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    by_constants: np.ndarray
+    by_joints: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class VariableGeometry:
+    """A robot whose ``constants`` may have other values, and the pose of one of its bodies.
+
+    ``program`` maps c and, for all samples alike, the shifts of all places to the residual of the closures, their
+    derivatives by the scaled passive coordinates, the actuated ones and the shifts, and to the pose of the body with
+    its derivatives by yd and the shifts.
+    """
+
+    layout: Coordinates
+    constants: tuple[Constant, ...]
+    shifts: np.ndarray  # (3 places, constants) shift of each place for a unit of each constant
+    unit: np.ndarray  # (n_passive,) of the scaled passive coordinates, rad or m
+    rows: int
+    program: Program
+
+    def close(self, c: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
+        """Configurations after a change of the constants, the motors at the same logged positions.
+
+        Parameters
+        ----------
+        c : ndarray
+            Configurations (n_c, N), closed with the changes ``before`` (constants,) of the constants.
+        after : ndarray
+            Changes (constants,) of the constants from their values in the robot's file.
+
+        Returns
+        -------
+        ndarray or None
+            (n_c, N); None where the closures cannot follow.
+        """
+        layout, change = self.layout, after - before
+        step = np.zeros((layout.n_y, c.shape[1]))
+        for k, each in enumerate(self.constants):
+            if each.joint is not None:
+                step[layout.actuated[each.joint]] += change[k]
+        c = layout.retract(c, step)
+        if not self.rows:
+            return c
+        shift = self.shifts @ after
+        for _ in range(STEPS):
+            residual, G_p, *_ = self._evaluate(c, shift)
+            correction = -(np.linalg.pinv(G_p) @ residual[:, :, None])[:, :, 0]
+            step = np.zeros((layout.n_y, c.shape[1]))
+            step[layout.passive] = (correction * self.unit).T
+            c = layout.retract(c, step)
+            if np.abs(correction).max(initial=0.0) < CLOSED:
+                residual = self._evaluate(c, shift)[0]
+                return c if np.abs(residual).max(initial=0.0) < HOLDING else None
+        return None
+
+    def pose(self, c: np.ndarray, change: np.ndarray) -> BodyPose:
+        """Pose of the body at configurations ``c`` (n_c, N) that are closed with these changes of the constants."""
+        layout, n = self.layout, len(self.layout.actuated)
+        _, G_p, G_a, G_s, position, rotation, J, J_s = self._evaluate(c, self.shifts @ change)
+        G = np.concatenate([G_a, G_s @ self.shifts], axis=2)
+        follow = -np.linalg.pinv(G_p) @ G if self.rows else np.zeros((len(position), len(layout.passive), G.shape[2]))
+        left = np.abs(G + G_p @ follow).max(axis=(0, 1), initial=0.0)
+        direct = np.concatenate([J[:, :, layout.actuated], J_s @ self.shifts], axis=2)
+        moved = direct + J[:, :, layout.passive] @ (follow * self.unit[:, None])
+        moved[:, :, left > HOLDING * np.maximum(np.abs(G).max(axis=(0, 1), initial=0.0), 1e-300)] = np.nan
+        by_joints, by_constants = moved[:, :, :n], moved[:, :, n:]
+        for k, each in enumerate(self.constants):
+            if each.joint is not None:
+                by_constants[:, :, k] = by_joints[:, :, each.joint]
+        return BodyPose(position, rotation, by_constants, by_joints)
+
+    def _evaluate(self, c: np.ndarray, shift: np.ndarray) -> list[np.ndarray]:
+        """What the program gives, samples first: (N, rows), (N, rows, n_passive), ..., (N, 6, 3 places)."""
+        layout, samples = self.layout, c.shape[1]
+        shapes = [
+            (self.rows,),
+            (self.rows, len(layout.passive)),
+            (self.rows, len(layout.actuated)),
+            (self.rows, shift.size),
+            (3,),
+            (3, 3),
+            (6, layout.n_y),
+            (6, shift.size),
+        ]
+        found = self.program(c, parameters=shift)
+        parts = np.split(found, np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1])
+        return [part.T.reshape(samples, *shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
+    """Derive how the pose of a ``body`` depends on the constants of the robot's geometry.
+
+    The constants are the lengths of all placements (a distance and, where it is oblique, its components; d, r and b
+    of MDH placements), each by itself and those that are the same together, and the zeros of the actuated joints.
+    """
+    layout = coordinates(robot)
+    places = list(_places(robot))
+    s = ca.SX.sym("s", 3 * len(places))
+    varied = replace(layout, robot=_shifted(robot, [s[3 * k : 3 * k + 3] for k in range(len(places))]))
+    c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    residual, velocity, _ = closure_expressions(varied, c, yd)
+    unit = np.where(layout.angular, 1.0, characteristic_length(robot))[layout.passive]
+    frame = frames(varied, c)
+    twist, at = twists(varied, frame, yd)[body], frame[body]
+    G = ca.jacobian(velocity, yd)
+    G_p = G[:, layout.passive.tolist()] @ ca.diag(ca.DM(unit))
+    J = ca.jacobian(ca.vertcat(at.R_0 @ twist.linear, at.R_0 @ twist.angular), yd)
+    J_s = ca.vertcat(ca.jacobian(at.p_0, s), ca.SX(3, s.numel()))
+    outputs = [residual, G_p.T, G[:, layout.actuated.tolist()].T, ca.jacobian(residual, s).T, at.p_0, at.R_0.T]
+    constants = [*_constants(robot, places), *_zeros(robot)]
+    shifts = np.zeros((s.numel(), len(constants)))
+    for k, each in enumerate(constants):
+        for place, direction in each.directions:
+            shifts[3 * place : 3 * place + 3, k] += direction
+    program = compile_program([c], [*outputs, J.T, J_s.T], [s])
+    return VariableGeometry(layout, tuple(constants), shifts, unit, residual.numel(), program)
+
+
+def _places(robot: Robot) -> Iterator[tuple[str, Placement]]:
+    """All placements, with the words for where they are."""
+    for joint in robot.joints:
+        yield f"'{joint.name}'", joint.placement
+    for number, closure in enumerate(robot.closures, start=1):
+        for end in (closure.a, closure.b):
+            yield f"closure {number} on '{end.body}'", end.placement
+
+
+def _shifted(robot: Robot, shifts: Sequence[ca.SX]) -> Robot:
+    of_place = iter(shifts)
+    joints = tuple(replace(joint, placement=_moved(joint.placement, next(of_place))) for joint in robot.joints)
+    closures = tuple(
+        replace(
+            closure,
+            a=replace(closure.a, placement=_moved(closure.a.placement, next(of_place))),
+            b=replace(closure.b, placement=_moved(closure.b.placement, next(of_place))),
+        )
+        for closure in robot.closures
+    )
+    return replace(robot, joints=joints, closures=closures)
+
+
+def _moved(placement: Placement, shift: ca.SX) -> Shifted:
+    pose = placement if isinstance(placement, Pose) else pose_of(placement.rotation, placement.position)
+    return Shifted(pose.xyz, pose.rpy, shift)
+
+
+def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterator[Constant]:
+    """Each length by itself, then those that are the same together."""
+    shortest = SHORT * characteristic_length(robot)
+    same: dict[float, list[tuple[str, tuple[int, Vector]]]] = {}
+    for k, (where, placement) in enumerate(places):
+        for what, value, direction in _lengths(placement):
+            if value > shortest:
+                key = next((known for known in same if abs(known - value) < SAME * known), value)
+                same.setdefault(key, []).append((f"{what} of {where}", (k, direction)))
+    for value, found in same.items():
+        called = [name for name, constant in robot.constants if abs(abs(constant) - value) < SAME * value]
+        prefix = f"{'/'.join(called)}, " if called else ""
+        for where, at in found:
+            yield Constant(f"{prefix}{where}", value, "m", (at,))
+        if len(found) > 1:
+            name = "/".join(called) or f"{1e3 * value:.4g} mm"
+            yield Constant(f"{name} at all {len(found)} places", value, "m", tuple(each for _, each in found))
+
+
+def _lengths(placement: Placement) -> Iterator[tuple[str, float, Vector]]:
+    """Lengths of a placement, with the directions in which it moves where they grow."""
+    if isinstance(placement, Mdh):
+        before = replace(placement, d=0.0, b=0.0, r=0.0)
+        for name in ("d", "r", "b"):
+            value = getattr(placement, name)
+            if value:
+                yield name, abs(value), _vector(replace(before, **{name: float(np.sign(value))}).position)
+        return
+    position = placement.position
+    if np.count_nonzero(position) > 1:
+        length = float(np.linalg.norm(position))
+        yield "distance", length, _vector(position / length)
+    for name, value, axis in zip("xyz", position.tolist(), np.eye(3), strict=True):
+        if value:
+            yield name, abs(value), _vector(np.sign(value) * axis)
+
+
+def _vector(values: np.ndarray) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _zeros(robot: Robot) -> Iterator[Constant]:
+    for k, name in enumerate(robot.actuated):
+        unit = "rad" if robot.joint(name).kind == "revolute" else "m"
+        yield Constant(f"zero of '{name}'", 0.0, unit, joint=k)

@@ -1,0 +1,215 @@
+"""What logged poses say of a robot's geometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gtau import load_robot
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.geometry import GeometryTest, geometry_test
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.kinematics import frames
+from gtau.model.lengths import variable_geometry
+from gtau.robots.robot import Mdh, Robot
+from gtau.signals.columns import as_signals, as_units
+from gtau.signals.pose import LoggedPoses, read_poses
+from gtau.signals.pose_columns import PoseColumns
+
+NOISE = 1e-4  # m and rad
+
+
+def longer(robot: Robot, joint: str, name: str, share: float) -> Robot:
+    """The robot with one length of an MDH placement longer by a share."""
+    placement = robot.joint(joint).placement
+    assert isinstance(placement, Mdh)
+    other = replace(placement, **{name: getattr(placement, name) * (1 + share)})
+    return replace(
+        robot, joints=tuple(replace(each, placement=other) if each.name == joint else each for each in robot.joints)
+    )
+
+
+def sines(robot: Robot, size: float, rng: np.random.Generator, samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    """Time (N,) at 100 Hz and positions (N, n) of all motors around home."""
+    model, time = InverseDynamics(robot), np.arange(samples) / 100
+    home = model.layout.home if model.loops is None else model.loops.home
+    q = np.tile(home[model.layout.actuated], (samples, 1))
+    for k in range(q.shape[1]):
+        for _ in range(3):
+            q[:, k] += size / 3 * np.sin(rng.uniform(0.3, 2.0) * time + rng.uniform(0, 6))
+    return time, q
+
+
+def logged(
+    robot: Robot,
+    time: np.ndarray,
+    q: np.ndarray,
+    rng: np.random.Generator,
+    delay: float = 0.0,
+    tracker: tuple[Rotation, np.ndarray] = (Rotation.identity(), np.zeros(3)),
+    marker: tuple[Rotation, np.ndarray] = (Rotation.identity(), np.zeros(3)),
+) -> LoggedPoses:
+    """Poses of the tool as quaternions, computed for one robot after the other and not by derivatives."""
+    model = InverseDynamics(robot)
+    late = np.stack([np.interp(time - delay, time, each) for each in q.T])
+    c = ca.SX.sym("c", model.layout.n_c)
+    at = frames(model.layout, c)[robot.tool]
+    pose, values = ca.Function("pose", [c], [at.R_0, at.p_0]), []
+    for R, p in ((R.full(), p.full().ravel()) for R, p in map(pose, model.path(late).T)):
+        turned = tracker[0] * Rotation.from_matrix(R)
+        turned_marker = Rotation.from_rotvec(NOISE * rng.standard_normal(3)) * turned * marker[0]
+        position = tracker[0].apply(p) + turned.apply(marker[1]) + tracker[1] + NOISE * rng.standard_normal(3)
+        values.append([*position, *turned_marker.as_quat(scalar_first=True)])
+    return LoggedPoses("simulated", time, q, np.array(values))
+
+
+def columns(source: str) -> PoseColumns:
+    return PoseColumns.model_validate(
+        {
+            "source": source,
+            "position": {axis: f"p{axis}" for axis in "xyz"},
+            "quaternion": {axis: f"q{axis}" for axis in "wxyz"},
+        }
+    )
+
+
+def result_of(robot: Robot, source: str, poses_of: LoggedPoses) -> GeometryTest:
+    return geometry_test(InverseDynamics(robot), columns(source), robot.actuated, [poses_of])
+
+
+@pytest.mark.parametrize("name", ["ur10e", "orthoglide"])
+def test_derivatives_of_the_pose_by_each_constant(name: str, rng: np.random.Generator) -> None:
+    """Against central differences of the pose with the loops closed anew."""
+    robot = load_robot(name)
+    geometry = variable_geometry(robot, robot.tool)
+    _, q = sines(robot, 0.1, rng, 40)
+    c, zero = InverseDynamics(robot).path(q.T.copy()), np.zeros(len(geometry.constants))
+    at = geometry.pose(c, zero)
+    for k in range(len(zero)):
+        step = np.where(np.arange(len(zero)) == k, 1e-6, 0.0)
+        ends = [geometry.close(c, zero, sign * step) for sign in (1.0, -1.0)]
+        assert ends[0] is not None and ends[1] is not None  # noqa: PT018
+        above, below = geometry.pose(ends[0], step), geometry.pose(ends[1], -step)
+        linear = (above.position - below.position) / 2e-6
+        angular = (Rotation.from_matrix(above.rotation) * Rotation.from_matrix(below.rotation).inv()).as_rotvec() / 2e-6
+        assert np.hstack([linear, angular]) == pytest.approx(at.by_constants[:, :, k], abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "length"),
+    [("ur10e", "elbow_joint", "d"), ("orthoglide", "41", "d")],
+)
+def test_a_length_one_per_cent_off(name: str, joint: str, length: str, rng: np.random.Generator) -> None:
+    """The controller's pose confirms the right length, and finds one that is wrong by 1 %."""
+    right = load_robot(name)
+    time, q = sines(right, 0.8 if name == "ur10e" else 0.1, rng)
+    found = logged(right, time, q, rng)
+    confirmed = result_of(right, "controller", found)
+    assert confirmed.outcome == "confirmed"
+    assert confirmed.position_rms == pytest.approx(NOISE * np.sqrt(3), rel=0.1)
+    wrong = result_of(longer(right, joint, length, 0.01), "controller", found)
+    assert wrong.outcome == "other constants"
+    (change,) = wrong.explained_by
+    true = getattr(right.joint(joint).placement, length)
+    assert f"{length} of '{joint}'" in (change.name, *change.alike)
+    assert change.value + change.change == pytest.approx(true, abs=4 * change.std)
+    assert change.std < 1e-4
+    assert change.share > 0.9
+    assert wrong.position_after == pytest.approx(NOISE * np.sqrt(3), rel=0.1)
+
+
+def test_a_tracker_anywhere_with_a_marker_anywhere(rng: np.random.Generator) -> None:
+    """Frames and delay are nuisances: the right geometry is confirmed, a wrong one found, with intervals that hold."""
+    right = load_robot("ur10e")
+    time, q = sines(right, 0.8, rng)
+    tracker = Rotation.from_rotvec([0.4, -1.9, 0.8]), np.array([2.0, -3.0, 1.2])
+    marker = Rotation.from_rotvec([1.2, 0.3, -0.7]), np.array([0.05, 0.02, 0.1])
+    found = logged(right, time, q, rng, 0.02, tracker, marker)
+    confirmed = result_of(right, "tracker", found)
+    assert confirmed.outcome == "confirmed"
+    assert confirmed.delay == pytest.approx(0.02, abs=1e-3)
+    assert "shoulder_height, r of 'shoulder_pan_joint'" in confirmed.unseen  # the tracker may stand higher instead
+    wrong = result_of(longer(right, "wrist_1_joint", "d", 0.01), "tracker", found)
+    (change,) = wrong.explained_by
+    assert change.name == "d of 'wrist_1_joint'"
+    assert change.value + change.change == pytest.approx(0.571, abs=4 * change.std)
+    taken_for_the_base = result_of(right, "controller", found)
+    assert taken_for_the_base.outcome == "unexplained"
+    assert "source: tracker" in taken_for_the_base.sentence
+
+
+def test_an_encoder_zero_is_found_as_such(rng: np.random.Generator) -> None:
+    """A joint whose zero is off by 0.01 rad is not taken for a length."""
+    robot = load_robot("ur10e")
+    time, q = sines(robot, 0.8, rng)
+    found = logged(robot, time, q, rng)
+    off = replace(found, q=q - 0.01 * (np.array(robot.actuated) == "elbow_joint"))
+    (change,) = result_of(robot, "controller", off).explained_by
+    assert change.name == "zero of 'elbow_joint'"
+    assert change.change == pytest.approx(0.01, abs=4 * change.std)
+
+
+@pytest.mark.parametrize(
+    ("robot_constants", "source", "kind", "largest", "true"),
+    [
+        ({}, "controller", "x", 1e-4, None),
+        ({}, "tracker", "mocap", 2e-3, None),
+        ({"Rm": 0.326}, "controller", "x", None, 0.3),
+        ({"Rm": 0.326}, "tracker", "mocap", None, 0.3),
+    ],
+)
+def test_real_parallel_robot(
+    shared, tmp_path, robot_constants: dict[str, float], source: str, kind: str, largest: float | None, true: float
+) -> None:
+    """The logged pose of a real robot confirms its geometry, and finds a platform that is 26 mm too large."""
+    folder = shared / "upv_parallel"
+    text = (folder / "robot_5p_config1.yaml").read_text()
+    for name in robot_constants:
+        assert f"{name}: 0.3," in text
+        text = text.replace(f"{name}: 0.3,", f"{name}: {robot_constants[name]},")
+    (tmp_path / "robot.yaml").write_text(text)
+    joints = {"p1": "q0", "p2": "q1", "p3": "q2", "p4": "q3"}
+    signals = as_signals(
+        {
+            "time": "t",
+            "position": joints,
+            "torque": {"p1": "u0", "p2": "u1", "p3": "u2", "p4": "u3"},
+            "pose": {
+                "source": source,
+                "position": {"x": f"{kind}0", "z": f"{kind}1"},
+                "angles": {"sequence": "YZ", "columns": [f"{kind}2", f"{kind}3"]},
+            },
+        }
+    )
+    found = [read_poses([folder / f"4dof_N_{run}.csv"], signals, as_units(None)) for run in "abc"]
+    model = InverseDynamics(load_robot(tmp_path / "robot.yaml"))
+    result = geometry_test(model, signals.pose, signals.joints, found)
+    if largest is not None:
+        assert result.outcome == "confirmed"
+        assert result.position_rms is not None
+        assert result.position_rms < largest
+    else:
+        (change,) = result.explained_by
+        assert change.name.startswith("Rm at all 3 places")
+        assert change.value + change.change == pytest.approx(true, abs=5 * change.std)
+        assert change.std < 1e-3
+
+
+def test_refused_columns() -> None:
+    """Contradictory descriptions of a pose are refused in a sentence."""
+    signals = {"time": "t", "position": {"1": "a"}, "torque": {"1": "b"}}
+    for pose, words in (
+        ({"source": "controller"}, "a pose needs columns"),
+        ({"source": "controller", "angles": {"sequence": "YZ", "columns": ["c"]}}, "has 2 angles, but 1 columns"),
+        ({"source": "controller", "angles": {"sequence": "YY", "columns": ["c", "d"]}}, "twice about one axis"),
+        ({"source": "controller", "position": {"x": "c", "y": "c"}}, "given twice"),
+        ({"source": "elsewhere", "position": {"x": "c"}}, "'controller'"),
+    ):
+        with pytest.raises(GtauError, match=words):
+            as_signals(signals | {"pose": pose})
+    with pytest.raises(GtauError, match="no unit of a length"):
+        as_units({"pose": {"length": "deg"}})
