@@ -296,7 +296,7 @@ def _tested(
             _change(constants[each.constant], each.change, each.std, 1 - each.left / given.left) for each in tried
         ),
         unseen=tuple(each.name for k, each in enumerate(constants) if k not in seen),
-        delay=found.state.frames.delay,
+        delay=poses.delay + found.state.frames.delay,
         delay_std=float(found.std[0]),
         residuals=tuple(residuals),
         traces=tuple(traces),
