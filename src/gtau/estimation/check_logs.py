@@ -11,8 +11,9 @@ import numpy as np
 from gtau import display
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.command_lag import lag_notes
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.plausibility import require_felt_payload
-from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, Mapper, model_of, prepare_runs, reduce_runs, robot_notes
 from gtau.estimation.regression.friction import Friction
@@ -74,13 +75,15 @@ class LogCheck:
 class ExperimentCheck:
     """The logs of an experiment that can be read, how they are prepared, and ``notes`` on all that was found.
 
-    ``preparation`` is None where none of the logs for the identification can be read.
+    ``preparation`` is None where none of the logs for the identification can be read, ``geometry`` where no pose is
+    logged.
     """
 
     robot: Robot
     preparation: Preparation | None
     logs: tuple[LogCheck, ...]
     notes: tuple[Note, ...]
+    geometry: GeometryTest | None = None
 
     @property
     def worst(self) -> Grade:
@@ -130,6 +133,13 @@ def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = m
         notes += near_singularities(log.nearest)
         prepared_runs += [prepared] if k < count else []
     progress("checking logs", len(read), len(read))
+    geometry = None
+    try:
+        readable = [each for each, run in zip(experiment.runs, read[:count], strict=True) if run is not None]
+        geometry = geometry_of(experiment, readable, model, progress)
+        notes += [geometry.note] if geometry else []
+    except GtauError as error:
+        notes.append(refusal(error, Kind.REFUSED))
     notes += few_rows([log for log in checked if not log.validation])
     if not any(grade_of(note) == Grade.STOPS for note in notes):
         dataset = reduce_runs(
@@ -141,7 +151,7 @@ def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = m
             priors=experiment.expected_parameters,
         )
         notes += _together(dataset, experiment.expected_gains)
-    return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes))
+    return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)
 
 
 def _read(

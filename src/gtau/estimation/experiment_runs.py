@@ -7,10 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.geometry import geometry_test
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.signals.experiment import Experiment, LoggedRun, check_robot, read_experiment
+from gtau.signals.pose import read_poses
 from gtau.signals.run import Run, read_run
 
 
@@ -27,6 +31,17 @@ def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progr
         )
 
     return tuple(read(k, run) for k, run in enumerate(runs))
+
+
+def geometry_of(
+    experiment: Experiment, runs: Sequence[LoggedRun], model: InverseDynamics, progress: Progress = silent
+) -> GeometryTest | None:
+    """Test the robot's geometry by the poses logged in runs; None where the experiment has none. Raises GtauError."""
+    signals = experiment.signals
+    if signals.pose is None:
+        return None
+    logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
+    return geometry_test(model, signals.pose, signals.joints, logged, progress)
 
 
 def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:

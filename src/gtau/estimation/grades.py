@@ -32,6 +32,7 @@ GRADES: Mapping[Kind, Grade] = {
     Kind.RATE: Grade.MEND,
     Kind.LIMITS: Grade.MEND,
     Kind.SINGULARITY: Grade.MEND,
+    Kind.GEOMETRY: Grade.MEND,
     Kind.REPAIR: Grade.INFORMATION,
     Kind.READING: Grade.INFORMATION,
     Kind.REST: Grade.INFORMATION,

@@ -15,7 +15,7 @@ from gtau.estimation.diagnostics.plausibility import require_felt_payload
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
-from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
 from gtau.estimation.regression.dataset import Mapper, reduce_runs
 from gtau.estimation.regression.friction import Friction
@@ -94,7 +94,7 @@ def identify(
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
     chosen = None if method is None else estimator_of(method)
     if isinstance(source, Robot):
-        robot, runs, drives, stated = source, _given_runs(runs), {}, priors
+        robot, runs, drives, stated, experiment = source, _given_runs(runs), {}, priors, None
     else:
         experiment = _experiment_alone(source, runs)
         robot = load_robot(experiment.robot)
@@ -122,8 +122,9 @@ def identify(
         outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
         if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
             require_felt_payload(system)
-        found = (*lag_notes(dataset, system), *_data_sheet_notes(drives, result), *result.notes)
-        return replace(result, notes=found)
+        geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
+        found = (*([geometry.note] if geometry else []), *lag_notes(dataset, system), *_data_sheet_notes(drives, result))
+        return replace(result, geometry=geometry, notes=(*found, *result.notes))
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:

@@ -332,25 +332,25 @@ PLAUSIBLE_GRAVITY = Threshold(
     0.2, "deviation of local gravity from the standard, per cent", "0.26 at most on Earth", NONE, "latitude and height"
 )
 
-# What logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU described in docs/measured.md)
+# What logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU described in docs/zoo.md)
 GEOMETRY_SHARE = Threshold(
     0.5,
     "share of the variance of the pose residuals that a length or an encoder zero explains, of what is left",
-    "0.002 (UPV, the controller's pose), 0.26 (its tracker), 0.28 (its tracker taken for the controller's frame)",
-    "0.82 to 0.99997 (UPV, one radius or three 26 mm off), 0.97 and more (simulated, 1 % off)",
+    "0.02 (UPV, the controller's pose), 0.29 (its tracker), 0.28 (its tracker taken for the controller's frame)",
+    "0.82 to 0.99999 (UPV, one radius or three 26 mm off), above 0.9 (simulated, 1 % off)",
     "tests/estimation/test_geometry.py",
 )
 GEOMETRY_STD = Threshold(
     6.0,
     "change of a length or zero that explains the pose, in standard deviations",
-    "up to 8 where the share is small (UPV, tracker)",
-    "19 to 7000 (UPV, 26 mm off)",
+    "up to 9 where the share is small (UPV, tracker)",
+    "24 to 30,000 (UPV, 26 mm off)",
     "tests/estimation/test_geometry.py; the share decides where systematic residuals of a tracker are certain",
 )
 GEOMETRY_CHANGE = Threshold(
     0.005,
     "that change, of the length, of the robot's mean length (zeros in m) or in rad",
-    "0.0001 (UPV, the controller's pose)",
+    "0.000003 (UPV, the controller's pose)",
     "0.01 (simulated), 0.08 (UPV, 26 mm off)",
     "a choice: what is less is not worth another robot file",
 )
@@ -358,7 +358,7 @@ GEOMETRY_RMS = Threshold(
     0.01,
     "distance between logged and computed positions, rms, of the robot's mean length, above which a pose that no "
     "length explains does not confirm the geometry",
-    "0.00005 to 0.003 (UPV)",
+    "0.000002 (UPV, the controller's pose), 0.003 (its tracker)",
     "0.02 (UPV, its tracker taken for the controller's frame)",
     "UPV",
 )

@@ -8,6 +8,7 @@ from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.estimation.grades import Grade, by_grade
 from gtau.report import provenance
 from gtau.report.evidence import payload_words
+from gtau.report.geometry_section import geometry_section
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Cell, Column, folded, number, table, text, verdict
 from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, key, zoom_tools
@@ -38,6 +39,7 @@ def check_report(checked: ExperimentCheck, of: Provenance) -> str:
         logs_section([log.run for log in checked.logs], checked.robot, preparation.bandwidth, preparation.cutoff)
         if preparation
         else None,
+        geometry_section(checked.geometry, arrays),
         notes_section(checked.notes),
         provenance.section(of),
     )

@@ -6,6 +6,7 @@ from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.results.remarks import findings
 from gtau.report import provenance
 from gtau.report.evidence import Evidence
+from gtau.report.geometry_section import geometry_section
 from gtau.report.html.document import Page, Section, render
 from gtau.report.html.series import Arrays
 from gtau.report.provenance import Provenance
@@ -36,6 +37,7 @@ def identification_report(evidence: Evidence, of: Provenance) -> str:
         correlation_section(evidence),
         singular_values_section(evidence),
         motion_section(evidence, arrays),
+        geometry_section(result.geometry, arrays),
         logs_section([each.run for each in evidence.runs], result.robot, preparation.bandwidth, preparation.cutoff),
         alternatives_section(evidence),
         notes_section(findings(result)),

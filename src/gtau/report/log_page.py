@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
+from gtau.estimation.diagnostics.geometry_findings import from_document as read_geometry
+from gtau.estimation.diagnostics.geometry_findings import geometry_lines
+from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.grades import Grade, by_grade, from_document, to_document
 from gtau.estimation.results.singularity_distances import write_distances
 from gtau.estimation.results.summary import findings_lines
@@ -44,6 +47,7 @@ def describe_logs(checked: ExperimentCheck) -> dict[str, Any]:
             "decimator": preparation.decimator.kind,
         },
         "logs": [_describe(log, checked.robot) for log in checked.logs],
+        "geometry": checked.geometry and geometry_document(checked.geometry),
     }
 
 
@@ -94,6 +98,8 @@ def log_page(document: dict[str, Any]) -> str:
         )
     for log in document["logs"]:
         lines += ["", *_log_lines(log)]
+    if document["geometry"]:
+        lines += ["", *geometry_lines(read_geometry(document["geometry"]))]
     notes = [from_document(each) for each in document["findings"]]
     if notes:
         lines += ["", *findings_lines(notes)]

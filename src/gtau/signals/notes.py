@@ -27,6 +27,7 @@ class Kind(StrEnum):
     REST = "joint at rest"
     ROBOT = "robot description"
     DATA_SHEET = "data sheet"
+    GEOMETRY = "geometry"  # what logged poses say against it
 
 
 class Note(str):

@@ -3,7 +3,7 @@
 Poses computed from the joints' positions are compared with logged ones; a wrong length leaves residuals that depend on
 the pose. Each constant of the geometry is fitted by itself, and the one that explains most is taken; then further ones
 beside it, as long as they explain most of what is left. Torques hardly show a wrong length: a platform 26 mm too large
-leaves the torque errors of the UPV robot (docs/measured.md) as they are.
+leaves the torque errors of the UPV robot (docs/zoo.md) as they are.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.estimation.diagnostics.geometry_findings import ConstantChange, GeometryTest, PoseResidual, PoseTrace
 from gtau.estimation.diagnostics.pose_fit import PoseFit, fit_frames, fit_poses
 from gtau.estimation.diagnostics.poses import component_names
 from gtau.estimation.thresholds import GEOMETRY_CHANGE, GEOMETRY_RMS, GEOMETRY_SHARE, GEOMETRY_STD
@@ -30,132 +31,6 @@ LIKELY = 0.5  # if to first order they explain this part of what makes one the e
 MOST = 4  # constants that explain the residuals together
 ALIKE = 1.5  # times the squares that the best leaves: a constant that leaves less is as likely
 FREE = 1e-6  # share of a constant's effect that the frames leave: with less it has none of its own
-
-
-@dataclass(frozen=True)
-class ConstantChange:
-    """A constant of the geometry: the ``change`` of its ``value`` that explains the poses best, in ``unit``.
-
-    ``std`` is the standard deviation of the change, ``share`` that of the residual variance which goes with it;
-    ``alike`` are constants that explain as much.
-    """
-
-    name: str
-    value: float
-    change: float
-    std: float
-    unit: str
-    share: float
-    alike: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        """What it is and would be: ``Rm 326 -> 300.00 +- 0.01 mm``."""
-        unit, factor = ("mm", 1e3) if self.unit == "m" else ("mrad", 1e3)
-        digits = max(0, min(6, 1 - int(np.floor(np.log10(max(factor * self.std, 1e-6))))))
-        new, std = f"{factor * (self.value + self.change):.{digits}f}", f"{factor * self.std:.{digits}f}"
-        either = f" (or {', '.join(self.alike)})" if self.alike else ""
-        return f"{self.name} {factor * self.value:.5g} -> {new} +- {std} {unit}{either}"
-
-
-@dataclass(frozen=True)
-class PoseResidual:
-    """A component of the pose in a run, logged less computed: rms and mean (``bias``) in ``unit``.
-
-    ``rms_after`` is what the constants of :attr:`GeometryTest.explained_by` leave.
-    """
-
-    run: str
-    name: str
-    unit: str
-    rms: float
-    bias: float
-    rms_after: float
-
-
-@dataclass(frozen=True, eq=False)
-class PoseTrace:
-    """Residuals of a run for figures: ``time`` (K,) in s, ``before`` and ``after`` (K, m) constants are changed."""
-
-    run: str
-    time: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class GeometryTest:
-    """What logged poses say of a robot's geometry.
-
-    Attributes
-    ----------
-    body, source : str
-        Whose pose, and from where; see :class:`gtau.signals.pose_columns.PoseColumns`.
-    outcome : {"confirmed", "other constants", "unexplained"}
-        The last where the residuals are too large for the robot and no constant explains them.
-    position_rms, angle_rms : float or None
-        Distance in m and angle in rad between logged and computed poses, rms; None where none is logged.
-    position_after, angle_after : float or None
-        What ``explained_by`` leaves of them.
-    explained_by : tuple of ConstantChange
-        Constants that together explain the residuals, if any do.
-    share : float
-        Of the residual variance that goes with them.
-    tried : tuple of ConstantChange
-        Each constant by itself, the best first.
-    unseen : tuple of str
-        Constants of which the poses say nothing, as the frames would explain the same or the closures hold them.
-    delay, delay_std : float
-        By how much poses lag behind the positions, s.
-    residuals : tuple of PoseResidual
-        Component by component and run by run.
-    traces : tuple of PoseTrace
-        The residuals in time; ``model.json`` does not hold them.
-    """
-
-    body: str
-    source: str
-    outcome: str
-    position_rms: float | None
-    position_after: float | None
-    angle_rms: float | None
-    angle_after: float | None
-    explained_by: tuple[ConstantChange, ...]
-    share: float
-    tried: tuple[ConstantChange, ...]
-    unseen: tuple[str, ...]
-    delay: float
-    delay_std: float
-    residuals: tuple[PoseResidual, ...]
-    traces: tuple[PoseTrace, ...] = ()
-
-    @property
-    def sentence(self) -> str:
-        """The outcome in words."""
-        before, after = _sizes(self.position_rms, self.angle_rms), _sizes(self.position_after, self.angle_after)
-        logged = f"the logged pose of '{self.body}'"
-        if self.outcome == "confirmed":
-            return f"{logged} confirms the geometry to {before} rms"
-        if self.outcome == "unexplained":
-            return (
-                f"{logged} is {before} rms from the one computed from the positions, which no length and no encoder "
-                "zero explains; check the columns, their units and the angles' sequence, whether the pose is of this "
-                "body ('source: tool') and in the robot's base ('source: tracker'), and angles of the robot's geometry"
-            )
-        changes = ", ".join(map(str, self.explained_by))
-        return (
-            f"the geometry is off: {changes} explains {_percent(self.share)} of the residual variance of {logged}, "
-            f"which is {before} rms from the one computed and {after} with it; correct the robot file"
-        )
-
-
-def _sizes(position: float | None, angle: float | None) -> str:
-    sizes = [] if position is None else [f"{1e3 * position:.2g} mm"]
-    return " and ".join(sizes + ([] if angle is None else [f"{1e3 * angle:.2g} mrad"]))
-
-
-def _percent(share: float) -> str:
-    """A share that is not rounded to the whole."""
-    return f"{100 * share:.3g} %" if share < 0.9995 else "more than 99.9 %"
 
 
 @single_threaded_blas

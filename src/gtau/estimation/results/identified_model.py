@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
 from gtau.estimation.results.estimate import (
@@ -61,6 +62,8 @@ class IdentifiedModel:
         Standard parameters that rigid bodies can have, where they were asked for.
     alternatives : tuple of AlternativeMoves
         What the model may lack, and by how much that would move the gains.
+    geometry : GeometryTest, optional
+        What logged poses say of the robot's geometry.
     singularities : tuple of NearestPose
         Where each run comes nearest to singularities of either type.
     distances : tuple of Distances
@@ -97,6 +100,7 @@ class IdentifiedModel:
     data: tuple[Run, ...] = ()
     sensors: tuple[SensorEstimate, ...] = ()
     singular_values: tuple[float, ...] = ()
+    geometry: GeometryTest | None = None
 
     def __post_init__(self) -> None:
         for name in ("drive_gains", "delays", "parameters", "essential", "friction"):

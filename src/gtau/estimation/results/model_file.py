@@ -13,6 +13,8 @@ import numpy as np
 from gtau.documents.files import write_atomically
 from gtau.documents.kinds import MODEL, refuse_other_kind
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.geometry_findings import from_document as read_geometry
+from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.grades import from_document as read_note
@@ -69,6 +71,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "statistics": dict(result.statistics),
         "alternatives": [asdict(each) for each in result.alternatives],
         "singularities": [asdict(each) for each in result.singularities],
+        "geometry": result.geometry and geometry_document(result.geometry),
         "notes": [note_document(note) for note in result.notes],
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
         "robot_file": native_text(result.robot),
@@ -274,6 +277,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
         statistics=document["statistics"],
         runs=tuple(document["runs"]),
         notes=tuple(map(read_note, document["notes"])),
+        geometry=document.get("geometry") and read_geometry(document["geometry"]),
         consistency=None if document["standard"] is None else _read_standard(document["standard"]),
         alternatives=tuple(AlternativeMoves(**each) for each in document["alternatives"]),
         singularities=tuple(NearestPose(**each) for each in document["singularities"]),

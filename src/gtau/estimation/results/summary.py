@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gtau.estimation.diagnostics.geometry_findings import geometry_lines
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
@@ -82,6 +83,8 @@ def summary(result: IdentifiedModel) -> str:
     ]
     lines += [_fit_row(each) for each in result.residuals]
     lines += singularity_lines(result.singularities)
+    if result.geometry is not None:
+        lines += ["-" * WIDTH, *geometry_lines(result.geometry)]
     if result.consistency is not None:
         lines += ["-" * WIDTH, *_consistency_lines(result.consistency)]
     if "singular_ratio" in result.statistics:

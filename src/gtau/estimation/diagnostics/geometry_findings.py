@@ -1,0 +1,202 @@
+"""What logged poses say of a robot's geometry, as data, as a note and as text."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gtau.signals.notes import Kind, Note
+
+WIDTH = 80
+CORRECT = {True: "correct the robot file", False: "correct the positions by the encoder's zero"}
+NAME = 36
+LISTED = 5
+ROUNDING = 1e-3  # of the rms: a smaller bias is written as zero
+MOST_UNCERTAIN = 0.02  # s: a delay whose standard deviation is larger is not shown
+
+
+@dataclass(frozen=True)
+class ConstantChange:
+    """A constant of the geometry: the ``change`` of its ``value`` that explains the poses best, in ``unit``.
+
+    ``std`` is the standard deviation of the change, ``share`` that of the residual variance which goes with it;
+    ``alike`` are constants that explain as much.
+    """
+
+    name: str
+    value: float
+    change: float
+    std: float
+    unit: str
+    share: float
+    alike: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """What it is and would be: ``Rm 326 -> 300.00 +- 0.01 mm``."""
+        unit, factor = ("mm", 1e3) if self.unit == "m" else ("mrad", 1e3)
+        digits = max(0, min(6, 1 - int(np.floor(np.log10(max(factor * self.std, 1e-6))))))
+        new, std = f"{factor * (self.value + self.change):.{digits}f}", f"{factor * self.std:.{digits}f}"
+        either = f" (or {', '.join(self.alike)})" if self.alike else ""
+        return f"{self.name} {factor * self.value:.5g} -> {new} +- {std} {unit}{either}"
+
+
+@dataclass(frozen=True)
+class PoseResidual:
+    """A component of the pose in a run, logged less computed: rms and mean (``bias``) in ``unit``.
+
+    ``rms_after`` is what the constants of :attr:`GeometryTest.explained_by` leave.
+    """
+
+    run: str
+    name: str
+    unit: str
+    rms: float
+    bias: float
+    rms_after: float
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrace:
+    """Residuals of a run for figures: ``time`` (K,) in s, ``before`` and ``after`` (K, m) constants are changed."""
+
+    run: str
+    time: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class GeometryTest:
+    """What logged poses say of a robot's geometry.
+
+    Attributes
+    ----------
+    body, source : str
+        Whose pose, and from where; see :class:`gtau.signals.pose_columns.PoseColumns`.
+    outcome : {"confirmed", "other constants", "unexplained"}
+        The last where the residuals are too large for the robot and no constant explains them.
+    position_rms, angle_rms : float or None
+        Distance in m and angle in rad between logged and computed poses, rms; None where none is logged.
+    position_after, angle_after : float or None
+        What ``explained_by`` leaves of them.
+    explained_by : tuple of ConstantChange
+        Constants that together explain the residuals, if any do.
+    share : float
+        Of the residual variance that goes with them.
+    tried : tuple of ConstantChange
+        Each constant by itself, the best first.
+    unseen : tuple of str
+        Constants of which the poses say nothing, as the frames would explain the same or the closures hold them.
+    delay, delay_std : float
+        By how much poses lag behind the positions, s.
+    residuals : tuple of PoseResidual
+        Component by component and run by run.
+    traces : tuple of PoseTrace
+        The residuals in time; ``model.json`` does not hold them.
+    """
+
+    body: str
+    source: str
+    outcome: str
+    position_rms: float | None
+    position_after: float | None
+    angle_rms: float | None
+    angle_after: float | None
+    explained_by: tuple[ConstantChange, ...]
+    share: float
+    tried: tuple[ConstantChange, ...]
+    unseen: tuple[str, ...]
+    delay: float
+    delay_std: float
+    residuals: tuple[PoseResidual, ...]
+    traces: tuple[PoseTrace, ...] = ()
+
+    @property
+    def note(self) -> Note:
+        """The outcome as a note."""
+        before, after = _sizes(self.position_rms, self.angle_rms), _sizes(self.position_after, self.angle_after)
+        logged = f"the logged pose of '{self.body}'"
+        if self.outcome == "confirmed":
+            return Note(Kind.ROBOT, f"{logged} confirms the robot's geometry to {before} rms")
+        if self.outcome == "unexplained":
+            return Note(
+                Kind.GEOMETRY,
+                f"{logged} is {before} rms from the one computed from the positions, which no length and no encoder "
+                "zero explains",
+                "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the "
+                "robot's base (source: tracker), and the angles of the robot's geometry",
+            )
+        changes = " and ".join(map(str, self.explained_by))
+        explained = "explains" if len(self.explained_by) == 1 else "explain"
+        return Note(
+            Kind.GEOMETRY,
+            f"the geometry is off: {changes} {explained} {percent(self.share)} of the residual variance of {logged}, "
+            f"which is {before} rms from the one computed, and {after} with "
+            f"{'that change' if len(self.explained_by) == 1 else 'these changes'}",
+            " and ".join(dict.fromkeys(CORRECT[bool(each.value)] for each in self.explained_by)),
+        )
+
+
+def to_document(test: GeometryTest) -> dict[str, Any]:
+    """Describe the test as a JSON document, SI units, without the residuals in time."""
+    return asdict(replace(test, traces=())) | {"sentence": str(test.note)}
+
+
+def from_document(document: Mapping[str, Any]) -> GeometryTest:
+    """The test that :func:`to_document` described."""
+    fields = {key: value for key, value in document.items() if key != "sentence"}
+    explained, tried = (
+        tuple(ConstantChange(**{**each, "alike": tuple(each["alike"])}) for each in fields[key])
+        for key in ("explained_by", "tried")
+    )
+    residuals = tuple(PoseResidual(**each) for each in fields["residuals"])
+    fields |= {"explained_by": explained, "tried": tried, "residuals": residuals}
+    return GeometryTest(**fields | {"unseen": tuple(fields["unseen"]), "traces": ()})
+
+
+def geometry_lines(test: GeometryTest) -> list[str]:
+    """Residuals of the pose and changes of the constants as lines of tables in 80 columns."""
+    head = f"Pose of '{test.body}' ({test.source})"
+    lines = [f"{head:<50}{'rms':>11}{'bias':>11}   unit"]
+    for each in test.residuals:
+        unit = f"m{each.unit}"
+        bias = 1e3 * each.bias if abs(each.bias) > ROUNDING * each.rms else 0.0
+        lines.append(f"  {f'{each.run}  {each.name}':<48}{1e3 * each.rms:>11.3g}{bias:>11.2g}   {unit}")
+    lines += [] if test.delay_std > MOST_UNCERTAIN else [f"  {late(test)}"]
+    lines.append(f"{'Constant, by itself':<36}{'in file':>9}{'change':>10}{'std':>10}{'explains':>10} unit")
+    for constant in test.tried[:LISTED]:
+        name = f"  {constant.name:<34}"
+        if len(name) > NAME:  # on a line of its own
+            lines.append(name)
+            name = ""
+        numbers = f"{1e3 * constant.value:>9.5g}{1e3 * constant.change:>10.3g}{1e3 * constant.std:>10.2g}"
+        lines.append(f"{name:<{NAME}}{numbers}{percent(constant.share, 2):>10} m{constant.unit}")
+    if len(test.tried) > LISTED:
+        lines.append(f"  and {len(test.tried) - LISTED} more, which explain less: --json")
+    if test.unseen:
+        lines += textwrap.wrap(
+            f"not identifiable by this pose: {', '.join(test.unseen)}",
+            WIDTH,
+            initial_indent="  ",
+            subsequent_indent="  ",
+        )
+    return lines
+
+
+def late(test: GeometryTest) -> str:
+    """By how much the poses lag behind the positions, in words."""
+    return f"the poses lag {1e3 * test.delay:.1f} +- {1e3 * test.delay_std:.1g} ms behind the positions"
+
+
+def _sizes(position: float | None, angle: float | None) -> str:
+    sizes = [] if position is None else [f"{1e3 * position:.2g} mm"]
+    return " and ".join(sizes + ([] if angle is None else [f"{1e3 * angle:.2g} mrad"]))
+
+
+def percent(share: float, digits: int = 3) -> str:
+    """A share in per cent that is not rounded to the whole."""
+    return f"{100 * max(share, 0.0):.{digits}g} %" if share < 0.999 else f"{100 * min(share, 0.99999):.3f} %"
