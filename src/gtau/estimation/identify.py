@@ -123,8 +123,9 @@ def identify(
         if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
             require_felt_payload(system)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
-        found = (*([geometry.note] if geometry else []), *lag_notes(dataset, system), *_data_sheet_notes(drives, result))
-        return replace(result, geometry=geometry, notes=(*found, *result.notes))
+        found = [*([geometry.note] if geometry else []), *lag_notes(dataset, system)]
+        notes = (*found, *_data_sheet_notes(drives, result), *result.notes)
+        return replace(result, geometry=geometry, notes=notes)
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
