@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from gtau.cli.console import Dask, Json, print_json, progress_bar, refusals
-from gtau.cli.identification import Method
+from gtau.cli.identification import METHODS
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
@@ -29,7 +29,7 @@ def fleet(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for report.html, models, table and figure.")
     ],
-    method: Annotated[Method, typer.Option(help="Estimator; one that finds drive gains.")] = Method.ml,
+    method: Annotated[str, typer.Option(metavar=METHODS, help="Estimator; one that finds drive gains.")] = "ml",
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Processes on this machine; default: one for each core.")
     ] = None,
@@ -43,6 +43,8 @@ def fleet(
     with refusals(json_):
         refuse_as_folder(out)
         start = perf_counter()
+        from gtau.estimation.estimators.estimator import Gains
+        from gtau.estimation.estimators.registry import estimator_of
         from gtau.fleet.fleet import identify_fleet, read_fleet
         from gtau.fleet.gains import fleet_table
         from gtau.parallel.dask_executor import connected, dask_map
@@ -50,7 +52,7 @@ def fleet(
         from gtau.report.fleet_page import fleet_document, fleet_page, write_fleet
         from gtau.report.write_reports import write_fleet_report
 
-        if method in (Method.wls, Method.ols):
+        if estimator_of(method).gains == Gains.GIVEN:
             raise GtauError(f"--method {method} takes the drive gains as given; choose one that finds them.")
         if dask is not None and jobs is not None:
             raise GtauError("--jobs is for processes without Dask; give one of --jobs and --dask.")
@@ -62,7 +64,7 @@ def fleet(
                     shard_map = partial(dask_map, client=stack.enter_context(connected(dask)))
                 else:
                     shard_map = partial(process_map, jobs=min(jobs or os.cpu_count() or 1, len(members)))
-                reports = identify_fleet(members, folder, shard_map, method.value, progress)
+                reports = identify_fleet(members, folder, shard_map, method, progress)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"finished robots stay in {folder / 'models'}, and the same command continues with the others"

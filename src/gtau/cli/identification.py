@@ -12,21 +12,9 @@ import typer
 from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, ReportFolder, print_json, progress_bar, refusals
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
+from gtau.estimation.estimators.registry import NAMES
 
-
-class Method(StrEnum):
-    """Estimators of ``gtau identify``."""
-
-    ml = "ml"
-    huber = "huber"
-    ridge = "ridge"
-    iv = "iv"
-    didim = "didim"
-    two_stage = "2sls"
-    mixed = "mixed"
-    tls = "tls"
-    wls = "wls"
-    ols = "ols"
+METHODS = "|".join(NAMES)
 
 
 class Gains(StrEnum):
@@ -43,8 +31,9 @@ def identify(
         typer.Option("--out", metavar="DIR", help="Folder for report.html, model.json, summary.txt and singularities."),
     ] = None,
     method: Annotated[
-        Method | None,
+        str | None,
         typer.Option(
+            metavar=METHODS,
             help="Estimator; wls and ols take the file's prior_gains. Default: ml; tls with --as-paper; "
             "wls where the logs hold torques.",
             show_default=False,
@@ -103,7 +92,7 @@ def identify(
             with shard_map_at(dask) as shard_map:
                 result = run(
                     experiment,
-                    method=None if method is None else method.value,
+                    method=method,
                     ratio=ratio,
                     as_paper=as_paper,
                     consistent=consistent,

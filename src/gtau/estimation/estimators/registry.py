@@ -1,26 +1,58 @@
-"""The estimators by name; a new one is a file and a line here."""
+"""The estimators by name; a new one is a file and a line here.
+
+Names cost nothing to import, which the command line needs for its help; the estimators themselves are imported when
+they are asked for.
+"""
 
 from __future__ import annotations
 
-from gtau.errors import GtauError
-from gtau.estimation.estimators.didim import DIDIM
-from gtau.estimation.estimators.estimator import Estimator
-from gtau.estimation.estimators.huber import HUBER
-from gtau.estimation.estimators.instrumental_variables import IV
-from gtau.estimation.estimators.least_squares import OLS, WLS
-from gtau.estimation.estimators.maximum_likelihood import ML
-from gtau.estimation.estimators.mixed_least_squares import MIXED
-from gtau.estimation.estimators.ridge import RIDGE
-from gtau.estimation.estimators.total_least_squares import TLS
-from gtau.estimation.estimators.two_stage import TWO_STAGE
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-ESTIMATORS: dict[str, Estimator] = {
-    each.name: each for each in (ML, HUBER, RIDGE, IV, DIDIM, TWO_STAGE, MIXED, TLS, WLS, OLS)
+from gtau.errors import GtauError
+
+if TYPE_CHECKING:
+    from gtau.estimation.estimators.estimator import Estimator
+
+    ESTIMATORS: dict[str, Estimator]
+    """All estimators, by name."""
+
+PLACES = {
+    "ml": "maximum_likelihood.ML",
+    "huber": "huber.HUBER",
+    "ridge": "ridge.RIDGE",
+    "iv": "instrumental_variables.IV",
+    "didim": "didim.DIDIM",
+    "2sls": "two_stage.TWO_STAGE",
+    "mixed": "mixed_least_squares.MIXED",
+    "tls": "total_least_squares.TLS",
+    "wls": "least_squares.WLS",
+    "ols": "least_squares.OLS",
 }
+"""Where each estimator stands, in this folder."""
+
+NAMES = tuple(PLACES)
 
 
 def estimator_of(name: str) -> Estimator:
     """Find an estimator by name; raises GtauError for one that does not exist."""
-    if name not in ESTIMATORS:
-        raise GtauError(f"there is no method '{name}'; choose from {', '.join(ESTIMATORS)}.")
-    return ESTIMATORS[name]
+    if name not in PLACES:
+        raise GtauError(f"there is no method '{name}'; choose from {', '.join(NAMES)}.")
+    return _all()[name]
+
+
+@cache
+def _all() -> dict[str, Estimator]:
+    found = {}
+    for name, place in PLACES.items():
+        module, constant = place.split(".")
+        found[name] = getattr(import_module(f"gtau.estimation.estimators.{module}"), constant)
+    return found
+
+
+def __getattr__(name: str) -> Any:
+    """Import the estimators when ``ESTIMATORS`` is first asked for."""
+    if name == "ESTIMATORS":
+        return _all()
+    raise AttributeError(name)
