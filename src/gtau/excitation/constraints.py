@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.excitation.clearance import Clearance, Nearest
 from gtau.excitation.closure_gradients import Slopes
 from gtau.excitation.evaluation import Point
 from gtau.excitation.task import DesignProblem
@@ -61,7 +62,7 @@ class ConstraintUsage:
             return float(self.middle + self.limit * self.values[np.argmax(np.abs(self.values))])
         if self.what.startswith(SINGULAR):
             return float(np.exp(self.excess * np.log(self.limit)))
-        return self.limit / self.excess if self.least else self.limit * self.excess
+        return self.limit * float(self.values.min()) if self.least else self.limit * self.excess
 
 
 def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
@@ -91,6 +92,8 @@ def loads_of_one(point: Point, share: np.ndarray | None = None) -> Iterator[Cons
         yield from _currents(point)
     if task.limits.workspace:
         yield from _workspace(point)
+    if task.limits.clearance is not None:
+        yield from _clearances(point, task.limits.clearance)
     if task.pullback is not None and np.isfinite(task.limits.condition):
         largest = np.log(task.limits.condition)
         values, slopes = task.pullback.condition(point.motion)
@@ -166,6 +169,20 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
         yield ConstraintUsage(
             f"{axis} of the tool's frame", half, "m", (position[k] - middle) / half, rows, middle=middle
         )
+
+
+def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
+    motion, least = point.motion, clearance.least
+    zero, no_J = np.zeros_like(motion.yd), np.zeros_like(motion.J[point.task.model.layout.passive])
+    for pair in clearance.pairs:
+        nearest = clearance.nearest(motion.c, pair)
+
+        def rows(pair: tuple[str, str] = pair, nearest: Nearest = nearest) -> np.ndarray:
+            slopes = Slopes(clearance.slopes(motion.c, pair, nearest) / least, zero, zero, no_J)
+            return point.to_rows(point.to_joints(slopes))
+
+        what = f"distance between '{pair[0]}' and '{pair[1]}'"
+        yield ConstraintUsage(what, least, "m", nearest.distance / least, rows, True)
 
 
 def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[ConstraintUsage]:

@@ -21,6 +21,7 @@ START = 0.6  # part of the limits that a start uses, so that it lies inside
 FINER = 10
 STAGE = "searching"
 MARGIN = 0.99  # part of every limit that a first design may use
+TIGHTER = 3.0  # by which a limit is tightened at most between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round from where the last one ended has paid if it comes below this part of the criterion
 SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # parts of an interrupted motion, of which the first within all limits is kept
@@ -182,7 +183,9 @@ def _from_one(
         exceeded = [usage for usage in usages if usage.excess > 1.0]
         if exceeded:
             worst = max(exceeded, key=lambda usage: usage.shortfall)
-            tightness = tightness | {usage.what: 0.998 * tightness[usage.what] / usage.excess for usage in exceeded}
+            tightness = tightness | {
+                usage.what: 0.998 * tightness[usage.what] / min(usage.excess, TIGHTER) for usage in exceeded
+            }
         else:
             before = np.inf if kept is None else kept.value
             value = float(np.exp(programme.best_value))

@@ -15,6 +15,7 @@ from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.results.result import Result
+from gtau.excitation.clearance import Clearance, Shape, capsule, clearance, hull
 from gtau.excitation.closure_gradients import in_platform_space
 from gtau.excitation.prior import given_parameters, massless, noise_of, parameters_of, rough_noise, rough_parameters
 from gtau.excitation.task import DesignProblem, MotionLimits
@@ -22,11 +23,12 @@ from gtau.excitation.trajectory import FourierSeries
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
-from gtau.robots.robot import Robot
+from gtau.robots.robot import Pose, Robot
 from gtau.signals.experiment import Payload, file_or_name
 
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 Interval = tuple[FiniteFloat, FiniteFloat]
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 CONDITION = 100.0  # default of the largest condition number of the closures
 TURN = np.pi  # rad, reach of a joint without position limits
 TURNING = 0.3  # rad, reach of a platform's turns
@@ -62,6 +64,32 @@ class DesignPrior(_Keys):
         return self
 
 
+class ShapeEntry(_Keys):
+    """A shape of a body, in its frame: a capsule about the line between two points, or the convex hull of a mesh."""
+
+    capsule: tuple[Triple, Triple] | None = None
+    radius: Positive | None = None
+    mesh: Path | None = None
+    scale: Positive = 1.0
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy: Triple = (0.0, 0.0, 0.0)
+
+    @field_validator("mesh")
+    @classmethod
+    def _beside_the_file(cls, mesh: Path | None, info: ValidationInfo) -> Path | None:
+        return mesh if mesh is None or info.context is None else info.context / mesh
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> ShapeEntry:
+        if (self.capsule is None) == (self.mesh is None):
+            raise ValueError("a shape is either 'capsule: [[x, y, z], [x, y, z]]' with a 'radius', or 'mesh: FILE'")
+        if (self.capsule is None) != (self.radius is None):
+            raise ValueError("a capsule has a 'radius', m, and a mesh has none; write or remove it")
+        if self.capsule is not None and not self.model_fields_set.isdisjoint({"scale", "xyz", "rpy"}):
+            raise ValueError("'scale', 'xyz' and 'rpy' place a mesh; a capsule stands where its points are")
+        return self
+
+
 class LimitsEntry(_Keys):
     """Limits in place of the robot's, by joint; and those of the motion as a whole."""
 
@@ -73,6 +101,8 @@ class LimitsEntry(_Keys):
     workspace: dict[Literal["x", "y", "z"], Interval] = {}
     condition: Annotated[FiniteFloat, Field(gt=1)] = CONDITION
     away_from_reversals: Annotated[FiniteFloat, Field(ge=0, lt=1)] = 0.3
+    clearance: Positive = 0.02
+    shapes: dict[str, tuple[ShapeEntry, ...]] = {}
 
     @field_validator("position", "workspace")
     @classmethod
@@ -151,6 +181,7 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     assumed: dict[str, str] = {}
     chi, gains, sigma = _prior(file.prior, model, payloads, assumed)
     limits = _limits(file.limits, robot, gains, assumed)
+    limits = replace(limits, clearance=_clearance(file.limits, model))
     rest = np.array([file.rest.get(name, robot.joint(name).home) for name in robot.actuated]) if file.approach else None
     for name, pose, (low, high) in zip(robot.actuated, rest if rest is not None else (), limits.position, strict=False):
         if not low <= pose <= high:
@@ -220,6 +251,29 @@ def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[s
         condition=entry.condition,
         away=entry.away_from_reversals,
     )
+
+
+def _clearance(entry: LimitsEntry, model: InverseDynamics) -> Clearance | None:
+    """Keep bodies with shapes apart; refuses those that are too near at home already."""
+    if not entry.shapes:
+        return None
+    shapes = {body: [_shape(shape) for shape in each] for body, each in entry.shapes.items()}
+    found = clearance(model.layout, entry.clearance, shapes)
+    home = (model.layout.home if model.loops is None else model.loops.home)[:, None]
+    for pair in found.pairs:
+        if (distance := found.nearest(home, pair).distance[0]) < entry.clearance:
+            raise GtauError(
+                f"'{pair[0]}' and '{pair[1]}' are {distance:.3g} m apart at home, less than limits.clearance of "
+                f"{entry.clearance:g} m; give them smaller shapes, or leave out that of one."
+            )
+    return found
+
+
+def _shape(entry: ShapeEntry) -> Shape:
+    if entry.capsule is not None and entry.radius is not None:
+        return capsule(*entry.capsule, entry.radius)
+    assert entry.mesh is not None
+    return hull(entry.mesh, entry.scale, Pose(entry.xyz, entry.rpy))
 
 
 def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics: int) -> FourierSeries:

@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import BaseParameters
+from gtau.excitation.clearance import Clearance
 from gtau.excitation.closure_gradients import Pullback, in_platform_space, pullback
 from gtau.excitation.information import DesignUnknowns, Information, Window, unknowns
 from gtau.excitation.regressor import SmoothRegressor, smooth_regressor
@@ -33,7 +34,7 @@ class MotionLimits:
 
     ``position`` (n, 2), ``velocity``, ``acceleration``, ``jerk`` in rad or m and s; ``current`` in A; ``workspace``
     maps x, y, z of the tool's frame to an interval in m; ``condition`` is the largest condition number of the closures;
-    ``away`` the least share of each joint's samples away from its reversals.
+    ``away`` the least share of each joint's samples away from its reversals; ``clearance`` keeps bodies apart.
     """
 
     position: np.ndarray
@@ -44,6 +45,7 @@ class MotionLimits:
     workspace: Mapping[str, tuple[float, float]]
     condition: float
     away: float
+    clearance: Clearance | None = None
 
 
 @dataclass(frozen=True, eq=False)

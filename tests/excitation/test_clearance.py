@@ -1,0 +1,137 @@
+"""Bodies kept apart: distances and their slopes, and designs that keep them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gtau.errors import GtauError
+from gtau.excitation.clearance import Clearance, capsule, clearance, hull
+from gtau.excitation.design import check, design
+from gtau.excitation.design_file import read_design
+from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.random_states import random_motion
+from gtau.robots.readers.native import parse_native
+from gtau.robots.robot import Pose
+
+ARM = """robot: arm
+joints:
+  turret: {antecedent: ground, theta: q, limits: {position: [-1, 1], velocity: 2, acceleration: 10, effort: 200}}
+  arm:
+    {antecedent: turret, alpha: pi/2, theta: q,
+     limits: {position: [-0.5, 1], velocity: 2, acceleration: 10, effort: 200}}
+  forearm:
+    {antecedent: arm, d: 0.5, theta: q, home: 0.5,
+     limits: {position: [-2.9, 2.9], velocity: 3, acceleration: 10, effort: 90}}
+"""
+DESIGN = """robot: arm.yaml
+rate: 200
+period: 4
+harmonics: 3
+runs: [{payload: none}, {payload: {name: disc, mass: 2}}]
+limits:
+  %s
+"""
+SHAPES = """clearance: 0.05
+  shapes:
+    ground: [{capsule: [[0.45, 0, -0.6], [0.45, 0, -0.35]], radius: 0.05}]
+    arm: [{capsule: [[0.05, 0, 0], [0.4, 0, 0]], radius: 0.05}]
+    forearm: [{capsule: [[0.1, 0, 0], [0.5, 0, 0]], radius: 0.04}]
+"""
+CUBE = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 1 1 0\nv 1 0 1\nv 0 1 1\nv 1 1 1
+f 1 2 5\nf 1 5 3\nf 4 6 8\nf 4 8 7\nf 1 2 6\nf 1 6 4\nf 3 5 8\nf 3 8 7\nf 1 3 7\nf 1 7 4\nf 2 5 8\nf 2 8 6
+"""
+
+
+def written(tmp_path: Path, limits: str) -> Path:
+    (tmp_path / "arm.yaml").write_text(ARM)
+    path = tmp_path / "design.yaml"
+    path.write_text(DESIGN % limits)
+    return path
+
+
+def slopes_agree(found: Clearance, c: np.ndarray, pair: tuple[str, str], ways: np.ndarray) -> None:
+    nearest = found.nearest(c, pair)
+    slopes, h = np.einsum("cn,cn->n", found.slopes(c, pair, nearest), ways), 1e-6
+    ahead, behind = (found.nearest(c + step * ways, pair).distance for step in (h, -h))
+    smooth = np.abs(ahead + behind - 2 * nearest.distance) < 1e-9  # not where another point becomes the nearest
+    assert smooth.mean() > 0.8
+    np.testing.assert_allclose(slopes[smooth], ((ahead - behind) / (2 * h))[smooth], atol=2e-6)
+
+
+def test_distances_and_slopes_of_capsules(rng: np.random.Generator) -> None:
+    robot = parse_native(ARM, "arm.yaml")
+    shapes = {
+        "ground": [capsule((0, 0.3, 0), (0, 0.3, 0.6), 0.05)],
+        "forearm": [capsule((0, 0, 0), (0.4, 0.1, 0), 0.03)],
+    }
+    found = clearance(InverseDynamics(robot).layout, 0.02, shapes)
+    c = rng.uniform(-1, 1, (3, 40))
+    nearest = found.nearest(c, ("ground", "forearm"))
+    for k in range(40):  # the segments, sampled
+        q0, q1, q2 = c[:, k]
+        R = np.array([[np.cos(q0), -np.sin(q0), 0], [np.sin(q0), np.cos(q0), 0], [0, 0, 1]])
+        lean = np.array([[np.cos(q1 + q2), -np.sin(q1 + q2)], [np.sin(q1 + q2), np.cos(q1 + q2)]])
+        elbow = 0.5 * np.array([np.cos(q1), np.sin(q1)])
+        plane = elbow[:, None] + np.outer(lean @ [0.4, 0.1], np.linspace(0, 1, 401))
+        link = R @ np.array([plane[0], np.zeros(401), plane[1]])
+        post = np.array([np.zeros(601), np.full(601, 0.3), np.linspace(0, 0.6, 601)])
+        apart = np.linalg.norm(link[:, :, None] - post[:, None, :], axis=0).min() - 0.08
+        assert nearest.distance[k] == pytest.approx(apart, abs=1e-3)
+    slopes_agree(found, c, ("ground", "forearm"), rng.normal(size=c.shape))
+
+
+def test_slopes_with_a_platform_and_a_mesh(tmp_path: Path, rng: np.random.Generator) -> None:
+    (tmp_path / "cube.obj").write_text(CUBE)
+    model = InverseDynamics(load_robot("orthoglide"))
+    block = hull(tmp_path / "cube.obj", 0.1, Pose((0.3, 0.3, 0.6)))
+    found = clearance(model.layout, 0.02, {"ground": [block], "P": [capsule((0, 0, 0), (0, 0, 0), 0.03)]})
+    c = random_motion(model, 20, rng).c
+    ways = np.zeros_like(c)
+    for slots in model.layout.platforms:
+        ways[slots.position] = rng.normal(size=(3, 20))
+    slopes_agree(found, c, ("ground", "P"), ways)
+    at = c[model.layout.platforms[0].position]
+    outside = np.maximum(0, np.maximum(np.array([[0.3], [0.3], [0.6]]) - at, at - np.array([[0.4], [0.4], [0.7]])))
+    np.testing.assert_allclose(
+        found.nearest(c, ("ground", "P")).distance, np.linalg.norm(outside, axis=0) - 0.03, atol=1e-6
+    )
+
+
+def test_neighbours_may_touch(tmp_path: Path) -> None:
+    task, _ = read_design(written(tmp_path, SHAPES))
+    assert task.limits.clearance.pairs == (("ground", "arm"), ("ground", "forearm"))
+
+
+def test_a_design_keeps_its_distance(tmp_path: Path) -> None:
+    """Without shapes the forearm swings into the post; with them every sample of a run, approach included, is clear."""
+    free, _ = read_design(written(tmp_path, "velocity: {turret: 2}"))
+    task, _ = read_design(written(tmp_path, SHAPES))
+    touching = design(free, starts=1, seed=1)
+    pair = ("ground", "forearm")
+    named = f"distance between '{pair[0]}' and '{pair[1]}'"
+    (usage,) = (each for each in check(task, touching.x) if each.what == named)
+    assert usage.reached < 0.05
+    clear = design(task, starts=1, seed=1)
+    (usage,) = (each for each in clear.constraint_usages if each.what == named)
+    assert usage.reached >= 0.05
+    assert usage.allowed == "at least 0.05 m"
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ("shapes: {leg: [{capsule: [[0, 0, 0], [0, 0, 1]], radius: 0.1}]}", "limits.shapes names 'leg', which is no"),
+        ("shapes: {arm: [{capsule: [[0, 0, 0], [0, 0, 1]]}]}", "a capsule has a 'radius', m, and a mesh has none"),
+        ("shapes: {arm: [{radius: 0.1}]}", "a shape is either 'capsule: "),
+        ("shapes: {arm: [{mesh: no.stl}]}", "there is no mesh '.*no.stl'; correct the path"),
+        ("shapes: {ground: [{capsule: [[0, 0, 0], [1, 0, 0]], radius: 0.1}], forearm: [{capsule: [[0, 0, 0], "
+         "[0, 0, 0]], radius: 0.1}]}", "'ground' and 'forearm' are -0.2 m apart at home, less than limits.clearance"),
+    ],
+)  # fmt: skip
+def test_shapes_that_cannot_be(limits: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match=message):
+        read_design(written(tmp_path, limits))
