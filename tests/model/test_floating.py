@@ -15,7 +15,7 @@ from gtau.model.home import close_home
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
 from gtau.robots.floating import float_base
-from gtau.robots.robot import Joint, Pose, Robot
+from gtau.robots.robot import INERTIAL, Attachment, Joint, Pose, Robot, Spring
 
 
 def quadruped() -> Robot:
@@ -99,6 +99,19 @@ def test_loops_may_stand_on_a_base_that_floats(rng: np.random.Generator) -> None
     weight = other.torques(*(np.hstack([still, each]) for each in (q, 0 * qd, 0 * qdd)), chi)[:, :3]
     mass = sum(value for name, value in chi.items() if name.startswith("m_"))
     assert weight == pytest.approx(np.tile(-mass * np.array(fixed.gravity), (5, 1)), rel=1e-9)
+
+
+def test_a_spring_inside_the_robot_does_not_push_its_base(rng: np.random.Generator) -> None:
+    """Whatever lies within has no wrench on the whole: drives, friction, and springs between base and links."""
+    ends = Attachment("ground", Pose((0.1, 0.2, 0.3))), Attachment("2", Pose((0.05, 0.1, 0.0)))
+    robot = float_base(replace(seven_r(), springs=(Spring("coil", *ends),)))
+    assert robot.springs[0].a.body == "base"
+    model = InverseDynamics(robot)
+    W = model.regressor(*states(robot, rng, 5))
+    inner = [k for k, name in enumerate(model.parameter_names) if name.split("_")[0] not in INERTIAL]
+    assert len(inner) == 4 * 7 + 2
+    assert np.abs(W[:, :6, inner]).max() < 1e-12
+    assert np.abs(W[:, 6:, inner]).max(axis=(0, 1)).min() > 1e-3
 
 
 def test_platforms_that_the_ground_guides_cannot_float() -> None:

@@ -6,10 +6,10 @@ A pose and wrenches become positions and forces of the six joints by which the b
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import BaseModel, ConfigDict, FiniteFloat, model_validator
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import turn
@@ -64,7 +64,7 @@ class BaseColumns(_Keys):
     position: Vector | None = None
     quaternion: tuple[str, str, str, str] | None = None
     yaw: FiniteFloat = 0.0
-    wrenches: Annotated[tuple[Wrench, ...], Field()] = ()
+    wrenches: tuple[Wrench, ...] = ()
 
     @model_validator(mode="after")
     def _each_column_once(self) -> BaseColumns:
