@@ -195,6 +195,7 @@ REFUSED = [
     ("didim", BASE, {"method": "didim"}, "motion is simulated from the currents of motors"),
     ("order of the quaternion", BASE.replace("[qw, qx, qy, qz]", "[q1, qx, qy, qz]"), {}, "has the length"),
     ("twice", BASE.replace("[hx, hy, hz]", "[hx, hy, px]"), {}, "the column 'px' is given twice"),
+    ("a pose too", BASE + "\n  pose: {source: tracker, position: {x: px}}", {}, "of one that floats; remove 'pose'"),
     ("nothing", "{body: trunk}", {}, "it names no columns; give 'position' and 'quaternion'"),
 ]
 

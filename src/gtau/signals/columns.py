@@ -161,6 +161,15 @@ class Signals(Keys):
         return self
 
     @model_validator(mode="after")
+    def _pose_of_a_fixed_base(self) -> Signals:
+        if self.pose is not None and self.base is not None:
+            raise ValueError(
+                "a 'pose' tests the geometry of a robot whose base is fixed, and 'base' is of one that floats; remove "
+                "'pose'"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _sensors_of_joints(self) -> Signals:
         for joint, column in (self.joint_torque or {}).items():
             if joint not in self.position:
