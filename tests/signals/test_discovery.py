@@ -153,8 +153,8 @@ def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     command = ["init", "free.csv", "loaded_1200g.csv", "--robot", "five-bar", "--out", "e.yaml", "--yes"]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
-    assert "next: gtau check e.yaml" in done.output
-    assert "CHECK: kg, by the name of the file" in (tmp_path / "e.yaml").read_text()
+    assert "Then: gtau check e.yaml" in done.output
+    assert "CHECK: kg, from the name of the file" in (tmp_path / "e.yaml").read_text()
     result = CliRunner().invoke(app, ["identify", "e.yaml", "--json"])
     assert result.exit_code == 0, result.output
     gains = {each["joint"]: each["value"] for each in json.loads(result.output)["drive_gains"]}

@@ -126,7 +126,7 @@ def test_a_missing_row_is_interpolated_and_masked(log: Path) -> None:
     del lines[300:303]
     run = read_run(write(log, lines), SIGNALS)
     assert run.notes[0] == "dropped 2 rows with missing or non-numeric values (lines 499, 699)"
-    assert run.notes[1] == "interpolated 5 missing samples, and masked 3 of them in gaps of more than 3 samples"
+    assert run.notes[1].what == "interpolated 5 missing samples, and masked 3 of them in gaps of more than 3 samples"
     assert np.flatnonzero(~run.valid.any(axis=1)).tolist() == [300, 301, 302]  # one alone is bridged
     np.testing.assert_allclose(run.position, motion(run.time)[:, :2], atol=1e-8)
     np.testing.assert_allclose(run.command, motion(run.time)[:, 2:], atol=1e-3)
@@ -299,8 +299,8 @@ UR10E = {
 def test_ur10e_log(shared: Path) -> None:
     run = read_run(shared / "ur10e" / "ur-20_02_19_14harm50sec.csv", UR10E)
     assert run.notes == (
-        "resampled from irregular steps of 2 to 13 ms to a uniform 95.30 Hz: the stamps are the instants of the "
-        "samples, as the positions are no smoother at a regular rate",
+        "resampled from irregular steps of 2 to 13 ms to a uniform 95.30 Hz: the time stamps are trusted, as "
+        "a regular clock makes the positions no smoother",
     )
     assert run.position.shape == (5375, 6)
     assert run.valid.all()
@@ -311,11 +311,9 @@ def test_tx40_log(shared: Path) -> None:
     columns = {f"j{i}": f"Joint_{i}" for i in range(1, 7)}
     logs = [shared / "tx40" / "pos_read_data.csv", shared / "tx40" / "curr_data.csv"]
     run = read_run(logs, {"time": {"rate": 5000}, "position": columns, "torque": columns})
-    assert (run.position.shape, run.kind, run.notes) == (
-        (45000, 6),
-        "torque",
-        ("345 samples of the positions are stale (repeat the one before): interpolated",),
-    )
+    assert (run.position.shape, run.kind) == ((45000, 6), "torque")
+    (note,) = run.notes
+    assert note.what == "345 samples of the positions are stale (repeat the one before): interpolated"
     assert run.position[0, 1] == 50.265
     assert run.command[0, 1] == -0.76036
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,20 +18,23 @@ if TYPE_CHECKING:
     from gtau.signals.discovery import Draft
 
 
+WIDTH = 80
+
+
 def init(
     logs: Annotated[
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="Logs that were recorded alike, one a run; or those of positions, then as many of commands.",
+            help="One log a run, all recorded alike; or the logs of positions, then as many of commands.",
             show_default=False,
         ),
     ],
     robot: Annotated[
-        str | None, typer.Option("--robot", metavar="ROBOT", help="A name of the catalog, or the path of a robot file.")
+        str | None, typer.Option("--robot", metavar="ROBOT", help="Name in the catalog, or path of a robot file.")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The experiment file.")] = Path("experiment.yaml"),
-    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; mark in the file what to check.")] = False,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")] = Path("experiment.yaml"),
+    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; mark in the file what to confirm.")] = False,
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
@@ -45,7 +49,7 @@ def init(
             raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
         ask = not (yes or json_) and _on_terminal()
         if robot is None and ask:
-            robot = typer.prompt("Robot, a name of the catalog or a path (empty: unknown)", default="") or None
+            robot = typer.prompt("Robot (name in the catalog or path of a file; empty if unknown)", default="") or None
         known: Robot | None = None if robot is None else load_robot(robot)
         if known is not None:
             refuse_floating(known, "drafting its experiment file is")
@@ -62,7 +66,7 @@ def init(
                     "position": dict(draft.position),
                     draft.kind: dict(draft.command),
                     "units": dict(draft.units),
-                    "to_settle": open_,
+                    "to_confirm": open_,
                 }
             )
             return
@@ -88,7 +92,7 @@ def _answered(draft: Draft) -> Draft:
     if draft.kind == "current":
         for run in draft.logs:
             known = masses.get(run[0])
-            answer = typer.prompt(f"Payload carried in {run[0].name}, kg (0: none)", default=known or 0.0, type=float)
+            answer = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known or 0.0, type=float)
             masses.pop(run[0], None)
             if answer > 0:
                 masses[run[0]] = answer
@@ -96,18 +100,22 @@ def _answered(draft: Draft) -> Draft:
 
 
 def _page(draft: Draft, out: Path, open_: list[str]) -> str:
-    rate = f"{draft.rate:g} Hz" if draft.rate else "unknown rate"
+    rate = f"{draft.rate:g} Hz" if draft.rate else "rate unknown"
     clock = " and ".join(draft.time) or f"no column, {rate}"
-    lines = [
-        f"  time      {clock}" + (f"  ({draft.reasons['time']})" if draft.reasons.get("time") else ""),
-        f"  position  {', '.join(f'{joint}: {column}' for joint, column in draft.position.items())}",
-        f"  {draft.kind:<8}  {', '.join(f'{joint}: {column}' for joint, column in draft.command.items())}",
-    ]
-    if draft.units:
-        lines.append(f"  units     {', '.join(f'{key} in {unit}' for key, unit in draft.units.items())}")
-    if draft.others:
-        lines.append(f"  not used  {'; '.join(draft.others)}")
-    lines += ["", f"written: {out}"]
-    lines += [f"to settle in it: {each}" for each in open_]
-    lines.append(f"next: gtau check {out}")
-    return "\n".join(lines)
+    why = draft.reasons.get("time")
+    rows = {
+        "time": clock + (f" ({why})" if why else ""),
+        "position": ", ".join(f"{joint}: {column}" for joint, column in draft.position.items()),
+        draft.kind: ", ".join(f"{joint}: {column}" for joint, column in draft.command.items()),
+        "units": ", ".join(f"{key} in {unit}" for key, unit in draft.units.items()),
+        "not used": "; ".join(draft.others),
+    }
+    lines = [f"written: {out}, with these columns of the logs"]
+    for name, words in rows.items():
+        if words:
+            lines += textwrap.wrap(words, WIDTH, initial_indent=f"  {name:<10}", subsequent_indent=" " * 12)
+    if open_:
+        lines += ["", "Before you go on, edit its lines marked CHECK:"]
+        for each in open_:
+            lines += textwrap.wrap(f"- {each}", WIDTH, subsequent_indent="  ")
+    return "\n".join([*lines, "", f"Then: gtau check {out}"])

@@ -134,7 +134,7 @@ def _log_lines(log: dict[str, Any]) -> list[str]:
             f"  {each['joint']:<22}{low:>14.3g}{high:>10.3g} {each['unit']:<4}{each['speed']['rms']:>10.3g}"
             f"{each['speed']['max']:>10.3g} {each['unit']}/s"
         )
-    command = "current" if log["joints"][-1]["command_unit"] == "A" else "torque"
+    command = {"A": "current", "N": "force"}.get(log["joints"][-1]["command_unit"], "torque")
     lines.append(f"  {'joint':<22}{f'{command} rms':>14}{'max':>10}{'':5}{'bandwidth':>10}{'rows used':>15}")
     for each in log["joints"]:
         bandwidth = "at rest   " if each["bandwidth"] is None else f"{each['bandwidth']:.3g} Hz"

@@ -142,10 +142,10 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
         by_order = True
     if robot is None:
         named = {label if not label.isdigit() else f"j{label}": pair for label, pair in pairs.items()}
-        return named, "joints as the log names them", by_order
+        return named, "joint names from the log", by_order
     joints = robot.actuated
     if set(joints) <= set(pairs):
-        how = "positions by the joints' names, commands by their order" if by_order else "by the joints' names"
+        how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
         return {joint: pairs[joint] for joint in joints}, how, by_order
     if len(pairs) < len(joints):
         raise GtauError(
@@ -155,7 +155,7 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
     if len({_number(joint) for joint in joints}) == len(joints):  # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
         joints = tuple(sorted(joints, key=_number))
     taken = zip(joints, _ordered(pairs), strict=False)
-    return {joint: pairs[label] for joint, label in taken}, "by their order", True
+    return {joint: pairs[label] for joint, label in taken}, "matched by column order", True
 
 
 def _number(joint: str) -> int:
@@ -174,14 +174,14 @@ def _position_unit(
 ) -> str | None:
     """Unit of the positions, as written or by how far they would move; None for rad and m."""
     if positions.unit in ("deg", "rad", "mm", "m"):
-        reasons["unit"] = "by the columns' names"
+        reasons["unit"] = "unit in the columns' names"
         return positions.unit
     reach = {joint: float(np.nanmax(np.abs(log.values[column]))) for joint, column in columns.items()}
     largest = max(reach, key=reach.__getitem__)
     kinds = {robot.joint(joint).kind for joint in columns} if robot else {"revolute"}
     if reach[largest] > TURNS and len(kinds) == 1:
         unit = "deg" if kinds == {"revolute"} else "mm"
-        reasons["unit"] = f"joint '{largest}' reaches {reach[largest]:.4g}, which would be far in SI units"
+        reasons["unit"] = f"joint '{largest}' reaches {reach[largest]:.4g}, too far for SI units"
         return unit
     reasons["unit"] = f"positions reach {reach[largest]:.4g}"
     return None

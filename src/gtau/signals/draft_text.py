@@ -14,13 +14,13 @@ CHECK = "CHECK: "
 WIDTH = 90  # characters of columns on one line
 UNSURE = {
     "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
-    "joints": "see whether the columns are in the order of the joints",
-    "unit": "see whether the positions are in that unit (units: {position: ...})",
-    "rate": "give the sampling rate (time: {rate: HZ}), which is not in the log",
-    "kind": "say whether the commands are currents or torques (current: or torque:)",
-    "reference": "see whether the commands are the references of the drives, and no feed-forward of a model",
+    "joints": "confirm that the columns are in the order of the joints",
+    "unit": "confirm the unit of the positions (units: {position: ...})",
+    "rate": "write the sampling rate, which the log does not hold (time: {rate: HZ})",
+    "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
+    "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
-"""What a person has to settle, by what was open in the draft."""
+"""What a person has to confirm or add, by what was open in the draft."""
 
 
 def draft_text(draft: Draft, folder: Path) -> str:
@@ -30,7 +30,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     """
     why = draft.reasons
     lines = [
-        f"# Drafted by 'gtau init' from {_count(len(draft.logs))}. Settle the lines marked CHECK, then: gtau check.",
+        f"# Drafted by 'gtau init' from {_count(len(draft.logs))}. Edit the lines marked CHECK, then run gtau check.",
         "",
         _line(f"robot: {yaml_text(_robot(draft, folder), flow=True).splitlines()[0]}", _of(draft, "robot", "")),
         "",
@@ -51,7 +51,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     doubt = _of(draft, "kind", "") or _of(draft, "reference", "")
     lines += _by_joint(draft.kind, draft.command, doubt)
     if draft.others:
-        lines.append(f"  # Also in the log: {'; '.join(draft.others)}.")
+        lines.append(f"  # Not used: columns {'; '.join(draft.others)}.")
     if found:
         lines.append(f"  # {found[0].upper()}{found[1:]}.")
     lines += ["", *_units(draft), "runs:"]
@@ -60,10 +60,10 @@ def draft_text(draft: Draft, folder: Path) -> str:
         lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
         if (mass := draft.masses.get(run[0])) is not None:
             payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
-            lines.append(_line(f"    payload: {_flow(payload)}", f"{CHECK}kg, by the name of the file"))
+            lines.append(_line(f"    payload: {_flow(payload)}", f"{CHECK}kg, from the name of the file"))
     if draft.kind == "current" and not draft.masses:
         lines += [
-            "# Drive gains need a run with a payload of known mass (kg), and one with another load or none:",
+            "# Drive gains need the mass (kg) of the payload of one run or more, and a run with another one or none:",
             "#   payload: {name: steel, mass: 1.2, mass_std: 0.001}",
         ]
     return "\n".join(lines) + "\n"
@@ -79,7 +79,7 @@ def _robot(draft: Draft, folder: Path) -> str:
 def _units(draft: Draft) -> list[str]:
     if not draft.units:
         reason = draft.reasons.get("unit", "")
-        return [f"# units: SI, as {reason}; otherwise, for example, units: {{position: deg, current: mA}}", ""]
+        return [f"# SI units ({reason}). For others, for example: units: {{position: deg, current: mA}}", ""]
     lines = ["units:"]
     for key, unit in draft.units.items():
         comment = draft.reasons.get("unit", "") if key == "position" else ""

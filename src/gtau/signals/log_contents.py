@@ -113,8 +113,11 @@ class LogContents:
         written = taken_apart(self.time[0]).unit
         for unit, factor in TIME_UNITS.items():
             if step > 0 and LEAST_RATE <= 1 / (step * factor) <= LARGEST_RATE and written in (None, unit):
-                return unit, f"steps of {step:.4g} {unit}: {1 / (step * factor):.4g} Hz"
-        return "s", f"steps of {step:.4g}, which is no rate of a drive in s, ms, us or ns; correct the column"
+                return unit, f"median step {step:.4g} {unit}, {1 / (step * factor):.4g} Hz"
+        return (
+            "s",
+            f"median step {step:.4g}: in s, ms, us or ns no sampling rate of a drive; correct the column",
+        )
 
     def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
         """Sampling rate that makes the logged velocities the positions' derivatives, Hz, and why."""
@@ -134,7 +137,10 @@ class LogContents:
             (50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000), key=lambda x: abs(x - rate)
         )
         rounded = float(nearest) if abs(nearest - rate) < 0.03 * nearest else float(f"{rate:.4g}")
-        return rounded, f"no time column; {velocities.listed} are the derivatives of the positions at {rate:.4g} Hz"
+        return (
+            rounded,
+            f"no time column; {velocities.listed} are the velocities at {rate:.4g} Hz",
+        )
 
 
 def _topics(table: Table) -> list[str]:
@@ -244,5 +250,5 @@ def _numbered(path: Path, table: Table, joints: int) -> LogContents:
         Group(kind, f"block {k + 1}", {str(i + 1): name for i, name in enumerate(block)})
         for k, (kind, block) in enumerate(zip(kinds, blocks, strict=True))
     ]
-    reasons = {"velocity": f"columns {groups[1].listed} are their derivatives (correlation {best:.3f})"}
+    reasons = {"velocity": f"columns {groups[1].listed} are the velocities (correlation {best:.3f})"}
     return LogContents(path, table, values, time, tuple(groups), reasons)

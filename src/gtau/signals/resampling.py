@@ -147,7 +147,7 @@ def _of_clock(clock: Clock, given: bool) -> list[Note]:
     why = "as preparation.clock says" if given else "which makes the positions smoother"
     if not clock.regular:
         if not given:
-            why = "the stamps are the instants of the samples, as the positions are no smoother at a regular rate"
+            why = "the time stamps are trusted, as a regular clock makes the positions no smoother"
         what = (
             f"resampled from irregular steps of {clock.shortest * 1e3:.3g} to {clock.longest * 1e3:.3g} ms "
             f"to a uniform {clock.rate:.2f} Hz: {why}"

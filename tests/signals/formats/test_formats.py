@@ -280,8 +280,9 @@ def test_topics_with_stamps_of_their_own_are_aligned(topics: Callable, rng: np.r
     run = read_run(topics(time, other), EACH)
     (note,) = run.notes
     assert note == (
-        "aligned the torques with the positions on lines between their stamps (250 Hz; positions 500 Hz; usually 1.3 "
-        "ms from a position to the closest); left out 302 positions before the first or after the last of them"
+        "aligned the torques with the positions by linear interpolation between their stamps (250 Hz; positions "
+        "500 Hz; typically 1.3 ms from a position to the nearest); left out 302 positions before the first or after "
+        "the last of them"
     )
     assert stamps(run) == pytest.approx((1000.102, 1002.496), abs=1e-6)
     np.testing.assert_allclose(run.position[:, 0], np.sin(3 * run.time), atol=1e-8)
