@@ -68,6 +68,10 @@ class Clearance:
                     b[:, k] = R_b.T @ (result.getNearestPoint2() - p_b)
         return Nearest(best, normal, a, b)
 
+    def holds(self, c: np.ndarray) -> bool:
+        """Whether all bodies are apart at configurations (n_c, N)."""
+        return all(self.nearest(c, pair).distance.min(initial=np.inf) >= self.least for pair in self.pairs)
+
     def slopes(self, c: np.ndarray, pair: tuple[str, str], nearest: Nearest) -> np.ndarray:
         """Compute the slopes (n_c, N) of the distance by c: the nearest points move with their bodies."""
         total = np.zeros_like(c)

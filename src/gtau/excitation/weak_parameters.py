@@ -13,6 +13,7 @@ from gtau.excitation.design import Design
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, Point, design_grid, evaluate, information
 from gtau.excitation.forecast import Forecast
 from gtau.excitation.task import DesignProblem, close
+from gtau.model.loops import Motion
 
 WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
 WORTH = 0.7  # a motion is named where it brings a standard deviation below this part of what it was
@@ -75,6 +76,16 @@ def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(root_covariance(R, task.unknowns.precision), axis=1) / task.unknowns.scale)
 
 
+def _possible(task: DesignProblem, joints: np.ndarray) -> Motion | None:
+    """The motion along joints (4, n, N), None where the robot cannot go there or its bodies come too near."""
+    try:
+        motion = close(task.model, joints[0], joints[1], joints[2], None)
+    except GtauError:
+        return None
+    clear = task.limits.clearance is None or task.limits.clearance.holds(motion.c)
+    return motion if clear else None
+
+
 def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
     """Factor of the information from joint j moving alone about the pose ``middle`` (n,); None where it cannot."""
     limits, every = task.limits, tuple(range(len(task.payloads)))
@@ -91,9 +102,8 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
         joints[0, j] = center + amplitude * np.sin(omega * time)
         joints[1, j] = amplitude * omega * np.cos(omega * time)
         joints[2, j] = -amplitude * omega**2 * np.sin(omega * time)
-        try:
-            motion = close(task.model, joints[0], joints[1], joints[2], None)
-        except GtauError:
+        motion = _possible(task, joints)
+        if motion is None:
             span /= 2
             center = (center + middle[j]) / 2
             continue
