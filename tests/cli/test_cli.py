@@ -188,6 +188,16 @@ def test_validate(here: Path) -> None:
     assert "does not prove the gains" in run("validate", "model.json", "experiment.yaml").stdout
 
 
+def test_a_payload_that_the_model_does_not_know_is_a_point_mass_and_said_to_be(here: Path) -> None:
+    text = EXPERIMENT.split("validation:")[0] + "validation:\n  - {log: check.csv, payload: {name: iron, mass: 1.2}}\n"
+    (here / "iron.yaml").write_text(text)
+    (run_,) = document("validate", "model.json", "iron.yaml")["runs"]
+    (note,) = run_["notes"]
+    assert note.startswith("payload 'iron' is none of the model's ('steel'), so it counts as a point mass of 1.2 kg")
+    assert "counts as a point mass" in " ".join(run("validate", "model.json", "iron.yaml").stdout.split())
+    assert document("validate", "model.json", "experiment.yaml")["runs"][0]["notes"] == []
+
+
 def test_logs_of_one_name_in_two_folders_are_two_runs(here: Path) -> None:
     (here / "again").mkdir()
     (here / "again" / "check.csv").symlink_to(here / "free.csv")

@@ -33,26 +33,47 @@ SHOWN = 10.0  # s of a run in its figure
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """A run, the torques predicted along it, torque errors of the joints that move, and the unit of every joint."""
+    """A run, the torques predicted along it, torque errors of the joints that move, and the unit of every joint.
+
+    ``notes`` say what the prediction takes for granted.
+    """
 
     run: Run
     prediction: Prediction
     errors: tuple[TorqueError, ...]
     units: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def validate_run(result: Result, run: Run) -> Validation:
     """Predict a run; raises GtauError where it does not suit the robot, or the model refuses a sample."""
     prediction = result.predict(run)
     units = tuple(torque_unit(result.robot, joint) for joint in prediction.joints)
-    return Validation(run, prediction, torque_errors(result, prediction), units)
+    return Validation(run, prediction, torque_errors(result, prediction), units, _unknown_payload(result, run))
+
+
+def _unknown_payload(result: Result, run: Run) -> tuple[str, ...]:
+    """A note where the model has not seen the payload of a run, and the run gives no more than its mass."""
+    payload = run.payload
+    if payload is None or payload.parameters or result.payload(payload.name):
+        return ()
+    known = ", ".join(f"'{name}'" for name in dict.fromkeys(each.name for each in result.payloads))
+    return (
+        f"payload '{payload.name}' is none of the model's ({known or 'it has none'}), so it counts as a point mass of "
+        f"{payload.mass:.4g} kg at the origin of '{result.robot.tool}'; correct the name, or give its 'parameters'",
+    )
 
 
 def describe_validations(validations: Sequence[Validation]) -> dict[str, Any]:
     """Torque errors as a JSON document: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent."""
     return {
         "runs": [
-            {"log": each.run.name, "joints": [torque_error(error) for error in each.errors]} for each in validations
+            {
+                "log": each.run.name,
+                "joints": [torque_error(error) for error in each.errors],
+                "notes": list(each.notes),
+            }
+            for each in validations
         ]
     }
 
@@ -67,6 +88,8 @@ def validation_page(document: dict[str, Any]) -> str:
             f"  {'joint':<22}{'error':>10}{'torque':>10}{'%':>8}{'error':>11}{'%':>8}   unit, rms",
         ]
         lines += [_row(each) for each in run["joints"]]
+        for note in run["notes"]:
+            lines += textwrap.wrap(f"- {note}", WIDTH, initial_indent="  ", subsequent_indent="    ")
     return "\n".join([*lines, *textwrap.wrap(REVERSALS, WIDTH), *textwrap.wrap(CAUTION, WIDTH)])
 
 

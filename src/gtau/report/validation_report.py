@@ -23,13 +23,13 @@ def evidence_of(result: Result, validations: Sequence[Validation], prior_gains: 
     return Evidence(result, runs, dict(prior_gains))
 
 
-def validation_report(evidence: Evidence, of: Provenance) -> str:
-    """Render the report of a validation as the text of one HTML file."""
+def validation_report(evidence: Evidence, of: Provenance, notes: Sequence[str] = ()) -> str:
+    """Render the report of a validation as the text of one HTML file; ``notes`` stand beside its verdict."""
     result, arrays = evidence.result, Arrays()
     preparation = result.preparation
     runs = [each.run for each in evidence.runs]
     sections = (
-        Section("verdict", "Verdict", verdict("plain", headline(evidence), [CAUTION])),
+        Section("verdict", "Verdict", verdict("plain", headline(evidence), [*notes, CAUTION])),
         torques_section(evidence, arrays),
         gains_section(evidence),
         motion_section(evidence, arrays),

@@ -48,7 +48,9 @@ def write_validation(
     experiment = read_experiment(path)
     evidence = evidence_of(result, validations, experiment.expected_gains)
     inputs = (("model", model), *inputs_of(path, experiment, runs=False))
-    return _write(validation_report(evidence, Provenance(command_line(), inputs, settings_of(result), seconds)), folder)
+    notes = [f"Run '{each.run.name}': {note}." for each in validations for note in each.notes]
+    of = Provenance(command_line(), inputs, settings_of(result), seconds)
+    return _write(validation_report(evidence, of, notes), folder)
 
 
 def write_weighing(
