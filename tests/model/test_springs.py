@@ -10,6 +10,7 @@ import pytest
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.estimation.regression.legs import identical_legs
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import poses
@@ -151,3 +152,16 @@ def test_springs_that_cannot_be(entry: str, message: str) -> None:
     text = f"robot: r\njoints: {{arm: {{antecedent: ground, theta: q}}}}\nsprings: {{s: {entry}}}\n"
     with pytest.raises(GtauError, match=message):
         parse_native(text, "r.yaml")
+
+
+def test_a_leg_with_a_spring_is_unlike_the_others() -> None:
+    """Five-bar: the legs are alike, with one spring on the same place of each too, and not with one alone."""
+    robot = load_robot("five-bar")
+    assert len(identical_legs(robot)) == 1
+    forearms = [joint.name for joint in robot.joints if not joint.actuated]
+    springs = tuple(
+        Spring(f"s{name}", Attachment("ground", Pose((0.1, 0.2, 0.3))), Attachment(name, Pose((0.05, 0.0, 0.0))))
+        for name in forearms
+    )
+    assert len(identical_legs(replace(robot, springs=springs))) == 1
+    assert len(identical_legs(replace(robot, springs=springs[:1]))) == 2

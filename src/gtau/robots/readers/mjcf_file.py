@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -103,33 +103,51 @@ class MjcfFile:
     notes: list[str]
 
 
-def _springs(spec: mujoco.MjSpec, elements: list[Element]) -> tuple[list[SiteSpring], set[str], list[str]]:
-    """Tendons that are springs between two sites, names of actuators that are part of one, and notes on other tendons.
-
-    An actuator without gain, whose force is a constant and may depend on its tendon's length and speed, is a spring.
-    """
-    import mujoco
-
-    straight = {}
+def _straight(elements: list[Element]) -> dict[str, tuple[str, str]]:
+    """The two sites of each tendon that leads straight from one to another."""
+    found = {}
     for tendon in (each for root in elements for each in root.iter("spatial")):
         if [point.tag for point in tendon] == ["site", "site"]:
             first, second = (point.get("site", "") for point in tendon)
-            straight[tendon.get("name", "")] = (first, second)
-    biased: dict[str, np.ndarray] = {}  # force of the actuators without gain, by tendon
-    names = set()
-    for actuator in spec.actuators:
+            found[tendon.get("name", "")] = (first, second)
+    return found
+
+
+@dataclass(frozen=True)
+class _Force:
+    """What actuators without gain add to a tendon: their numbers, and a force that may grow with length and speed."""
+
+    actuators: tuple[int, ...]
+    terms: np.ndarray  # (3,)
+
+
+def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> dict[str, _Force]:
+    """Forces without control along straight tendons, by tendon."""
+    import mujoco
+
+    straight = _straight(elements)
+    found: dict[str, _Force] = {}
+    for k, actuator in enumerate(spec.actuators):
         affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and not np.any(actuator.gainprm)
         if affine and actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and actuator.target in straight:
-            biased[actuator.target] = np.asarray(actuator.biasprm[:3], dtype=float)
-            names.add(actuator.name)
-    springs, notes = [], []
+            before = found.get(actuator.target, _Force((), np.zeros(3)))
+            terms = np.asarray(actuator.biasprm[:3], dtype=float)
+            found[actuator.target] = _Force((*before.actuators, k), before.terms + terms)
+    return found
+
+
+def _springs(
+    spec: mujoco.MjSpec, elements: list[Element], biased: Mapping[str, _Force]
+) -> tuple[list[SiteSpring], list[str]]:
+    """Tendons that are springs between two sites, and notes on others that are springs too."""
+    straight, springs, notes = _straight(elements), [], []
     for tendon in spec.tendons:
         k, c = (np.asarray(getattr(tendon, key), dtype=float).ravel() for key in ("stiffness", "damping"))
-        f0, by_length, by_speed = biased.get(tendon.name, np.zeros(3))
+        f0, by_length, by_speed = biased[tendon.name].terms if tendon.name in biased else np.zeros(3)
         linear = not (np.any(k[1:]) or np.any(c[1:]) or np.any(tendon.frictionloss))
         has = {PRELOAD: f0 or k[0], STIFFNESS: by_length or k[0], DAMPING: by_speed or c[0]}
         rest = np.asarray(tendon.springlength, dtype=float).ravel()
-        if tendon.name and tendon.name in straight and linear and (rest[0] == rest[-1]) and any(has.values()):
+        if tendon.name in straight and tendon.name and linear and rest[0] == rest[-1] and any(has.values()):
             parameters = tuple(kind for kind in SPRING if has[kind])
             springs.append(SiteSpring(tendon.name, straight[tendon.name], parameters))
         elif np.any(k) or np.any(c) or tendon.frictionloss:
@@ -137,7 +155,7 @@ def _springs(spec: mujoco.MjSpec, elements: list[Element]) -> tuple[list[SiteSpr
                 f"tendon '{tendon.name}' acts as a spring, damper or friction in the simulator, which is not modelled, "
                 "as it is no linear spring straight between two sites"
             )
-    return springs, names, notes
+    return springs, notes
 
 
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
@@ -160,11 +178,13 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         if len(spec.flexes):
             raise GtauError("it holds a flexible body (flex); only rigid bodies are read, so remove it.")
         keys = {key.name: np.array(key.qpos, dtype=float) for key in spec.keys}
-        springs, biased, notes = _springs(spec, elements)
+        biased = _biased(spec, elements)
+        springs, notes = _springs(spec, elements, biased)
+        parts = [each for force in biased.values() for each in force.actuators]
         actuators = [
             (each.name, each.trntype, each.target, float(each.gear[0]))
-            for each in spec.actuators
-            if each.name not in biased
+            for k, each in enumerate(spec.actuators)
+            if k not in parts
         ]
         lengths = []
         for each in list(spec.equalities):
