@@ -66,6 +66,5 @@ SATURATION = Hypothesis(
     _saturation,
     "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the current that "
     "flows; friction that grows with the load looks alike",
-    description=True,
 )
 GAIN_DRIFT = Hypothesis("gain drift", False, _drift, "let the robot warm up before the runs", description=True)
