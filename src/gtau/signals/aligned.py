@@ -116,8 +116,8 @@ def align(
     if apart > CLOSE * min(steps) or len(rows) < len(clock):
         said = (
             f"aligned the {what} with the positions by linear interpolation between their stamps "
-            f"({1 / steps[1]:.4g} Hz; positions {1 / steps[0]:.4g} Hz; typically {apart * 1e3:.2g} ms from a position to "
-            "the nearest)"
+            f"({1 / steps[1]:.4g} Hz; positions {1 / steps[0]:.4g} Hz; typically {apart * 1e3:.2g} ms from a "
+            "position to the nearest)"
         )
         if out := len(clock) - len(rows):
             said += f"; left out {out} positions before the first or after the last of them"
