@@ -239,6 +239,15 @@ def rokae(column: str) -> Callable[[Path, Path], str]:
     return write
 
 
+def rokae_gains(data: Path, folder: Path) -> str:
+    """The same arm: gains from motor torques and joint torque sensors, without a payload; all of the log."""
+    log, sensors = data / "rokae_xmate3pro" / "excit.csv", numbered("torque", SEVEN)
+    signals = numbered("q", SEVEN), ("current", numbered("motor", SEVEN))
+    text = experiment_file(str(arm(folder, "xmate3", XMATE3)), "t", *signals, [(log, "")], [])
+    listed = ", ".join(f"{joint}: '{column}'" for joint, column in sensors.items())
+    return text.replace("runs:", f"  joint_torque: {{{listed}}}\nruns:")
+
+
 def xmate7p(subfolder: str, rate: int) -> Callable[[Path, Path], str]:
     """A Rokae xMate 7 Pro: two trajectories, and a third to check."""
 
@@ -257,6 +266,23 @@ def upv(data: Path, folder: Path) -> str:
     paths = [(logs / f"4dof_N_{name}.csv", "") for name in "abcd"]
     signals = {leg: f"q{k}" for leg, k in legs.items()}, ("torque", {leg: f"u{k}" for leg, k in legs.items()})
     return experiment_file(str(logs / "robot_5p_config1.yaml"), "t", *signals, paths[:3], paths[3:])
+
+
+def upv_gains(data: Path, folder: Path) -> str:
+    """The same robot: gains of its forces from CAD masses of the platform and of the legs' rods, without a payload."""
+    text = upv(data, folder).replace("  torque:", "  current:")
+    return text + "priors:\n" + "".join(f"  {name}: {{value: {value}, std: {std}}}\n" for name, value, std in UPV_CAD)
+
+
+UPV_CAD = (  # kg and kg m2, pr_config_params.yaml; the standard deviations are ours: 2 % of a mass, 10 % of an inertia
+    ("m_platform", 8.5558, 0.17),
+    ("zz_platform", 0.46, 0.046),
+    ("m_p1", 1.262, 0.025),
+    ("m_p2", 1.262, 0.025),
+    ("m_p3", 1.262, 0.025),
+    ("m_p4", 1.845, 0.037),
+    ("ia_platform", 0.0, 1e-4),
+)
 
 
 def aliengo(data: Path, folder: Path) -> str:
@@ -282,9 +308,11 @@ ENTRIES = (
     Entry("kuka_med7", "KUKA LBR Med 7", "link torques", "none published", kuka),
     Entry("rokae_sensor", "Rokae xMate 3 Pro, sensors", "link torques", "none published", rokae("torque")),
     Entry("rokae_motor", "Rokae xMate 3 Pro, motors", "torques of the motors", "none published", rokae("motor")),
+    Entry("rokae_gains", "Rokae xMate 3 Pro, motors and sensors", "gains, N m/N m", "111, 138, 113, 112, 82, 86, - (motor torques fitted to the sensors' of the same joint)", rokae_gains),
     Entry("xmate7p", "Rokae xMate 7 Pro, 50 Hz", "link torques", "none published", xmate7p("", 50)),
     Entry("xmate7p_1k", "Rokae xMate 7 Pro, 1 kHz", "link torques", "none published", xmate7p("50Hz_5periods", 1000)),
     Entry("upv", "UPV 3UPS+RPU", "forces of the legs", "12.1, 13.4, 16.2, 11.3 % (fit of the three, without a filter)", upv),
+    Entry("upv_gains", "UPV 3UPS+RPU, CAD masses", "gains of forces", "1 by the maker's gains", upv_gains),
     Entry("aliengo", "Unitree Aliengo", "torques of the commands", "friction as PACE's, see below", aliengo),
 )  # fmt: skip
 
