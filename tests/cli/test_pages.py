@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.data_sheets import Drive
 from gtau.signals.experiment import Experiment, Payload, Prior
 from gtau.simulation.simulation_file import (
     Fourier,
@@ -46,7 +47,7 @@ def run(*arguments: str) -> str:
 @pytest.mark.parametrize(
     ("page", "models"),
     [
-        ("experiment-file.md", [Experiment, Signals, SampleRate, Units, Payload, Prior]),
+        ("experiment-file.md", [Experiment, Signals, SampleRate, Units, Payload, Prior, Drive]),
         (
             "simulation-file.md",
             [Simulation, JointHardware, RandomMotion, Points, Fourier, MotionEntry, SimulatedRun, Friction],
@@ -54,7 +55,7 @@ def run(*arguments: str) -> str:
     ],
 )
 def test_a_page_names_every_key(page: str, models: list[type[BaseModel]]) -> None:
-    (example,) = blocks(DOCS / page, "yaml")
+    example, *_ = blocks(DOCS / page, "yaml")
     text = (DOCS / page).read_text(encoding="utf-8")
     for model in models:
         for key in model.model_fields:
@@ -80,7 +81,7 @@ def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
     log("loaded", 3, STEEL)
     log("unknown", 4, LEAD)
     log("check", 5)
-    (text,) = blocks(DOCS / "experiment-file.md", "yaml")
+    text, *_ = blocks(DOCS / "experiment-file.md", "yaml")
     monkeypatch.chdir(tmp_path)
     Path("experiment.yaml").write_text(text)
     found = json.loads(run("identify", "experiment.yaml", "--out", "result", "--json"))
