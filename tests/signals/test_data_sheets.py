@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -17,8 +18,8 @@ from gtau.signals.experiment import read_experiment
 SHEET = "{gear_ratio: 50, torque_constant: 0.05, efficiency: 0.8, rotor_inertia: 2.0e-5}"
 
 
-def experiment(tmp_path: Path, drives: str, more: str = "", signal: str = "current") -> Path:
-    """A test bench, with and without a disc of 2 kg on it; its gain is 2.1 N m/A."""
+def experiment(tmp_path: Path, drives: str, more: str = "", signal: str = "current", gain: float = 2.1) -> Path:
+    """A test bench, with and without a disc of 2 kg on it."""
     robot = load_robot("test-bench")
     rng = np.random.default_rng(0)
     t = np.arange(0, 20, 0.002)
@@ -30,7 +31,7 @@ def experiment(tmp_path: Path, drives: str, more: str = "", signal: str = "curre
     for name, load in (("free", {}), ("loaded", disc)):
         chi = {each: truth.get(each, 0.0) + load.get(each, 0.0) for each in truth | load}
         tau = InverseDynamics(robot).torques(*(each[:, None] for each in motion), chi)[:, 0]
-        columns = np.column_stack([t, motion[0], tau / 2.1 + 0.02 * rng.normal(size=t.size)])
+        columns = np.column_stack([t, motion[0], tau / gain + 0.02 * rng.normal(size=t.size)])
         np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="t,q,v", comments="", fmt="%.9g")
     path = tmp_path / "experiment.yaml"
     path.write_text(f"""robot: test-bench
@@ -70,6 +71,15 @@ def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
 def test_a_gain_far_off_the_data_sheet_is_contradictory(tmp_path: Path) -> None:
     found = identify(experiment(tmp_path, "{gear_ratio: 5, torque_constant: 0.05}"))
     assert "times its prior" in found.drive_gains["arm"].verdict.why
+
+
+def test_motors_that_turn_against_their_joints_may_have_negative_gains(tmp_path: Path) -> None:
+    """Which are contradictory where nobody expects them."""
+    expected = identify(experiment(tmp_path, SHEET.replace("50", "-50", 1), gain=-2.1)).drive_gains["arm"]
+    assert expected.value == pytest.approx(-2.1, rel=0.01)
+    assert expected.verdict.outcome == Outcome.GOOD
+    unexpected = identify(experiment(tmp_path, "{rotor_inertia: 2.0e-5}", gain=-2.1)).drive_gains["arm"]
+    assert unexpected.verdict.why == "all drive gains are negative"
 
 
 @pytest.mark.parametrize(

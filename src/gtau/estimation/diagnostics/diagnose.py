@@ -65,7 +65,7 @@ def diagnose(
     torques = np.abs(solution.gains) * problem.signal
     sensors = sensor_scales(fit) if fit.free_gains else ()
     if fit.free_gains:
-        verdicts: Sequence[Verdict] = gain_verdicts(fit, findings, uncertainty, accuracy)
+        verdicts: Sequence[Verdict] = gain_verdicts(fit, findings, uncertainty, accuracy, prior_gains)
         verdicts = check_sensors(check_payloads(verdicts, payloads), sensors, accuracy)
         verdicts = check_priors(verdicts, robot, fit.gains, prior_gains)
     else:

@@ -8,6 +8,8 @@ description of robot and logs and the gain would move by more than that.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
@@ -21,7 +23,9 @@ from gtau.estimation.thresholds import APART_REFUTED, LOST_GAIN, MISFIT, NAMED_S
 NORMAL = 1.96  # standard deviations in half a 95 % interval
 
 
-def gain_verdicts(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: float) -> tuple[Verdict, ...]:
+def gain_verdicts(
+    fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: float, prior_gains: Mapping[str, float]
+) -> tuple[Verdict, ...]:
     """Judge every drive gain that was estimated.
 
     Parameters
@@ -30,8 +34,11 @@ def gain_verdicts(fit: Fit, findings: Findings, uncertainty: Uncertainty, accura
         What was estimated, what the data say against it, and how well it is known.
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good.
+    prior_gains : mapping
+        Gains expected, by joint; where one is negative, a motor turns against its joint, and all may.
     """
-    return tuple(_verdict(fit, findings, uncertainty, accuracy, j) for j in range(len(fit.gains)))
+    forwards = min(prior_gains.values(), default=1.0) > 0
+    return tuple(_verdict(fit, findings, uncertainty, accuracy, forwards, j) for j in range(len(fit.gains)))
 
 
 def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
@@ -44,7 +51,9 @@ def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
     return np.asarray(std * (ndtri(0.975) if freedom is None else stdtrit(freedom[gains], 0.975)))
 
 
-def _verdict(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: float, j: int) -> Verdict:
+def _verdict(
+    fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: float, forwards: bool, j: int
+) -> Verdict:
     problem, solution = fit.system.problem, fit.solution
     std = np.sqrt(np.diag(uncertainty.random)[problem.n_theta + j]) / abs(solution.gains[j])
     if std > LOST_GAIN and "singular_ratio" in solution.statistics:
@@ -53,7 +62,7 @@ def _verdict(fit: Fit, findings: Findings, uncertainty: Uncertainty, accuracy: f
             f"total least squares confuses the payload with the noise (standard deviation over {LOST_GAIN:.0%})",
             "use --method ml, or a heavier payload and longer runs with less noise",
         )
-    if np.all(fit.gains[problem.free[: len(fit.gains)]] < 0):
+    if forwards and np.all(fit.gains[problem.free[: len(fit.gains)]] < 0):
         return Verdict(
             Outcome.CONTRADICTORY,
             "all drive gains are negative",
