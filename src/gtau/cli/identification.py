@@ -156,6 +156,7 @@ def validate(
         start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.experiment_runs import experiment_of, read_runs
+            from gtau.estimation.results.remarks import without_temperature
             from gtau.estimation.results.result import Result
             from gtau.report.validation_page import describe_validations, validate_run, validation_page, write_torques
 
@@ -169,7 +170,7 @@ def validate(
                 progress("predicting torques", k, len(runs))
                 validations.append(validate_run(result, run))
         written: list[Path] = []
-        notes: list[str] = []
+        notes = [f"- {note}" for note in without_temperature(result, described.signals)]
         if out is not None:
             from gtau.report.style import skipped_figures
             from gtau.report.write_reports import write_validation
@@ -177,7 +178,7 @@ def validate(
             seconds = perf_counter() - start
             written.append(write_validation(result, validations, model, experiment, folder_of(out), seconds))
             written += write_torques(validations, out)
-            notes = skipped_figures()
+            notes += skipped_figures()
         document = describe_validations(validations)
         if json_:
             print_json(document)

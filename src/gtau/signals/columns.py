@@ -65,7 +65,8 @@ class Signals(Keys):
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
-    the gears, of all joints or some. A ``pose`` tests the robot's geometry. A ``preset`` has filled in the
+    the gears, of all joints or some. A ``pose`` tests the robot's geometry, friction may depend on a
+    ``temperature``. A ``preset`` has filled in the
     columns of a maker's log.
     """
 
@@ -85,6 +86,10 @@ class Signals(Keys):
     base: BaseColumns | None = None
     preset: str | None = None
     pose: PoseColumns | None = None
+    temperature: (
+        Annotated[Annotated[str, Tag("text")] | Annotated[dict[str, str], Tag("group")], Discriminator(_text_or_group)]
+        | None
+    ) = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -111,6 +116,13 @@ class Signals(Keys):
         """Columns of the commands, then of the torque sensors."""
         sensed = self.joint_torque or {}
         return (*(self.command[joint] for joint in self.position), *(sensed[joint] for joint in self.sensors))
+
+    @property
+    def temperature_columns(self) -> dict[str, str]:
+        """Columns of temperatures by joint, or of the time since start; empty where there are none."""
+        if isinstance(self.temperature, str):
+            return dict.fromkeys(self.position, self.temperature)
+        return self.temperature or {}
 
     @property
     def time_columns(self) -> tuple[str, ...]:
@@ -236,6 +248,7 @@ class Units(Keys):
     rated: dict[str, Positive] = Field(default_factory=dict)
     base: BaseUnits = BaseUnits()
     pose: PoseUnits = PoseUnits()
+    temperature: Literal["degC", "K", "s", "min", "h"] = "degC"
 
     @model_validator(mode="after")
     def _rated_values_of_shares(self) -> Units:

@@ -226,7 +226,16 @@ class Experiment(Keys):
             raise ValueError("a unit of 'joint_torque' is given, but the signals hold no torque sensor; remove it")
         if "pose" in units.model_fields_set and signals.pose is None:
             raise ValueError("units of a 'pose' are given, but the signals hold none; remove them")
-        for by_joint in (units.position, units.current, units.torque, units.joint_torque, units.rated):
+        if "temperature" in units.model_fields_set and signals.temperature is None:
+            raise ValueError("a unit of 'temperature' is given, but the signals hold none; remove it")
+        for by_joint in (
+            signals.temperature,
+            units.position,
+            units.current,
+            units.torque,
+            units.joint_torque,
+            units.rated,
+        ):
             if isinstance(by_joint, dict):
                 _known_joints(by_joint, signals)
         return units

@@ -20,6 +20,7 @@ from gtau.signals.notes import Note
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.storage import Placed, block, spans, store
+from gtau.signals.temperature import Temperature, read_temperature
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,8 @@ class Run:
     ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, c), the current
     references in A or, where ``kind`` says so, torques in N m (forces in N), and then those of the torque ``sensors``
     (names of c - n joints). Where ``valid`` (N, c) is false the sample was interpolated or clipped. ``notes`` say what
-    was repaired, ``settings`` what is given of the preparation.
+    was repaired, ``settings`` what is given of the preparation,
+    ``temperature`` that of the joints, which other processes do not get.
 
     The arrays of a long log lie in a file, of which NumPy reads what is looked at. A run that was read from a ``log``
     is pickled as that, and read again where it arrives.
@@ -46,6 +48,7 @@ class Run:
     valid: np.ndarray = field(default_factory=lambda: np.ones((0, 0), dtype=bool), repr=False)
     settings: PreparationSettings = CHOSEN
     sensors: tuple[str, ...] = ()
+    temperature: Temperature | None = None
     # What is made by dataclasses.replace has neither:
     log: Log | None = field(default=None, init=False, repr=False)
     pickled: range | None = field(default=None, init=False, repr=False)  # samples that other processes get
@@ -147,6 +150,7 @@ def read_run(
         valid=uniform.valid,
         settings=settings,
         sensors=signals.sensors,
+        temperature=read_temperature(paths, signals, units, part),
     )
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
 

@@ -84,12 +84,12 @@ def linearise(
     for run, window in windows:
         candidates = None if offer is None else offer(window, fit.system.motion(run, fit.solution.theta))
         A, keep = window_rows(fit, run, window, candidates, fast)
-        reduced.append((run, [triangle(of_joint[kept]) for of_joint, kept in zip(A, keep, strict=True)]))
-    height = max((len(T) for _, of_window in reduced for T in of_window), default=0)
+        reduced.append((run, window, [triangle(of_joint[kept]) for of_joint, kept in zip(A, keep, strict=True)]))
+    height = max((len(T) for _, _, of_window in reduced for T in of_window), default=0)
     found = []
-    for run, of_window in reduced:
+    for run, window, of_window in reduced:
         T = np.stack([np.pad(each, ((0, height - len(each)), (0, 0))) for each in of_window])
-        e, J, weights = errors_and_jacobian(fit, run, T)
+        e, J, weights = errors_and_jacobian(fit, run, window, T)
         offered = -(fit.solution.iterate.b * weights)[:, None, None] * T[:, :, fit.dataset.base.count + EXTRA :]
         found.append(LinearisedWindow(e, J, offered))
     return found
@@ -119,15 +119,23 @@ def window_rows(
     return np.concatenate(parts, axis=1), np.concatenate(keep, axis=1)
 
 
-def errors_and_jacobian(fit: Fit, run: int, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def errors_and_jacobian(
+    fit: Fit, run: int, window: InMemoryRun, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute errors (c, p), their Jacobian (c, p, k), both in standard deviations, and the weights (c,) behind them.
 
-    ``rows`` (c, p, .) begin with the columns of the factors.
+    ``rows`` (c, p, .) begin with the columns of the factors, along a ``window`` of a run.
     """
     system, problem, state = fit.system, fit.system.problem, fit.solution.iterate
     kept = [system.whole.parameters.index(name) for name in problem.parameters]
     columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + 1 + CURRENTS)]
-    maps = system.maps[run][..., columns]
+    maps = system.maps[run]
+    if system.warmth is not None and fit.dataset.temperatures is not None:  # the window's own instead of the run's
+        warm = fit.dataset.temperatures
+        above = warm.between(run, window.all.time[0], window.all.time[-1]) - warm.of_stretches[run].mean(axis=0)
+        maps = maps.copy()
+        maps[: len(above)] += above[:, None, None] * system.warmth[: len(above)]
+    maps = maps[..., columns]
     blocks = rows[..., : maps.shape[1]] @ maps
     weights = 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
     e, J = residuals(blocks, state, problem.n_theta), jacobian(blocks, state, problem, fit.free_gains)

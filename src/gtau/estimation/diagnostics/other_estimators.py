@@ -241,8 +241,10 @@ def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.
         factors = [triangle(of_joint[kept]) for of_joint, kept in zip(both, keep & keep_filtered, strict=True)]
         height = max(map(len, factors))
         R = np.stack([np.pad(each, ((0, height - len(each)), (0, 0))) for each in factors])
-        e, J, _ = errors_and_jacobian(fit, run, R[..., b:])
-        _, J_filtered, _ = errors_and_jacobian(fit, run, np.concatenate([R[..., :b], R[..., -CURRENTS:]], axis=-1))
+        e, J, _ = errors_and_jacobian(fit, run, usual, R[..., b:])
+        _, J_filtered, _ = errors_and_jacobian(
+            fit, run, usual, np.concatenate([R[..., :b], R[..., -CURRENTS:]], axis=-1)
+        )
         found.append((J_filtered.reshape(-1, J.shape[-1]), J.reshape(-1, J.shape[-1]), e.ravel()))
     return found
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Solve
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import TERMS, Friction, all_terms
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, Friction, all_terms, temperature_terms
 from gtau.estimation.regression.problem import Problem, delayed
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.torque_sensors import BEARING, bearing_terms
@@ -25,8 +25,14 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
     joints, sensors, per_run = dataset.robot.motors, dataset.runs[0].sensors, len(dataset.runs) > 1
-    offered = (*all_terms(joints), *bearing_terms(sensors))
-    friction = Friction(select_friction_terms(dataset.system(Friction(offered, per_run)).problem), per_run)
+    warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
+    offered = (*all_terms(joints), *temperature_terms(warm), *bearing_terms(sensors))
+    terms, criterion = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
+    if warm and per_run:  # what differs between runs may be the temperature's alone
+        alone, less = select_friction_terms(dataset.system(Friction(offered)).problem)
+        if less < criterion and set(alone) & set(temperature_terms(warm)):
+            terms, per_run = alone, False
+    friction = Friction(terms, per_run)
     if not any(term.startswith("fl_") for term in friction.terms):
         system = dataset.system(friction)
         return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
@@ -43,34 +49,39 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
 
 
-def select_friction_terms(problem: Problem) -> tuple[str, ...]:
-    """Terms that the Bayesian information criterion asks for, joint by joint and sensor by sensor.
+def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
+    """Terms that the Bayesian information criterion asks for, joint by joint and sensor by sensor, and its value.
 
     Each joint's current, or sensor's torque, is fitted by its own regressor alone, with every subset of its terms in
     ``problem``; the subset of least ``r log(sigma^2) + k log(r)`` is taken. As the criterion believes in
     independent errors, and real ones are correlated, a term must also lessen the error by 2 per cent.
     """
     chosen: list[str] = []
+    total = 0.0
     for j, channel in enumerate(problem.channels):
         position = {name: k for k, name in enumerate(problem.parameters)}
-        kinds = TERMS if problem.free[j] else BEARING
+        kinds = (*TERMS, *TEMPERATURE_TERMS) if problem.free[j] else BEARING
         offered = [f"{term}_{channel}" for term in kinds if f"{term}_{channel}" in position]
         rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
         current = problem.triangles[j][:, problem.n_theta + 1 :] @ delayed(problem.own_delays[j])
         rows = problem.total_rows[j]
 
+        price = max(np.log(rows), -2 * rows * np.log(1 - FRICTION_TERM_GAIN))
+
         def criterion(terms: tuple[str, ...]) -> float:
             columns = problem.triangles[j][:, [*rest, *(position[name] for name in terms)]]  # noqa: B023
             left = triangle(np.column_stack([columns, current]))[-1, -1]  # noqa: B023
-            price = max(np.log(rows), -2 * rows * np.log(1 - FRICTION_TERM_GAIN))  # noqa: B023
             return float(rows * np.log(max(left**2, 1e-300)) + len(terms) * price)  # noqa: B023
 
         subsets: list[tuple[str, ...]] = [()]
         for name in offered:
             subsets += [(*subset, name) for subset in subsets]
         criteria = [criterion(subset) for subset in subsets]
-        chosen += subsets[int(np.argmin(criteria))]
-    return tuple(chosen)
+        best = subsets[int(np.argmin(criteria))]
+        chosen += best
+        # the criterion itself, with the same price for all columns
+        total += min(criteria) - len(best) * price + (len(rest) + len(best)) * np.log(rows)
+    return tuple(chosen), float(total)
 
 
 def prune_friction_terms(problem: Problem, friction: Friction, solve: Solve) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from gtau.estimation.regression.factors import STRETCHES, Factors, HuberWeights,
 from gtau.estimation.regression.friction import PAPER, Friction
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.estimation.regression.system import System, assemble_system
+from gtau.estimation.regression.temperatures import Temperatures, temperatures_of
 from gtau.estimation.regression.torque_sensors import sensors_of
 from gtau.model.blas import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -112,6 +113,11 @@ class Dataset:
         """The runs, their joints in the model's order."""
         return tuple(each.run for each in self.prepared)
 
+    @cached_property
+    def temperatures(self) -> Temperatures | None:
+        """How far joints were from their mean temperatures, where these are logged."""
+        return temperatures_of(self.prepared)
+
     @property
     def notes(self) -> tuple[Note, ...]:
         """What is odd in the robot, and what was repaired or left out of each run."""
@@ -125,7 +131,15 @@ class Dataset:
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
         slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
         return assemble_system(
-            self.model, self.base, self.factors, payloads, slowest, friction, self.runs[0].sensors, self.priors
+            self.model,
+            self.base,
+            self.factors,
+            payloads,
+            slowest,
+            friction,
+            self.runs[0].sensors,
+            self.priors,
+            None if self.temperatures is None else self.temperatures.of_stretches,
         )
 
     def parts(

@@ -6,6 +6,11 @@ offered on top of it to every actuated joint, and taken where its own equations 
 - ``f3``: cubic in speed, ``f3 qd^3``;
 - ``fl``: proportional to the torque that the joint transmits, ``fl |tau_load| sign(qd)``.
 
+Where temperatures of the joints are logged, two more are:
+
+- ``fvt``, ``fst``: viscous and Coulomb friction per degree above the mean temperature, ``fvt (T - T_mean) qd`` and
+  ``fst (T - T_mean) sign(qd)``.
+
 Warm-up makes friction drift between runs by per cents, which no single run shows and which ruins the
 drive gains; so viscous and Coulomb friction may take a value of their own in every run.
 """
@@ -18,8 +23,13 @@ from dataclasses import dataclass
 import numpy as np
 
 TERMS = ("f3", "fl")
+TEMPERATURE_TERMS = {"fvt": "fv", "fst": "fs"}
 DRIFTING = ("fv", "fs")
-UNITS = {"revolute": {"f3": "N m s3/rad3", "fl": "1"}, "prismatic": {"f3": "N s3/m3", "fl": "1"}}
+UNITS = {
+    "revolute": {"f3": "N m s3/rad3", "fl": "1", "fvt": "N m s/rad", "fst": "N m"},
+    "prismatic": {"f3": "N s3/m3", "fl": "1", "fvt": "N s/m", "fst": "N"},
+}
+"""Units of the terms; those of ``fvt`` and ``fst`` per unit of the temperature."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +52,11 @@ def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
 def all_terms(joints: tuple[str, ...]) -> tuple[str, ...]:
     """Every term of every joint."""
     return tuple(f"{term}_{joint}" for joint in joints for term in TERMS)
+
+
+def temperature_terms(joints: Sequence[str]) -> tuple[str, ...]:
+    """Every term that depends on the temperature, of joints with one."""
+    return tuple(f"{term}_{joint}" for joint in joints for term in TEMPERATURE_TERMS)
 
 
 def transmitted(names: Sequence[str]) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import BaseParameters, independent_columns
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, Factors
-from gtau.estimation.regression.friction import DRIFTING, TERMS, Friction, transmitted
+from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS, Friction, transmitted
 from gtau.estimation.regression.known_parameters import known_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.torque_sensors import of_drive, sensor_name
@@ -48,7 +48,8 @@ class System:
     ``unexcited`` are base parameters that these motions cannot separate from those before them; they are
     not part of the problem, but of ``whole``. ``block_positions`` (U, 2) say where the problem's units stand: the
     number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, c, p, n_theta + 4) lead
-    from the columns of the runs' factors to those of ``whole``. ``stated`` are the parameters with a prior value.
+    from the columns of the runs' factors to those of ``whole``, at the mean temperatures of each run. ``stated`` are
+    the parameters with a prior value. ``warmth`` (c, p, n_theta + 4) is what is added to the maps for each degree.
     """
 
     problem: Problem
@@ -60,15 +61,21 @@ class System:
     block_positions: np.ndarray
     maps: np.ndarray
     stated: tuple[str, ...] = ()
+    warmth: np.ndarray | None = None
 
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
-        """What acts in ``run``: values of the base columns with its payload and its own friction, (n_b,)."""
+        """What acts in ``run``: values of the base columns with its payload and its own mean friction, (n_b,)."""
         values = dict(zip(self.problem.parameters, theta, strict=True))
         last = len(self.maps) - 1
         chi = np.array([values.get(name, 0.0) for name in self.base.names])
         for k, name in enumerate(self.base.names):
             drifts = [values.get(drift_name(name, other), 0.0) for other in range(last)]
             chi[k] += drifts[run] if run < last else -sum(drifts)
+        for j, joint in enumerate(self.whole.joints):
+            for term, kind in TEMPERATURE_TERMS.items():
+                if value := values.get(f"{term}_{joint}"):
+                    k, column = self.base.standard.index(f"{kind}_{joint}"), f"{term}_{joint}"
+                    chi[k] += value * self.maps[run, j, k, self.whole.parameters.index(column)]
         return chi + self._payload(run, values)
 
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
@@ -104,6 +111,7 @@ def assemble_system(
     friction: Friction,
     sensors: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
+    temperatures: Sequence[np.ndarray] | None = None,
 ) -> System:
     """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33).
 
@@ -125,6 +133,8 @@ def assemble_system(
         Joints with a torque sensor, whose factors follow those of the joints.
     priors : mapping, optional
         What is known of parameters, by name.
+    temperatures : sequence of ndarray, optional
+        Deviations (stretches, n) of the joints' temperatures from their means, for each run.
 
     Raises
     ------
@@ -144,6 +154,15 @@ def assemble_system(
     position = {name: k for k, name in enumerate(names)}
     n_b, n_theta = base.count, len(names)
     blocks, maps = [], []
+
+    def warmth(joint: str) -> np.ndarray:
+        """From a joint's columns of friction to those of the problem for friction per degree, (p, n_theta + 4)."""
+        E = np.zeros((n_b + EXTRA, n_theta + 1 + CURRENTS))
+        for term, kind in TEMPERATURE_TERMS.items():
+            if f"{term}_{joint}" in position:
+                E[base.standard.index(f"{kind}_{joint}"), position[f"{term}_{joint}"]] = 1.0
+        return E
+
     for run, factor in enumerate(factors):
         # from the columns of the factor to those of the problem
         M = np.zeros((n_b + EXTRA, n_theta + 1 + CURRENTS))
@@ -173,8 +192,13 @@ def assemble_system(
                     if own in position:
                         M_j[k, position[own]] = 1.0
             of_joints.append(M_j)
+        parts = [factor.R[:, j] @ M_j for j, M_j in enumerate(of_joints)]
+        for j, joint in enumerate(idm.actuated if temperatures is not None else ()):
+            of_run = temperatures[run][:, j]  # type: ignore[index]
+            parts[j] = parts[j] + of_run[:, None, None] * (factor.R[:, j] @ warmth(joint))
+            of_joints[j] = of_joints[j] + of_run.mean() * warmth(joint)
         maps.append(of_joints)
-        blocks.append(np.stack([factor.R[:, j] @ M_j for j, M_j in enumerate(of_joints)], axis=1))
+        blocks.append(np.stack(parts, axis=1))
     rows = np.concatenate([factor.rows for factor in factors])
     filled = rows.sum(axis=1) > 0
     block_positions = np.array(
@@ -215,6 +239,7 @@ def assemble_system(
         block_positions[filled],
         np.array(maps),
         stated,
+        None if temperatures is None else np.array([warmth(channel) for channel in problem.channels]),
     )
 
 

@@ -18,12 +18,19 @@ from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.homogeneous import total_rows_of
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import TERMS, UNITS
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, UNITS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System, known_values
 from gtau.estimation.regression.torque_sensors import BEARING
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, SensorEstimate, TorqueError
+from gtau.estimation.results.estimate import (
+    AlternativeMoves,
+    Estimate,
+    PayloadEstimate,
+    ReferenceTemperatures,
+    SensorEstimate,
+    TorqueError,
+)
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.robot import INERTIAL, Robot
@@ -91,6 +98,8 @@ def build_result(
         )
 
     scales, signal = scale_shares(fit) if fit.free_gains else {}, problem.balance(solution.theta)
+    warm = dataset.temperatures
+    temperatures = None if warm is None else ReferenceTemperatures(warm.unit, warm.reference)
     return Result(
         robot=robot,
         method=estimator.name,
@@ -124,7 +133,7 @@ def build_result(
         essential={name: parameter(k, chosen) for k, name in enumerate(base.names) if name in chosen},
         friction={
             name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]), freedom=free.get(name))
-            for name, unit in _terms(system, robot)
+            for name, unit in _terms(system, robot, temperatures)
             if name in found
         },
         sensors=_sensors(fit, diagnosis, found, free, std, freedom),
@@ -151,6 +160,7 @@ def build_result(
             "lack_of_fit": findings.lack_of_fit,
             "accuracy": diagnosis.accuracy,
         },
+        temperatures=temperatures,
         runs=tuple(run.name for run in dataset.runs),
         notes=(*dataset.notes, *diagnosis.notes),
         consistency=consistency,
@@ -239,10 +249,15 @@ def _freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
     return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))
 
 
-def _terms(system: System, robot: Robot) -> list[tuple[str, str]]:
-    """Further friction terms and their units."""
-    split = [(name, *name.split("_", 1)) for name in system.friction.terms if name.split("_", 1)[0] in TERMS]
-    return [(name, UNITS[robot.joint(joint).kind][term]) for name, term, joint in split]
+def _terms(system: System, robot: Robot, temperatures: ReferenceTemperatures | None) -> list[tuple[str, str]]:
+    """Further friction terms of the joints and their units."""
+    kinds = (*TERMS, *TEMPERATURE_TERMS)
+    split = [(name, *name.split("_", 1)) for name in system.friction.terms if name.split("_", 1)[0] in kinds]
+    per = "" if temperatures is None else f"/{temperatures.per}"
+    return [
+        (name, UNITS[robot.joint(joint).kind][term] + (per if term in TEMPERATURE_TERMS else ""))
+        for name, term, joint in split
+    ]
 
 
 def _sensors(

@@ -131,6 +131,22 @@ class SensorEstimate:
 
 
 @dataclass(frozen=True)
+class ReferenceTemperatures:
+    """Mean temperatures over the runs, by joint, at which friction has the values of the parameters.
+
+    ``unit`` is that of the log's columns, of a temperature or of the time since start.
+    """
+
+    unit: str
+    of_joint: Mapping[str, float]
+
+    @property
+    def per(self) -> str:
+        """Unit of a difference, by which the slopes of friction are divided."""
+        return "K" if self.unit == "degC" else self.unit
+
+
+@dataclass(frozen=True)
 class AlternativeMoves:
     """The model with one unknown more: what that is, its size, and by how much the gains would move.
 

@@ -16,6 +16,7 @@ from gtau.estimation.results.estimate import (
     Estimate,
     Named,
     PayloadEstimate,
+    ReferenceTemperatures,
     SensorEstimate,
     TorqueError,
 )
@@ -62,6 +63,8 @@ class IdentifiedModel:
         Standard parameters that rigid bodies can have, where they were asked for.
     alternatives : tuple of AlternativeMoves
         What the model may lack, and by how much that would move the gains.
+    temperatures : ReferenceTemperatures, optional
+        At which friction has the values of ``parameters``, where temperatures were logged.
     geometry : GeometryTest, optional
         What logged poses say of the robot's geometry.
     singularities : tuple of NearestPose
@@ -101,6 +104,7 @@ class IdentifiedModel:
     sensors: tuple[SensorEstimate, ...] = ()
     singular_values: tuple[float, ...] = ()
     geometry: GeometryTest | None = None
+    temperatures: ReferenceTemperatures | None = None
 
     def __post_init__(self) -> None:
         for name in ("drive_gains", "delays", "parameters", "essential", "friction"):

@@ -19,7 +19,14 @@ from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.grades import from_document as read_note
 from gtau.estimation.grades import to_document as note_document
-from gtau.estimation.results.estimate import AlternativeMoves, Estimate, PayloadEstimate, SensorEstimate, TorqueError
+from gtau.estimation.results.estimate import (
+    AlternativeMoves,
+    Estimate,
+    PayloadEstimate,
+    ReferenceTemperatures,
+    SensorEstimate,
+    TorqueError,
+)
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.readers.native import parse_native
@@ -71,6 +78,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "statistics": dict(result.statistics),
         "alternatives": [asdict(each) for each in result.alternatives],
         "singularities": [asdict(each) for each in result.singularities],
+        "temperatures": result.temperatures and asdict(result.temperatures),
         "geometry": result.geometry and geometry_document(result.geometry),
         "notes": [note_document(note) for note in result.notes],
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
@@ -277,6 +285,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
         statistics=document["statistics"],
         runs=tuple(document["runs"]),
         notes=tuple(map(read_note, document["notes"])),
+        temperatures=document.get("temperatures") and ReferenceTemperatures(**document["temperatures"]),
         geometry=document.get("geometry") and read_geometry(document["geometry"]),
         consistency=None if document["standard"] is None else _read_standard(document["standard"]),
         alternatives=tuple(AlternativeMoves(**each) for each in document["alternatives"]),

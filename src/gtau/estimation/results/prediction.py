@@ -8,11 +8,12 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.dataset import at_rate_of, friction_speed_ratios
-from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
-from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, term_columns, transmitted
+from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.system import known_values
 from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.model.inverse_dynamics import Regressor
 from gtau.robots.units import torque_unit
 from gtau.signals.experiment import Payload
 from gtau.signals.preparation import prepare
@@ -45,6 +46,7 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     terms = _friction_terms(result)
     for part in stream_rows(model, regressor, prepared, decimator, load):
         tau = regressor.torques(part.entries, chi, len(model.actuated)) + np.einsum("tj,tjk->jk", terms, part.terms)
+        tau += _of_temperature(result, run, regressor, part)
         v, v_d, v_dd = part.currents[:, : len(gains)]  # eq. (17), each current at its delayed time
         time.append(part.time)
         predicted.append(tau.T)
@@ -57,6 +59,30 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     if not np.any([each.any() for each in keep]):
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
     return Prediction(model.actuated, *(np.concatenate(each) for each in (time, predicted, measured, keep, valid)))
+
+
+def _of_temperature(result: IdentifiedModel, run: Run, regressor: Regressor, part: Rows) -> np.ndarray | float:
+    """Friction (n, K) that differs from that at the reference temperatures; none in a run without temperatures."""
+    if result.temperatures is None or run.temperature is None:
+        return 0.0
+    if run.temperature.unit != result.temperatures.unit:
+        raise GtauError(
+            f"the temperatures of run '{run.name}' are in {run.temperature.unit}, but those of the model in "
+            f"{result.temperatures.unit}; give the same unit."
+        )
+    slopes = np.zeros((len(part.time), len(regressor.names)))
+    for joint, reference in result.temperatures.of_joint.items():
+        if joint in run.temperature.of_joint:
+            above = run.temperature.at(joint, part.time) - reference
+            for term, kind in TEMPERATURE_TERMS.items():
+                if f"{term}_{joint}" in result.friction:
+                    slopes[:, regressor.names.index(f"{kind}_{joint}")] = (
+                        _value(result.friction, f"{term}_{joint}") * above
+                    )
+    tau = np.zeros((len(result.model.actuated), len(part.time)))
+    for entry, row, column in zip(part.entries, regressor.rows, regressor.columns, strict=True):
+        tau[row] += slopes[:, column] * entry
+    return tau
 
 
 def torques(

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.estimation.thresholds import INFLATED, NEAR_SINGULAR
+from gtau.signals.columns import Signals
 from gtau.signals.notes import Kind, Note
 
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
@@ -43,6 +45,19 @@ def remarks(result: IdentifiedModel) -> list[Note]:
         more = f" and {len(absurd) - LISTED} more" if len(absurd) > LISTED else ""
         notes.append(Note(Kind.MODEL, f"parameters that no robot can have: {listed}{more}", absurd[0].verdict.advice))
     return notes + not_separated([name for name, each in result.parameters.items() if each.value is None])
+
+
+def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
+    """What is assumed of logs without temperatures where the model's friction depends on them."""
+    warm = result.temperatures
+    depends = {name.split("_", 1)[1] for name in result.friction if name.split("_", 1)[0] in TEMPERATURE_TERMS}
+    if warm is None or not depends or signals.temperature is not None:
+        return []
+    listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))
+    return [
+        f"friction depends on the temperature, which these logs do not have: taken at the reference ({listed} "
+        f"{warm.unit}); add 'temperature' to the signals"
+    ]
 
 
 def not_separated(names: Sequence[str]) -> list[Note]:

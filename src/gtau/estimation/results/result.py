@@ -43,7 +43,7 @@ class Result(IdentifiedModel):
         qdd: np.ndarray,
         payload: Payload | Mapping[str, Any] | None = None,
     ) -> np.ndarray:
-        """Torques of the identified model at any states, all its friction included.
+        """Torques of the identified model at any states, all its friction included, at the reference temperatures.
 
         Parameters
         ----------

@@ -12,6 +12,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.grades import by_grade
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
 from gtau.estimation.results.headline import headline
 from gtau.estimation.results.identified_model import IdentifiedModel
@@ -57,6 +58,7 @@ def summary(result: IdentifiedModel) -> str:
     if result.friction:
         lines += ["-" * WIDTH, f"{'Further friction (BIC)':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
         lines += [f"{_row(each.name, each)}   {each.unit}" for each in result.friction.values()]
+        lines += reference_lines(result)
     left_out = len(result.parameters) - len(result.essential)
     listed = [each for each in result.essential.values() if (each.rel_std or 0.0) <= NOT_SHOWN]
     hidden = len(result.essential) - len(listed)
@@ -114,6 +116,18 @@ def short_summary(result: IdentifiedModel) -> str:
         + " parameters and the fit of each joint: --verbose, or model.json."
     )
     return "\n".join(line.rstrip() for line in lines)
+
+
+def reference_lines(result: IdentifiedModel) -> list[str]:
+    """At which temperatures friction has the values of the parameters, where it depends on them."""
+    warm = result.temperatures
+    if warm is None or not any(name.split("_", 1)[0] in TEMPERATURE_TERMS for name in result.friction):
+        return []
+    listed = ", ".join(f"'{joint}' {value:.4g}" for joint, value in warm.of_joint.items())
+    same = len(set(warm.of_joint.values())) == 1
+    at = f"{next(iter(warm.of_joint.values())):.4g}" if same else listed
+    words = f"fvt, fst: viscous and Coulomb friction per {warm.per} above the mean, {at} {warm.unit}"
+    return textwrap.wrap(words, WIDTH, initial_indent="  ", subsequent_indent="  ")
 
 
 def gain_lines(result: IdentifiedModel) -> list[str]:

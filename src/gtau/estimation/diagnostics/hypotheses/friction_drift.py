@@ -12,8 +12,9 @@ from gtau.signals.preparation import InMemoryRun
 
 
 def _candidates(fit: Fit) -> Candidates:
-    n = len(fit.dataset.model.actuated)
-    fv, fs = friction_levels(fit)
+    joints, terms = fit.dataset.model.actuated, fit.system.friction.terms
+    # friction that depends on the temperature has a slope of its own for this
+    fv, fs = friction_levels(fit) * np.array([f"fvt_{j}" not in terms and f"fst_{j}" not in terms for j in joints])
     spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
@@ -27,7 +28,7 @@ def _candidates(fit: Fit) -> Candidates:
             "Coulomb friction of {subject} changing along the runs",
         ),
         ("of itself", "of itself"),
-        np.full((2, n), PLAUSIBLE_FRICTION_DRIFT),
+        np.full((2, len(joints)), PLAUSIBLE_FRICTION_DRIFT),
         offer,
     )
 
