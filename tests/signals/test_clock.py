@@ -73,6 +73,26 @@ def test_missing_samples_are_counted_behind_late_stamps(jitter: float, rng: np.r
     assert len(half.gaps) < len(clock.gaps)
 
 
+@pytest.mark.parametrize("rate", [20.0, 50.0])
+@pytest.mark.parametrize("jitter", [0.1, 0.6])
+def test_slow_logs_of_fast_moves_lack_nothing(rate: float, jitter: float, rng: np.random.Generator) -> None:
+    """From sample to sample the speed changes as much as where one is missing."""
+    time = np.arange(int(20 * rate)) / rate
+    s = np.clip((time % 1.6) / 1.2, 0, 1)
+    there = (time // 1.6) % 2 * (1 - 2 * s**3 * (10 - 15 * s + 6 * s**2)) + s**3 * (10 - 15 * s + 6 * s**2)
+    clock = clock_of(time + jitter / rate * rng.random(time.size), np.column_stack([there, -0.7 * there]))
+    assert (clock.regular, clock.gapless, clock.count) == (True, True, time.size)
+    assert clock.rate == pytest.approx(rate, rel=1e-3)
+
+
+def test_a_pause_does_not_make_packets_of_the_samples() -> None:
+    time = regular() + 100.0 * (regular() > 10)
+    clock = clock_of(time, logged(regular()))
+    assert not clock.packets
+    assert clock.rate == pytest.approx(1000)
+    assert clock.longest == pytest.approx(100, rel=1e-3)
+
+
 def test_packets(tmp_path: Path, rng: np.random.Generator) -> None:
     """40 samples at once every 16 ms, of which two packets are lost."""
     time = np.arange(SAMPLES) * 4e-4
@@ -117,6 +137,27 @@ def test_stale_samples_in_a_row_are_no_slip_and_hide_none(tmp_path: Path, rng: n
     slipped = logged(time) + 0.02 * np.outer(time > 5.25, [1, 0])  # at full speed
     with pytest.raises(GtauError, match=r"joint 'a' jumps by 0\.0.* at 5\.25"):
         read_run(write(tmp_path / "j.csv", time, slipped[kept], command[kept]), SIGNALS)
+
+
+def test_a_few_stale_samples_of_a_short_log_are_found(tmp_path: Path) -> None:
+    time = np.arange(400) * 0.05
+    position, command = np.round(motion(time), 5), currents(time)
+    stale = np.array([7, 90, 210])
+    for each in (position, command):
+        each[stale] = each[stale - 1]
+    run = read_run(write(tmp_path / "s.csv", time, position, command), SIGNALS)
+    assert any("3 samples of the positions are stale" in note for note in run.notes)
+    assert off(run) < 1e-3
+
+
+def test_a_log_that_freezes_for_some_samples_is_bridged(tmp_path: Path) -> None:
+    time, position, command = regular(), logged(regular()), currents(regular())
+    for start, count in ((400, 6), (5200, 9), (9300, 15)):
+        position[start : start + count], command[start : start + count] = position[start - 1], command[start - 1]
+    run = read_run(write(tmp_path / "f.csv", time, position, command), SIGNALS)
+    assert any("30 samples of the positions are stale" in note for note in run.notes)
+    assert 20 < (~run.valid.all(axis=1)).sum() < 40
+    assert off(run) < 2e-5
 
 
 def test_currents_that_are_held_are_recognised(tmp_path: Path) -> None:

@@ -64,8 +64,9 @@ def test_edges_cover_what_the_filter_does_not_know() -> None:
 def test_rules_of_thumb() -> None:
     assert cutoff_frequency(0.3, 20.0, 95.0) == 5.0
     assert cutoff_frequency(7.0, 100.0, 1000.0) == 70.0
-    assert cutoff_frequency(7.0, 20.0, 1000.0) == 25.0  # noise takes over at 20 Hz
-    assert cutoff_frequency(7.0, 7.0, 1000.0) == 17.5  # and here within the motion
+    assert cutoff_frequency(7.0, 25.0, 1000.0) == 25.0
+    assert cutoff_frequency(7.0, 7.0, 1000.0) == 17.5  # not within the motion
+    assert cutoff_frequency(1.0, 2.5, 1000.0, seconds=5.0) == pytest.approx(8.0)  # its ends are then 0.75 s of 5 s
     assert cutoff_frequency(4.0, 36.0, 95.0) is None
     assert cutoff_frequency(13.7, 25.0, 100.0) is None  # not a little below the Nyquist frequency
     assert [decimation_factor(1000, f) for f in (0.1, 12, 100, 400)] == [20, 16, 2, 1]
@@ -144,7 +145,7 @@ def test_chebyshev_is_the_decimate_of_scipy(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(("kind", "factor"), KINDS)
-def test_mask_covers_exactly_the_support(kind: str, factor: int) -> None:
+def test_mask_covers_what_counts_of_the_filter(kind: str, factor: int) -> None:
     decimator = Decimator(factor, kind)  # type: ignore[arg-type]
     n = 400
     instants = decimator.instants(n)
@@ -153,7 +154,15 @@ def test_mask_covers_exactly_the_support(kind: str, factor: int) -> None:
         usable[bad, 1] = False
         kept = decimator.keep(usable)
         assert kept[:, 0].all()
-        np.testing.assert_array_equal(kept[:, 1], np.abs(instants - bad) > decimator.support)
-        if kind == "fir":  # no kept output changes when the masked sample does, and every dropped one does
-            impulse = (np.arange(n) == bad).astype(float)
-            np.testing.assert_array_equal(decimator.apply(impulse) == 0, kept[:, 1])
+        np.testing.assert_array_equal(kept[:, 1], np.abs(instants - bad) > decimator.guard)
+        assert decimator.guard == (0 if factor == 1 else factor)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 7, 20, 100])
+def test_what_the_mask_leaves_of_unusable_samples_weighs_little(factor: int) -> None:
+    decimator = Decimator(factor)
+    n = 6 * factor + 1
+    outputs = decimator.apply(np.eye(n))  # weights of every sample in every output
+    far = np.abs(np.arange(n)[:, None] - decimator.instants(n)) > decimator.guard
+    assert np.abs(np.where(far, outputs, 0.0)).sum(axis=0).max() < 0.02
+    assert np.abs(np.where(far, outputs, 0.0)).sum(axis=0).min() > 0.0

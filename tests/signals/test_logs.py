@@ -173,6 +173,42 @@ def test_a_joint_at_rest_is_said(log: Path) -> None:
     assert read_run(write(log, lines), SIGNALS).notes == ("the position of joint 'b' never changes: it yields no rows",)
 
 
+def test_a_joint_that_is_locked_may_have_no_current(log: Path) -> None:
+    lines = [",".join([{2: "0", 4: "0"}.get(i, x) for i, x in enumerate(row.split(","))]) for row in rows()]
+    assert read_run(write(log, lines), SIGNALS).notes == ("the position of joint 'b' never changes: it yields no rows",)
+
+
+def test_columns_aligned_by_spaces(log: Path) -> None:
+    """As NumPy's savetxt writes them."""
+    clean = read_run(write(log, rows()), SIGNALS)
+    lines = ["  ".join(f"{float(x):14.9f}" for x in row.split(",")) + "  " for row in rows()]
+    found = read_run(write(log, lines, "#      t      qa     qb   va   vb"), SIGNALS)
+    np.testing.assert_allclose(found.position, clean.position, atol=1e-8)
+    np.testing.assert_allclose(found.command, clean.command, atol=1e-8)
+
+
+def test_unreadable_text_says_how_to_save_it(log: Path) -> None:
+    text = "\n".join([HEADER, *rows()])
+    log.write_bytes(text.encode("utf-16"))
+    with pytest.raises(GtauError, match="is text in UTF-16; save it as UTF-8"):
+        read_run(log, SIGNALS)
+    log.write_bytes(text.replace("\n", "\r").encode())
+    with pytest.raises(GtauError, match="ends its lines with carriage returns alone"):
+        read_run(log, SIGNALS)
+
+
+def test_other_marks_of_text(log: Path) -> None:
+    """A byte order mark, lines that end as Windows ends them, quotes, decimal commas."""
+    clean = read_run(write(log, rows()), SIGNALS).position
+    text = "\r\n".join([HEADER, *rows(), ""])
+    log.write_bytes(text.encode("utf-8-sig"))
+    np.testing.assert_array_equal(read_run(log, SIGNALS).position, clean)
+    log.write_text("\n".join(",".join(f'"{x}"' for x in line.split(",")) for line in [HEADER, *rows()]))
+    np.testing.assert_array_equal(read_run(log, SIGNALS).position, clean)
+    log.write_text("\n".join([HEADER, *rows()]).replace(",", ";").replace(".", ","))
+    np.testing.assert_array_equal(read_run(log, SIGNALS).position, clean)
+
+
 def _set(column: int, value: str) -> Callable[[list[str]], list[str]]:
     return lambda lines: [
         ",".join([value if i == column else x for i, x in enumerate(line.split(","))]) for line in lines
@@ -185,6 +221,10 @@ def _garble(lines: list[str]) -> list[str]:
 
 def _sparse(lines: list[str]) -> list[str]:
     return [line for i, line in enumerate(lines) if i % 5 > 1]
+
+
+def _scaled(factor: float) -> Callable[[list[str]], list[str]]:
+    return lambda lines: [f"{float(x.split(',')[0]) * factor:.9g},{x.split(',', 1)[1]}" for x in lines]
 
 
 # name, change to the lines, header, what the error says
@@ -214,6 +254,27 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
         "line 502: time goes back from 0.998 s to 0.2 s; cut the log",
     ),
     ("time stands still", _set(0, "1"), HEADER, "column 't' is 1 s in the last row and 1 s in the first"),
+    (
+        "time as a date",
+        lambda x: [f"2024-01-01 {line}" for line in x],
+        HEADER,
+        "convert it to seconds, or give the rate",
+    ),
+    ("time in ms", _scaled(1e3), HEADER, "units: {time: ms}"),
+    ("time in us", _scaled(1e6), HEADER, "units: {time: us}"),
+    ("time in ns", _scaled(1e9), HEADER, "units: {time: ns}"),
+    (
+        "a pause",
+        lambda x: [*x[:500], *(f"{float(line.split(',')[0]) + 100:.9g},{line.split(',', 1)[1]}" for line in x[500:])],
+        HEADER,
+        "line 501: 100 s are missing after 0.998 s; cut the log there into two runs",
+    ),
+    (
+        "time stops",
+        lambda x: [*x[:500], *(f"1,{line.split(',', 1)[1]}" for line in x[500:])],
+        HEADER,
+        "so they stand still or jump somewhere; correct the column",
+    ),
     ("a gap", lambda x: x[:500] + x[600:], HEADER, "line 501: 0.202 s are missing after 0.998 s; cut the log there"),
     ("many gaps", _sparse, HEADER, "samples (steps of 2 to 6 ms); record it at a steady rate"),
     (
@@ -313,7 +374,7 @@ def test_tx40_log(shared: Path) -> None:
     run = read_run(logs, {"time": {"rate": 5000}, "position": columns, "torque": columns})
     assert (run.position.shape, run.kind) == ((45000, 6), "torque")
     (note,) = run.notes
-    assert note.what == "345 samples of the positions are stale (repeat the one before): interpolated"
+    assert note.what == "186 samples of the positions are stale (repeat the one before): interpolated"
     assert run.position[0, 1] == 50.265
     assert run.command[0, 1] == -0.76036
 

@@ -236,7 +236,7 @@ def share_away(task: DesignProblem, qd: np.ndarray, step: float, rms: np.ndarray
     """
     slow = np.abs(qd) < SPEED_FRACTION * rms[:, None]
     slow |= np.sign(qd) != np.sign(np.roll(qd, 1, axis=1))
-    reach = round(task.decimator.support / task.rate / step)
+    reach = round(task.decimator.guard / task.rate / step)
     lost = slow.copy()
     for shift in range(1, reach + 1):
         lost |= np.roll(slow, shift, axis=1) | np.roll(slow, -shift, axis=1)

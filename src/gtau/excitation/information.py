@@ -102,7 +102,7 @@ class Window:
     """How rows near a joint's reversals are lost on a periodic grid of instants ``step`` s apart.
 
     A row is lost where the joint is slower than ``fraction`` of its rms speed anywhere within ``reach`` s, the
-    support of the decimation filter. The rms speed is that of a whole run, so ``floor`` (n,), rad/s or m/s, stands for
+    guard of the decimation filter. The rms speed is that of a whole run, so ``floor`` (n,), rad/s or m/s, stands for
     approach and return in the root of the mean square: without it a joint that hardly moves would lose nothing.
     Here the loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the speed over its rms value, a row counts
     ``s^2`` times the product over the cells of the grid within reach of ``1 - share * (1 - s s') / 2``, where a cell's

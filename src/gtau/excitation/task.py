@@ -125,7 +125,7 @@ class DesignProblem:
 
     def window(self, step: float) -> Window:
         """Return how rows near reversals are lost on a grid of instants ``step`` apart."""
-        return Window(step, self.decimator.support / self.rate, SPEED_FRACTION, self.approach_speed)
+        return Window(step, self.decimator.guard / self.rate, SPEED_FRACTION, self.approach_speed)
 
     @cached_property
     def approach_speed(self) -> np.ndarray:

@@ -24,6 +24,9 @@ from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.storage import block, spans, store
 
 LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
+FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
+# s; by which stamps of packets or messages are late at most. In the shared logs it is 5 ms (a Panda that was polled).
+LATEST = 0.25
 LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
 LARGEST_VALUE = 1e9  # of anything logged; even counts of encoders and converters are smaller
 SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
@@ -71,6 +74,8 @@ def check(
     samples = drop_repeated(samples, notes, settings.clock)
     clock = clock_of(samples.time, samples.position, settings.clock)
     _refuse_rates(samples, clock)
+    if settings.clock is None:
+        _refuse_late(samples, clock)
     wraps = _wraps(samples, notes)
     samples = unwrapped(samples, wraps)
     instants = clock.instants(samples.time)
@@ -93,9 +98,10 @@ def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
     still = (low == high)[:n]
     if still.all():
         raise GtauError(f"{source.name}: no position ever changes; give a log of a moving robot.")
-    joints = (*source.joints, *source.sensors)
-    for joint, column, least, most in zip(joints, source.columns[n:], low[n:], high[n:], strict=False):
-        if least == most and joint not in source.base:  # nothing acts on a base in flight
+    joints, locked = (*source.joints, *source.sensors), (*still, *np.zeros(len(source.sensors), dtype=bool))
+    columns = zip(joints, source.columns[n:], low[n:], high[n:], locked, strict=False)
+    for joint, column, least, most, no_motion in columns:
+        if least == most and not no_motion and joint not in source.base:  # a locked joint may have no current
             raise GtauError(
                 f"{source.name}, column '{column}' (joint '{joint}') is stuck at {least + 0.0:g}; "
                 "give the column with the measured values, or record the log again."
@@ -213,7 +219,7 @@ def _refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
     largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
     median = None
     for start, stop in spans(len(samples.time)):
-        begin = max(0, start - 7)
+        begin = max(0, start - 7 - held.longest)
         time, position = block(instants, begin, stop), block(samples.position, begin, stop)
         step = np.diff(time)
         median = np.median(step[step > 0]) if median is None else median
@@ -258,14 +264,25 @@ def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.nda
     return np.column_stack([np.interp(time, time[fresh], each[fresh]) for each in position.T])
 
 
+def _refuse_late(samples: Samples, clock: Clock) -> None:
+    """Refuse a time column that stands still or jumps, so that a regular clock runs far away from it."""
+    if clock.late > max(LATEST, 3 * clock.period):
+        raise GtauError(
+            f"{samples.source.name}, column '{samples.source.columns[-1]}': by a regular clock of {clock.rate:.4g} Hz "
+            f"the time stamps are up to {clock.late:.3g} s late, so they stand still or jump somewhere; correct the "
+            "column, or give the rate instead (time: {rate: HZ})."
+        )
+
+
 def _refuse_rates(samples: Samples, clock: Clock) -> None:
     if not LEAST_RATE <= clock.rate <= LARGEST_RATE:
-        column, unit = samples.source.columns[-1], "ms" if clock.rate < LEAST_RATE else "s"
+        column = samples.source.columns[-1]
+        finer = (unit for unit, factor in FINER.items() if LEAST_RATE <= clock.rate * factor <= LARGEST_RATE)
         repair = (
             "write the controller's rate in Hz under signals.time"
             if column == "rate"
-            else f"give the unit of that column (units: {{time: {unit}}}, for all logs; convert one that differs from "
-            "the others)"
+            else f"give the unit of that column (units: {{time: {' or '.join(finer) or 's'}}}, for all logs; convert "
+            "one that differs from the others)"
         )
         raise GtauError(
             f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "

@@ -118,10 +118,15 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
     Otherwise the positions decide between the stamps and a regular clock, unless it is ``given``.
     """
     steps = _sampled_steps(time)
-    packets = bool(np.mean(steps < 0.1 * steps.mean()) > PACKET)
-    usual = float(steps.mean() if packets else np.median(steps))
+    mean = _mean_step(steps)
+    packets = bool(np.mean(steps < 0.1 * mean) > PACKET)
+    usual = float(mean if packets else np.median(steps))
     for _ in range(PASSES):  # the usual step of stamps that are late is not the period
         gaps = _gaps(time, position, usual, packets)
+        if gaps and (without := _gaps(time, None, usual, packets)) != gaps:
+            # Steps of the motion that grow and shrink within some samples look like gaps: the stamps then run away.
+            late_by = [_line(time, usual, each)[2] for each in (gaps, without)]
+            gaps = gaps if late_by[0] <= late_by[1] + usual else without
         period, offset, late, rounded = _line(time, usual, gaps)
         settled = rounded or abs(period / usual - 1) < 1e-5
         usual = period
@@ -175,6 +180,12 @@ def _by_stamps(time: np.ndarray, steps: np.ndarray) -> Clock:
     )
 
 
+def _mean_step(steps: np.ndarray) -> float:
+    """Mean of the steps, without pauses: those five times as long as all but one in a hundred."""
+    pause = 5 * np.quantile(steps, 0.99)
+    return float(np.mean(steps[steps <= pause] if pause > 0 else steps))
+
+
 def _sampled_steps(time: np.ndarray) -> np.ndarray:
     """Steps of the time column, of a long one in parts spread over it."""
     parts = _parts(len(time))
@@ -188,12 +199,13 @@ def _parts(samples: int) -> list[tuple[int, int]]:
     return [(int(start), int(start) + size) for start in np.linspace(0, samples - size, parts)]
 
 
-def _gaps(time: np.ndarray, position: np.ndarray, usual: float, packets: bool) -> tuple[tuple[int, int], ...]:
+def _gaps(time: np.ndarray, position: np.ndarray | None, usual: float, packets: bool) -> tuple[tuple[int, int], ...]:
     """Samples before which others are missing, and how many, if samples are regular and stamps late.
 
     Where joints are fast enough, the positions count: a step twice as long as its neighbours has lost a sample, and one
     of length zero repeats it. Elsewhere the stamps do: a late one makes a long step and a short one after it, but a
-    missing sample moves all stamps behind it. So a step is a gap by as much as the stamps around it are apart.
+    missing sample moves all stamps behind it. So a step is a gap by as much as the stamps around it are apart. Without
+    positions they count everywhere.
     """
     scatter, size, around = _scatter(time, usual), 1, 1
     if packets:
@@ -201,12 +213,14 @@ def _gaps(time: np.ndarray, position: np.ndarray, usual: float, packets: bool) -
     if packets or scatter > 0.01:
         # The median of as many stamps on either side is then known to a fifth of a step, three times in a hundred.
         around = int(min(max(np.ceil(150 * scatter**2), FEWEST_AROUND, 3 * size), MOST_AROUND))
-    noise = _noise(position) if around > 1 else None
+    noise = _noise(position) if around > 1 and position is not None else None
     found: list[tuple[int, int]] = []
     for start, stop in spans(len(time)):
         begin, end = max(start - around - 1, 0), min(stop + around, len(time))
         part, step = block(time, begin, end), np.diff(block(time, begin, end))
-        steps = np.ones(len(step)) if noise is None else _steps_by_motion(block(position, begin, end), noise)
+        steps = np.ones(len(step))
+        if noise is not None and position is not None:
+            steps = _steps_by_motion(block(position, begin, end), noise)
         part -= usual * np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps, nan=1.0))])
         long = np.isnan(steps) | (noise is None)
         for k in np.flatnonzero(long & (step > LATE * usual * size)) + 1:

@@ -42,10 +42,19 @@ class Decimator:
 
     @property
     def support(self) -> int:
-        """Samples to either side of an output that must be good for it to be good."""
+        """Samples to either side of an output that a log must have."""
         if self.factor == 1:
             return 0
         return ceil(1.5 * self.factor) if self.kind == "fir" else self.factor
+
+    @property
+    def guard(self) -> int:
+        """Samples to either side of an output that must be usable for it to be used.
+
+        What of the ``fir`` lies beyond ``factor`` samples has 0.5 to 1.5 % of its weight, in lobes of both signs; that
+        of ``chebyshev`` has no end.
+        """
+        return self.factor if self.factor > 1 else 0
 
     @property
     def warm_up(self) -> int:
@@ -107,7 +116,7 @@ class Decimator:
         return upfirdn(taps, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
 
     def keep(self, usable: np.ndarray) -> np.ndarray:
-        """Which outputs rest on usable samples only.
+        """Which outputs rest on usable samples.
 
         Parameters
         ----------
@@ -117,13 +126,12 @@ class Decimator:
         Returns
         -------
         ndarray (outputs,) or (outputs, n) of bool
-            True where no sample of the support is unusable; by convention the support of ``chebyshev``, whose
-            response has no end, is ``factor`` samples to either side.
+            True where no sample within ``guard`` is unusable.
         """
         instants = self.instants(len(usable))
         masked = np.zeros((len(usable) + 1, *usable.shape[1:]), dtype=np.int64)
         np.cumsum(~usable, axis=0, out=masked[1:])
-        return masked[instants + self.support + 1] == masked[instants - self.support]
+        return masked[instants + self.guard + 1] == masked[instants - self.guard]
 
 
 @lru_cache

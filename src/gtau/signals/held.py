@@ -10,13 +10,17 @@ from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import Samples, ahead
 from gtau.signals.storage import block
 
-SPORADIC = 4  # equal samples in a row, at most, that are stale ones; more of them are a rest
+# After stale samples a signal has come as far as meanwhile: it is not slower over them than around them by this factor.
+# From rest it starts more slowly, and before and after a reversal it is faster.
+AS_BEFORE = 2.0
+SPORADIC = 4  # equal samples in a row, at most, that are stale ones; more of them are a rest or a slow rounded motion,
+FROZEN = 20  # unless up to so many stand where nearly every sample is new:
+AROUND, NEW = 4, 1.5  # so many changes to either side come after so many samples on average
 LONGEST = 200  # samples for which a slower signal is held, at most
 REGULAR = 0.6  # share of the samples in runs of equal ones of nearly one length, where a signal is slower than the log
 JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded goes by one
 REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
 GROUPS = ("positions", "commands", "torque sensors")
-COINCIDENCES = 5  # repeated samples at starts and reversals, more than a log has of one instant each
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Held:
         """Longest run of equal samples that counts as held."""
         if self.by_chance:
             return 1
-        return SPORADIC if self.period == 1 else int(np.ceil(1.5 * self.period))
+        return FROZEN if self.period == 1 else int(np.ceil(1.5 * self.period))
 
     def fresh(self, values: np.ndarray) -> np.ndarray:
         """Which samples (M,) of consecutive ``values`` (M, n) were new; rests and slow rounded motions are new too."""
@@ -50,6 +54,11 @@ class Held:
         jump = np.zeros(len(first))
         jump[:-1] = np.max(np.abs(values[first[1:]] - values[first[:-1]]) / self.quanta, axis=1)
         stale = (length > 1) & (length <= self.longest) & (jump >= JUMP)
+        if self.period == 1:
+            speed = np.pad(jump / length, 1)
+            as_before = AS_BEFORE * speed[1:-1] >= np.maximum(speed[:-2], speed[2:])
+            around = np.convolve(length, np.ones(2 * AROUND + 1))[AROUND:-AROUND] - length
+            stale &= as_before & ((length <= SPORADIC) | (around <= 2 * AROUND * NEW))
         for start, count in zip(first[stale], length[stale], strict=True):
             found[start + 1 : start + count] = False
         return found
@@ -131,7 +140,7 @@ def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
     held = Held(_period(lengths), tuple(quanta.tolist()))
     stale = sum(int((~held.fresh(block(array, *span)[:, columns])).sum()) for span in ahead(len(array)))
     # Noise of some quanta repeats a sample as often as it goes by one quantum in any of the other 3^n - 1 directions.
-    chance = 2 * near / (3.0**n - 1) + max(COINCIDENCES, REPORTED * len(array))
+    chance = 2 * near / (3.0**n - 1) + REPORTED * len(array)
     return (held, stale) if stale > chance else (replace(held, period=1, by_chance=True), 0)
 
 

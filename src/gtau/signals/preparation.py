@@ -24,11 +24,11 @@ from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
 
 SPEED_FRACTION = 0.05  # of a joint's rms speed
-# Decimation widens what is left out around a reversal by three rows. Keeping nine tenths of the samples instead trebles
-# the standard deviations of the Orthoglide's gains (1.5 to 4.6 N/A) and doubles those of the UR10e's, and raises the
-# Panda's torque errors from 4 to 5.5 %; gains from encoders of 12 bits get better by it, from 0.11 to 0.07 % at 100 Hz
-# (benchmarks/preparation_study.py).
-KEPT = 0.8
+# Decimation widens what is left out around a reversal by two rows. Models of UR10e, TX40, xMate7 and xMate3 predict the
+# same rows better by 2 to 7 % of the error where nine tenths of the samples are kept; but rows then hold more of the
+# noise of the torques (the Panda's errors rise from 2.0 to 2.3 %, geometric mean), and the standard deviations of the
+# Orthoglide's gains from 1.3 to 2.8 N/A.
+KEPT = 0.85
 FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves where there are so many
 STRETCHES = 8  # parts of a long run that are looked at for that
 LARGEST_FACTOR = 400
@@ -188,7 +188,7 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
 
     The bandwidth is the largest of all joints in all runs. The position filter follows from it and from where noise
     takes over, see :func:`gtau.signals.filters.cutoff_frequency`. The decimation leaves five rows in a period of the
-    bandwidth, or more where it would lose more than a fifth of the samples around reversals and rests.
+    bandwidth, or more where it would lose more than 15 % of the samples around reversals and rests.
 
     Parameters
     ----------
@@ -211,16 +211,12 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     found = [moving_spectra(run) for run in runs]
     moving = [each for of_run in found for each in of_run if each.moves]
     bandwidth = settings.bandwidth or max(each.bandwidth for each in moving)
-    if isinstance(settings.position_filter, float):
-        cutoff: float | None = settings.position_filter
-        if cutoff is not None and cutoff >= 0.5 * slowest:
-            raise GtauError(
-                f"preparation.position_filter is {cutoff:g} Hz, but logs sampled at {slowest:.4g} Hz hold nothing "
-                f"above {slowest / 2:.4g} Hz; give a lower cut-off, or none."
-            )
+    if settings.position_filter is not None:
+        cutoff = _given_cutoff(settings.position_filter, slowest)
     else:
         end = max(each.end for each in moving) if settings.bandwidth is None else np.inf
-        cutoff = None if settings.position_filter == "none" else cutoff_frequency(bandwidth, end, slowest)
+        seconds = float(np.mean([len(run.time) / run.rate for run in runs]))
+        cutoff = cutoff_frequency(bandwidth, end, slowest, seconds)
     fraction = SPEED_FRACTION if settings.least_speed is None else settings.least_speed
     chosen = Preparation(bandwidth, cutoff, Decimator(1, decimator), fraction, slowest, settings.given)
     if settings.decimation is not None:
@@ -230,6 +226,18 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     else:
         factor = _affordable(runs, found, chosen, decimation_factor(slowest, bandwidth, LARGEST_FACTOR))
     return replace(chosen, decimator=Decimator(factor, decimator))
+
+
+def _given_cutoff(given: float | Literal["none"], rate: float) -> float | None:
+    """Cut-off that is given by hand; raises GtauError where it is above half the ``rate`` (Hz) of the samples."""
+    if given == "none":
+        return None
+    if given >= 0.5 * rate:
+        raise GtauError(
+            f"preparation.position_filter is {given:g} Hz, but logs sampled at {rate:.4g} Hz hold nothing above "
+            f"{rate / 2:.4g} Hz; give a lower cut-off, or none."
+        )
+    return given
 
 
 def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
@@ -259,8 +267,8 @@ def _affordable(
         kept, total = np.zeros(n), np.zeros(n)
         for j in range(n):
             for ratio, stretches in lengths[j]:
-                support = Decimator(max(1, round(factor * ratio)), preparation.decimator.kind).support
-                kept[j] += np.maximum(stretches - 2 * support, 0).sum() / ratio
+                guard = Decimator(max(1, round(factor * ratio)), preparation.decimator.kind).guard
+                kept[j] += np.maximum(stretches - 2 * guard, 0).sum() / ratio
                 total[j] += stretches.sum() / ratio
         moving = total > 0
         if (kept[moving] / total[moving]).mean() < KEPT or (kept[moving] / factor).min() < FEWEST_ROWS:

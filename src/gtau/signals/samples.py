@@ -179,10 +179,13 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], pa
     for column, number in zip(source.columns, lacking.numbers, strict=True):
         if not number:
             entry = source.texts.get(column, "")
+            repair = "give the column that holds them"
+            if column == source.columns[-1] and entry[:1].isdigit():
+                repair = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
             raise GtauError(
                 f"{source.name}, column '{column}' holds no number"
                 + (f" (it begins with '{entry}')" if entry else "")
-                + "; give the column that holds them."
+                + f"; {repair}."
             )
     if lacking.of_rows > MAX_MISSING * lacking.count:
         column = source.columns[lacking.column]

@@ -1,14 +1,15 @@
-"""Text logs: columns separated by commas, semicolons, tabs or single spaces, in blocks of whole lines."""
+"""Text logs: columns separated by commas, semicolons, tabs or spaces, in blocks of whole lines."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gtau.errors import GtauError
 from gtau.signals.formats.table import Place, Table
-from gtau.signals.formats.text_layout import BOM, Layout, layout_of
+from gtau.signals.formats.text_layout import BOM, Layout, layout_of, split
 
 if TYPE_CHECKING:
     import polars as pl
@@ -51,6 +52,8 @@ def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.Dat
     import polars as pl
 
     columns = [f"column_{k + 1}" for k in range(len(layout.columns))]
+    if layout.separator == " ":
+        text = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", re.sub(rb" {2,}", b" ", text))
     end = text.find(b"\n") if b"\n" in text else len(text)
     if lacking := len(columns) - 1 - text.count(layout.separator.encode(), 0, end):  # a cut row, which Polars takes
         text = text[:end].rstrip(b"\r") + layout.separator.encode() * lacking + text[end:]  # for all there are
@@ -97,7 +100,7 @@ def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:
     count = len(layout.columns)
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
-            found = line.count(layout.separator) + 1
+            found = len(split(line, layout.separator))
             if number >= layout.first_line and found > count:
                 where = f"line {layout.first_line}" if layout.numbered else "the header"
                 return (

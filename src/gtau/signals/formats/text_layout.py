@@ -52,6 +52,7 @@ def layout_of(path: Path) -> Layout:
     GtauError
         The file is empty or no text, or its header has fewer columns than its rows.
     """
+    _refuse_encoding(path)
     lines = _first_lines(path)
     written = [line for line in lines if any(line.fields)]
     if not written:
@@ -82,6 +83,16 @@ def layout_of(path: Path) -> Layout:
     return Layout((first or header or written[0]).separator, names, header is None, begin, before, notes)
 
 
+def _refuse_encoding(path: Path) -> None:
+    """Refuse text whose lines could not be found."""
+    with path.open("rb") as file:
+        begin = file.read(1 << 12)
+    if begin.startswith((b"\xff\xfe", b"\xfe\xff")) and begin.count(0) > 0.3 * len(begin):
+        raise GtauError(f"{path} is text in UTF-16; save it as UTF-8 (in Excel: 'CSV UTF-8').")
+    if begin.count(b"\r") > ROWS_ALIKE and b"\n" not in begin:
+        raise GtauError(f"{path} ends its lines with carriage returns alone; save it with line feeds ('Unix' or 'PC').")
+
+
 def _has_bom(path: Path) -> bool:
     with path.open("rb") as file:
         return file.read(len(BOM)) == BOM
@@ -93,7 +104,7 @@ def _first_lines(path: Path) -> list[_Line]:
         while len(lines) < LOOK and (raw := file.readline()):
             text = (raw if lines else raw.removeprefix(BOM)).decode(errors="replace").lstrip("# ").rstrip("\r\n")
             separator = next((each for each in SEPARATORS if each in text), ",")
-            fields = tuple(field.strip().strip('"').strip() for field in text.split(separator))
+            fields = tuple(field.strip().strip('"').strip() for field in split(text, separator))
             numbers = sum(is_number(field) for field in fields)
             rest = sum(field.lower() in MISSING for field in fields)
             numeric = numbers > 0 and 2 * (numbers + rest) > len(fields)
@@ -137,6 +148,11 @@ def _names(fields: tuple[str, ...], width: int) -> tuple[str, ...]:
         name if name != "Name" else f"time of {fields[k + 1]}" if k else "time"
         for k, name in enumerate((*fields[:width],))
     )
+
+
+def split(text: str, separator: str) -> list[str]:
+    """Fields of a line; any number of spaces separates as one does."""
+    return text.split() if separator == " " and text.strip() else text.split(separator)
 
 
 def is_number(text: str) -> bool:
