@@ -143,3 +143,13 @@ def test_what_mujoco_cannot_express_is_listed(tmp_path: Path) -> None:
 def test_a_model_without_consistent_parameters_is_refused(tmp_path: Path) -> None:
     with pytest.raises(GtauError, match=r"an export to MJCF needs .*; identify it with --consistent"):
         export(model_of(load_robot("five-bar"), consistent=False), tmp_path)
+
+
+def test_an_actuator_that_is_a_spring_is_said(tmp_path: Path) -> None:
+    """Of a gas spring; the coil is a tendon."""
+    exported = export(model_of(sprung(), terms=False), tmp_path)
+    assert "no tendon has the force of gas: an actuator without gain does, whose ctrl has no effect" in exported.notes
+    model = mujoco.MjModel.from_xml_path(str(exported.files[0]))
+    stiffness = [float(np.ravel(model.tendon_stiffness[model.tendon(name).id])[0]) for name in ("coil", "gas")]
+    assert stiffness == [3.0, 0.0]
+    assert [spring.name for spring in load_robot(exported.files[0]).springs] == ["coil", "gas"]

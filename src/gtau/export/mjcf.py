@@ -16,7 +16,7 @@ from gtau.export.consistent import ConsistentModel, consistent_model, difference
 from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
 from gtau.robots.robot import GROUND, STIFFNESS, Robot
-from gtau.simulation.mujoco_plant import LIGHTEST, STEP, platform_coordinates, robot_spec
+from gtau.simulation.mujoco_plant import LIGHTEST, STEP, platform_coordinates, robot_spec, spring_attributes
 
 STIFF = ([2 * STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0])  # solref and solimp of closures, as of the plant
 JOINT = ("range", "armature", "damping", "frictionloss", "stiffness", "springref")
@@ -38,7 +38,12 @@ def export(result: Result, out: Path) -> Exported:
     _add_home(spec, compiled, result)
     found = differences(model, expressed, cubic=_polynomial(spec))
     files = written(out, {f"{identifier(result.robot.name)}.xml": _text(spec)})
-    return Exported(files, (difference_note(found), *notes(model, expressed, _polynomial(spec))), found)
+    said = [difference_note(found), *notes(model, expressed, _polynomial(spec))]
+    if forces := [each.name for each in result.robot.springs if spring_attributes(each, model.standard) is None]:
+        said.append(
+            f"no tendon has the force of {', '.join(forces)}: an actuator without gain does, whose ctrl has no effect"
+        )
+    return Exported(files, tuple(said), found)
 
 
 def imported() -> ModuleType:

@@ -218,7 +218,7 @@ def _add_spring(
     actuator = spec.add_actuator(name=spring.name, target=spring.name, trntype=mujoco.mjtTrn.mjTRN_TENDON)
     actuator.gainprm[0] = 0.0
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.biasprm[:3] = bias[0], -bias[1], -bias[2]
+    actuator.biasprm[:3] = bias[0], 0.0 - bias[1], 0.0 - bias[2]  # no -0 in files
 
 
 def _add_body(mujoco: ModuleType, parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
