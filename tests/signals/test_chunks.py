@@ -26,6 +26,7 @@ from gtau.signals.filters import position_filter
 from gtau.signals.preparation import Preparation, choose_preparation, prepare
 from gtau.signals.quantiles import Quantiles, medians
 from gtau.signals.run import Run, arrange, read_run
+from gtau.signals.sizes import Sizes, working_with
 from gtau.signals.storage import Store, block, store
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
@@ -70,18 +71,15 @@ CHANGES = [lambda table, rng: table, irregular, bad_rows, repeated, wrapped, lim
 @pytest.mark.parametrize("change", CHANGES, ids=["clean", *(each.__name__ for each in CHANGES[1:])])
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_a_log_read_in_blocks_is_the_log(
-    tmp_path: Path, change: Callable, kind: str, size: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, change: Callable, kind: str, size: int, rng: np.random.Generator
 ) -> None:
     table = pl.DataFrame(change(columns(rng), rng))
     path = tmp_path / f"log.{kind}"
     table.fill_nan(None).write_csv(path) if kind == "csv" else table.write_parquet(path)
     whole = read_run(path, SIGNALS)
-    monkeypatch.setattr(gtau.signals.storage, "BLOCK", 10 * size)
-    monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", 1000)
-    monkeypatch.setattr(gtau.signals.formats.table, "ROWS", 13 * size)
-    monkeypatch.setattr(gtau.signals.formats.text, "BYTES", 500 * size)
     seen: list[float] = []
-    run = read_run(path, SIGNALS, progress=seen.append)
+    with working_with(Sizes(block=10 * size, in_memory=1000, rows=13 * size, text=500 * size)):
+        run = read_run(path, SIGNALS, progress=seen.append)
     assert run.notes == whole.notes
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
@@ -174,11 +172,11 @@ def test_medians_of_what_goes_by_are_exact(count: int, rng: np.random.Generator)
         assert np.isnan(medians(lambda: [values])[1])
 
 
-def test_a_stored_array_is_what_was_written(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stored_array_is_what_was_written(rng: np.random.Generator) -> None:
     values = rng.normal(size=(1000, 3))
     for limit in (100, 10**9):
-        monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", limit)
-        stored = store(np.array_split(values, 13), (3,))
+        with working_with(Sizes(in_memory=limit)):
+            stored = store(np.array_split(values, 13), (3,))
         np.testing.assert_array_equal(stored, values)
         np.testing.assert_array_equal(block(stored[:, 1:], 10, 500), values[10:500, 1:])
         np.testing.assert_array_equal(stored, values)  # after its pages were let go
@@ -186,13 +184,14 @@ def test_a_stored_array_is_what_was_written(rng: np.random.Generator, monkeypatc
 
 
 def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", 10)
-
     def full(*arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(gtau.signals.storage.tempfile, "TemporaryFile", full)
-    with pytest.raises(GtauError, match=r"no space left on device\); make room there, or set TMPDIR"):
+    with (
+        pytest.raises(GtauError, match=r"no space left on device\); make room there, or set TMPDIR"),
+        working_with(Sizes(in_memory=10)),
+    ):
         store([np.ones(100)])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from gtau.estimation.regression.factors import joined
 from gtau.signals.experiment import read_experiment
 from gtau.signals.log_slice import read_excerpt
 from gtau.signals.run import Run, arrange, read_run
+from gtau.signals.sizes import Sizes, working_with
 from gtau.signals.storage import Placed
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
@@ -87,13 +88,10 @@ def table(rng: np.random.Generator) -> Table:
 
 
 @pytest.fixture
-def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_blocks() -> Iterator[None]:
     """What is read at once, and what is known by its place, as short as if the logs were long."""
-    monkeypatch.setattr(gtau.signals.resampling, "LANDMARK", 128)
-    monkeypatch.setattr(gtau.signals.log_slice, "LANDMARK", 128)
-    monkeypatch.setattr(gtau.signals.storage, "BLOCK", 500)
-    monkeypatch.setattr(gtau.signals.formats.table, "ROWS", 300)
-    monkeypatch.setattr(gtau.signals.formats.text, "BYTES", 10_000)
+    with working_with(Sizes(block=500, rows=300, text=10_000, landmark=128)):
+        yield
 
 
 def write(kind: str, columns: Table, folder: Path) -> list[Path]:
@@ -225,11 +223,11 @@ def test_a_log_is_found_from_another_folder(
     assert len(pickle.loads(sent).time) == N
 
 
-def test_rows_put_in_place(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+def test_rows_put_in_place(rng: np.random.Generator) -> None:
     values = rng.normal(size=(50, 3))
     for limit in (10, 10**9):
-        monkeypatch.setattr(gtau.signals.storage, "IN_MEMORY", limit)
-        place = Placed(1000, (3,))
+        with working_with(Sizes(in_memory=limit)):
+            place = Placed(1000, (3,))
         place.put(700, values[20:])
         place.put(680, values[:20])
         found = place.array()

@@ -32,7 +32,8 @@ from gtau.signals.experiment import Experiment, LoggedRun, check_robot, read_exp
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, moving_spectra
 from gtau.signals.run import Run, arrange
-from gtau.signals.storage import BLOCK, Store
+from gtau.signals.sizes import sizes
+from gtau.signals.storage import Store
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +237,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     lowest, highest, fastest, strongest = ([] for _ in range(4))
     positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((c,), bool)
     power, path = np.zeros(c), None
-    for block in decimator.blocks(len(prepared), max(BLOCK // decimator.factor, 1)):
+    for block in decimator.blocks(len(prepared), max(sizes().block // decimator.factor, 1)):
         of = prepared.samples(block.samples.start, block.samples.stop)
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         at = slice(block.first, last + 1, decimator.factor)

@@ -15,7 +15,8 @@ import numpy as np
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.storage import BLOCK, block, spans
+from gtau.signals.sizes import sizes
+from gtau.signals.storage import block, spans
 
 Digests = dict[int, tuple[object, bytes]]
 LIBRARIES = ("casadi", "numba", "numpy", "polars", "scipy")
@@ -113,7 +114,7 @@ def _of_array(array: np.ndarray, digests: Digests) -> bytes:
     found, rows = hashlib.sha256(), np.atleast_1d(array)
     for start, stop in spans(len(rows)):
         found.update(np.ascontiguousarray(block(rows, start, stop)).data)
-    if array.size > BLOCK:
+    if array.size > sizes().block:
         digests[id(array)] = array, found.digest()
     return found.digest()
 

@@ -113,7 +113,7 @@ def gate_words(notes: Sequence[Note]) -> str:
     if stops := found.get(Grade.STOPS):
         return f"gtau identify will refuse these logs: {counted(len(stops), 'finding')} to resolve first."
     if mend := found.get(Grade.MEND):
-        return f"gtau identify can use these logs; {counted(len(mend), 'finding')} worth mending before."
+        return f"gtau identify can read these logs; {counted(len(mend), 'finding')} worth mending before."
     return "gtau identify can use these logs as they are."
 
 

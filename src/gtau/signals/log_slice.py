@@ -18,7 +18,7 @@ from gtau.signals.checks import drop_repeated, unwrapped
 from gtau.signals.columns import Signals, Units
 from gtau.signals.formats.table import Place
 from gtau.signals.log_set import find_logs
-from gtau.signals.resampling import LANDMARK, Findings, Resampling, resampled, unclipped
+from gtau.signals.resampling import Findings, Resampling, resampled, unclipped
 from gtau.signals.samples import gathered
 from gtau.signals.storage import Placed, block, spans
 
@@ -58,6 +58,7 @@ class Log:
         first = max(int(np.searchsorted(found.instants, reach[0])) - 2, 0)
         last = int(np.searchsorted(found.instants, reach[1])) + 1
         rows = int(found.rows[first]), 1 + int(found.rows[last] if last < len(found.rows) else found.last)
+        begin, end = first * found.landmark, min((last + 1) * found.landmark, found.samples)
         return Excerpt(
             paths=tuple(path.absolute() for path in self.paths),  # other processes may stand elsewhere
             signals=self.signals.model_dump_json(),
@@ -68,9 +69,9 @@ class Log:
             samples=(samples.start, samples.stop),
             rows=rows,
             places=tuple(max((at for at in of if at[0] <= rows[0]), default=(0, 0)) for of in self.places),
-            first=first * LANDMARK,
+            first=begin,
             position=tuple(found.position[first].tolist()),
-            grid=replace(found.grid, clock=clock.between(first * LANDMARK, min((last + 1) * LANDMARK, found.samples))),
+            grid=replace(found.grid, clock=clock.between(begin, end)),
             wraps=tuple(found.wraps.tolist()),
         )
 

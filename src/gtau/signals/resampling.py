@@ -12,6 +12,7 @@ from gtau.signals.clock import Clock
 from gtau.signals.held import Holds
 from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import MAX_MISSING, Samples, counted
+from gtau.signals.sizes import sizes
 from gtau.signals.storage import Store, block, spans, store
 
 MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
@@ -20,7 +21,6 @@ MISSING_STEP = 1.5  # steps longer than so many mean steps have lost a sample
 # samples, the fastest that logs should hold, and by 4e-4 of one of thirty.
 BRIDGED = 3
 MAX_BRIDGED = 0.3  # part of a log that may be missing in such steps
-LANDMARK = 4096  # samples from one that is known by its place in the log to the next
 SURROUNDINGS = 64  # samples to either side that a spline is made from: what lies beyond acts by less than 1e-19
 
 
@@ -47,8 +47,10 @@ class Findings:
     wraps : ndarray
         (n,) whether a joint's angle jumped by turns.
     rows, instants, position : ndarray
-        Of one complete sample in ``LANDMARK``: its row (K,) in the log, instant (K,) in s, and position (K, n) without
+        Of one complete sample in ``landmark``: its row (K,) in the log, instant (K,) in s, and position (K, n) without
         jumps.
+    landmark : int
+        Samples from one of these to the next.
     last : int
         Row of the last sample.
     samples : int
@@ -60,6 +62,7 @@ class Findings:
     rows: np.ndarray
     instants: np.ndarray
     position: np.ndarray
+    landmark: int
     last: int
     samples: int
 
@@ -109,6 +112,7 @@ def uniform(
         rows=_landmarks(samples.rows),
         instants=_landmarks(instants),
         position=_landmarks(samples.position),
+        landmark=sizes().landmark,
         last=int(samples.rows[-1]),
         samples=len(samples.rows),
     )
@@ -166,7 +170,7 @@ def _of_clock(clock: Clock, given: bool) -> list[Note]:
 
 
 def _landmarks(array: np.ndarray) -> np.ndarray:
-    return np.concatenate([block(array, k, k + 1) for k in range(0, len(array), LANDMARK)])
+    return np.concatenate([block(array, k, k + 1) for k in range(0, len(array), sizes().landmark)])
 
 
 def resampled(

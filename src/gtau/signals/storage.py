@@ -12,14 +12,12 @@ from typing import BinaryIO, cast
 import numpy as np
 
 from gtau.errors import GtauError
-
-BLOCK = 1 << 16  # samples that are worked on at once
-IN_MEMORY = 1 << 22  # bytes of an array that are not worth a file
+from gtau.signals.sizes import sizes
 
 
 def spans(samples: int, size: int = 0) -> Iterator[tuple[int, int]]:
-    """First sample, and the one after the last, of blocks of ``size`` (or BLOCK) that together are ``samples``."""
-    size = size or BLOCK
+    """First sample, and the one after the last, of blocks of ``size`` (if given) that together are ``samples``."""
+    size = size or sizes().block
     return ((start, min(start + size, samples)) for start in range(0, samples, size))
 
 
@@ -48,7 +46,7 @@ class Store:
         self._held.append(np.array(rows, dtype=self._dtype))
         self._rows += len(rows)
         self._size += self._held[-1].nbytes
-        if self._size > IN_MEMORY:
+        if self._size > sizes().in_memory:
             self._write()
 
     def array(self) -> np.ndarray:
@@ -110,7 +108,7 @@ class Placed:
         self._shape, self._dtype = (samples, *width), dtype
         self._row = np.dtype(dtype).itemsize * math.prod(width)
         self._file: BinaryIO | None = None
-        if samples * self._row <= IN_MEMORY:
+        if samples * self._row <= sizes().in_memory:
             self._held: np.ndarray = np.zeros(self._shape, dtype)
             return
         with _room():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ import pytest
 from gtau.errors import GtauError
 from gtau.signals.log_file import find_columns, read_log
 from gtau.signals.run import Run, read_run
+from gtau.signals.sizes import Sizes, working_with
 
 N, RATE = 1500, 500.0
 JOINTS = ("shoulder", "elbow")
@@ -139,14 +140,12 @@ def test_every_format_gives_the_same_numbers(tmp_path: Path, log: Log, name: str
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_blocks_and_parts_are_those_of_the_whole(
-    tmp_path: Path, log: Log, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_blocks_and_parts_are_those_of_the_whole(tmp_path: Path, log: Log, name: str) -> None:
     columns = FORMATS[name](tmp_path / name, log)
     names = [columns["time"], *columns["position"].values()]
-    monkeypatch.setattr("gtau.signals.formats.table.ROWS", 400)
     file = read_log(tmp_path / name, names)
-    blocks = list(file.blocks())
+    with working_with(Sizes(rows=400)):
+        blocks = list(file.blocks())
     assert [len(values) for values, _ in blocks] == [400, 400, 400, 300]
     assert blocks[-1][1] == 1.0
     np.testing.assert_allclose(np.vstack([values for values, _ in blocks])[:, 1:], log[1], atol=1e-15)
@@ -289,12 +288,15 @@ def test_topics_with_stamps_of_their_own_are_aligned(topics: Callable, rng: np.r
     np.testing.assert_allclose(run.command[:, 0], np.cos(3 * run.time), atol=2e-5)
 
 
+@pytest.fixture
+def short_landmarks() -> Iterator[None]:
+    with working_with(Sizes(landmark=100)):
+        yield
+
+
 @pytest.mark.parametrize("kind", ["two topics", "bag"])
-def test_another_process_reads_its_part_of_such_logs(
-    tmp_path: Path, topics: Callable, log: Log, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("gtau.signals.resampling.LANDMARK", 100)
-    monkeypatch.setattr("gtau.signals.log_slice.LANDMARK", 100)
+@pytest.mark.usefixtures("short_landmarks")
+def test_another_process_reads_its_part_of_such_logs(tmp_path: Path, topics: Callable, log: Log, kind: str) -> None:
     if kind == "bag":
         run = read_run(tmp_path / "bag", rosbag(tmp_path / "bag", log))
     else:

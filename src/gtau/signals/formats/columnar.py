@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.formats import table
 from gtau.signals.formats.table import Place, Table
+from gtau.signals.sizes import sizes
 
 if TYPE_CHECKING:
     import polars as pl
@@ -54,8 +54,8 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         first = 0  # row of the part
         for part, length in zip(parts, lengths, strict=True):
             begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
-            for start in range(begin, end, table.ROWS):
-                stop = min(start + table.ROWS, end)
+            for start in range(begin, end, sizes().rows):
+                stop = min(start + sizes().rows, end)
                 try:
                     frame = scan(part).select(names).slice(start, stop - start).collect()
                 except pl.exceptions.PolarsError as error:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.signals.formats import table
 from gtau.signals.formats.table import WIDEST, Place, Table, common_length, readable
+from gtau.signals.sizes import sizes
 
 if TYPE_CHECKING:
     import polars as pl
@@ -71,7 +71,7 @@ def open_rosbag(path: Path) -> Table:
                 "with stamps of their own; give both (time: {position: COLUMN, command: COLUMN})."
             )
         getters = [columns[name][1] for name in names]
-        values = np.empty((min(table.ROWS, count), len(names)))
+        values = np.empty((min(sizes().rows, count), len(names)))
         filled = 0
         with readable(path, "a ROS bag"), reader() as bag:
             connections = [each for each in bag.connections if each.topic == topics[0]]

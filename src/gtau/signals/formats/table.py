@@ -12,6 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.notes import Note
+from gtau.signals.sizes import sizes
 
 if TYPE_CHECKING:
     import polars as pl
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 Place = tuple[int, int]
 """A row of a text file and the byte at which it begins."""
 
-ROWS = 1 << 16  # of a table that are read at once
 WIDEST = 256  # columns of one array; a wider one is an image or a map, not signals
 
 
@@ -95,8 +95,8 @@ def table_of_arrays(
         count = common_length(path, {name: rows[name] for name in names})
         with readable(path, "a log"), load() as arrays:
             end = min(wanted.stop, count)
-            for start in range(wanted.start, end, ROWS):
-                stop = min(start + ROWS, end)
+            for start in range(wanted.start, end, sizes().rows):
+                stop = min(start + sizes().rows, end)
                 frame = {name: _column(arrays, found[name], start, stop) for name in names}
                 yield pl.DataFrame(frame), stop / count
 

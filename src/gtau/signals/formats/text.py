@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 from gtau.errors import GtauError
 from gtau.signals.formats.table import Place, Table
 from gtau.signals.formats.text_layout import BOM, Layout, layout_of, split
+from gtau.signals.sizes import sizes
 
 if TYPE_CHECKING:
     import polars as pl
-
-BYTES = 1 << 22  # of a file that are read at once
 
 
 def open_text(path: Path) -> Table:
@@ -85,7 +84,7 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[int, bytes, float]]:
         if not begin and file.read(len(BOM)) != BOM:
             file.seek(0)
         begin = file.tell()
-        while read := file.read(BYTES):
+        while read := file.read(sizes().text):
             end = read.rfind(b"\n") + 1
             if end:
                 text, torn = torn + read[:end], b""
