@@ -250,3 +250,18 @@ def test_a_bag_with_commands_in_another_topic(tmp_path: Path) -> None:
     assert "aligned the currents with the positions" in run.notes[0]
     np.testing.assert_allclose(run.position, Q[1:], atol=1e-9)
     np.testing.assert_allclose(run.command[:, 1], 0.75 * V[1:, 1] + 0.25 * V[:-1, 1], atol=1e-6)
+
+
+def test_temperatures_and_poses_are_offered_as_comments(tmp_path: Path) -> None:
+    """Neither is used unasked; without the comment sign the line is one that a file may hold."""
+    header = "t,q1,q2,i1,i2,motor_temp_1,motor_temp_2,tcp_x,tcp_y"
+    log = save(tmp_path / "log.csv", header, TIME, Q, V, 30 + TIME, 31 + TIME, Q)
+    text = draft_text(discover([log], load_robot("five-bar"), "five-bar"), tmp_path)
+    offered = "# temperature: {left: motor_temp_1, right: motor_temp_2}"
+    assert offered in text
+    assert "if tcp_x, tcp_y hold one" in text
+    (tmp_path / "experiment.yaml").write_text(text)
+    assert read_experiment(tmp_path / "experiment.yaml").signals.temperature is None
+    (tmp_path / "experiment.yaml").write_text(text.replace(offered, offered[2:]))
+    found = read_experiment(tmp_path / "experiment.yaml").signals.temperature_columns
+    assert found == {"left": "motor_temp_1", "right": "motor_temp_2"}

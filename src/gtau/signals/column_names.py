@@ -21,6 +21,8 @@ WORDS: dict[str, frozenset[str]] = {
 }
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "motor", "position", "time")
 REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d"])
+TEMPERATURE = frozenset(["temp", "temps", "temperature", "temperatures"])
+POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
 COMMAND = frozenset(["v", "u", "control", "action", "command"])  # currents or torques, unless they are velocities
 UNITS = {
     "deg": "deg",
@@ -82,6 +84,16 @@ def taken_apart(name: str, joints: Sequence[str] = ()) -> ColumnName:
     return ColumnName(
         name, stem, label, kind, any(word in REFERENCE for word in words), UNITS.get(unit[1].lower()) if unit else None
     )
+
+
+def is_temperature(name: str) -> bool:
+    """Whether a column is a temperature by its name."""
+    return not TEMPERATURE.isdisjoint(_words(name))
+
+
+def is_pose(name: str) -> bool:
+    """Whether a column looks like a component of a pose by its name."""
+    return not POSE.isdisjoint(_words(name))
 
 
 def _words(text: str) -> list[str]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
+from gtau.signals.column_names import is_pose, is_temperature
 from gtau.signals.log_contents import Group, LogContents
 
 LARGEST_CURRENT = 100.0  # A; commands of no known kind that reach further are taken for torques, to be checked
@@ -23,7 +24,8 @@ class Draft:
 
     ``time`` are time columns, one or two, or the ``rate`` (Hz) instead; ``command_time`` those of commands with stamps
     of their own. ``position`` and ``command`` are columns by joint, ``kind`` what the latter hold. ``masses`` (kg) of
-    payloads by log come from the names of the files. ``others`` are columns that might be meant instead.
+    payloads by log come from the names of the files. ``others`` are columns that might be meant instead. Columns of
+    ``temperature`` are by joint, or one for all; those of a ``pose`` are only listed.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -39,6 +41,8 @@ class Draft:
     others: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
     open: tuple[str, ...] = ()
+    temperature: Mapping[str, str] | str | None = None
+    pose: tuple[str, ...] = ()
 
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None) -> Draft:
@@ -97,6 +101,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         command_time = command_log.time
     alike = {group.listed for group in (*position_log.groups, *command_log.groups) if group.kind != "other"}
     used = {positions.listed, commands.listed}
+    used_names = {*positions.columns.values(), *commands.columns.values()}
     draft = Draft(
         logs=tuple(runs),
         robot=source,
@@ -107,6 +112,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         kind=kind,
         units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
         command_time=command_time,
+        temperature=_temperature(position_log.table.columns, columns),
+        pose=tuple(name for name in position_log.table.columns if is_pose(name) and name not in used_names),
         masses={run[0]: mass for run in runs if (mass := _mass_in_name(run[0])) is not None},
         others=tuple(sorted(alike - used)),
         reasons=reasons,
@@ -185,6 +192,14 @@ def _position_unit(
         return unit
     reasons["unit"] = f"positions reach {reach[largest]:.4g}"
     return None
+
+
+def _temperature(names: Sequence[str], joints: Mapping[str, str]) -> Mapping[str, str] | str | None:
+    """Columns of temperatures by joint, in the order of the joints, or the only one; None where that is not clear."""
+    found = [name for name in names if is_temperature(name)]
+    if len(found) == len(joints):
+        return dict(zip(joints, found, strict=True))
+    return found[0] if len(found) == 1 else None
 
 
 def _mass_in_name(path: Path) -> float | None:

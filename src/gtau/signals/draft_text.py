@@ -50,6 +50,11 @@ def draft_text(draft: Draft, folder: Path) -> str:
     found = why.get("velocity", "")
     doubt = _of(draft, "kind", "") or _of(draft, "reference", "")
     lines += _by_joint(draft.kind, draft.command, doubt)
+    if draft.temperature is not None:
+        lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
+    if draft.pose:
+        listed = ", ".join(draft.pose[:8]) + (", ..." if len(draft.pose) > 8 else "")
+        lines.append(f"  # A pose tests the robot's geometry; if {listed} hold one, describe it under 'pose:'.")
     if draft.others:
         lines.append(f"  # Not used: columns {'; '.join(draft.others)}.")
     if found:
