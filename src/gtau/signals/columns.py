@@ -65,9 +65,9 @@ class Signals(Keys):
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
-    the gears, of all joints or some. A ``pose`` tests the robot's geometry, friction may depend on a
-    ``temperature``. A ``preset`` has filled in the
-    columns of a maker's log.
+    the gears, of all joints or some. A ``pose`` tests the robot's geometry, friction may depend on a ``temperature``.
+    ``base`` is the pose of a base that floats, and what holds it. A ``preset`` has filled in the columns of a maker's
+    log.
     """
 
     time: Annotated[
