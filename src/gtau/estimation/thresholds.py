@@ -151,8 +151,7 @@ NOISE_STD = Threshold(
     4.0,
     "Hausman's statistic of instrumental variables against the estimator used, of a parameter that moves by more than "
     "its standard deviation, from which noise of the positions is named",
-    "none of the parameters of UR10e, Orthoglide, TX40, Panda moves by so much; where it moves less, up to 3.9 (UR10e "
-    "pairs), 13.7 (Coulomb friction of passive joints of the Orthoglide, 0.6 of its standard deviation)",
+    "no parameter of the UR10e pairs, Orthoglide, TX40 or Panda moves by so much; up to 3.9 where it moves less (UR10e)",
     "4.2 and 4.5 (five-bar, positions noisy by 0.4 mrad behind a filter of 100 Hz, 16 s), 7 to 18 (Aliengo, whose "
     "command is made from the measured position)",
     "shared logs, tests/estimation/test_other_estimators.py",

@@ -34,6 +34,7 @@ from gtau.estimation.estimators.solution import jackknife
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS
+from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds import NOISE_STD
 from gtau.signals.notes import Kind, Note
@@ -229,14 +230,18 @@ def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
 def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Jacobians along the motion filtered further and as usual, (., k) each, and errors (.,), window by window.
 
-    Rows of a joint are reduced together, so that products of their columns remain.
+    Rows of a joint are reduced together, so that products of their columns remain. The sign of a speed that is filtered
+    further changes at other samples, which is no noise: columns of Coulomb friction are the usual ones in both.
     """
     model, found = fit.dataset.model, []
+    dry = [k for k, name in enumerate(fit.dataset.base.standard) if name.startswith("fs_")]
+    dry.append(fit.dataset.base.count + TERMS.index("fl"))
     windows = zip(central_windows(fit.dataset, WINDOWS), central_windows(further, WINDOWS), strict=True)
     for (run, usual), (_, filtered) in windows:
         A, keep = window_rows(fit, run, usual, None, model)
         Z, keep_filtered = window_rows(fit, run, filtered, None, model)
         b = A.shape[-1] - CURRENTS
+        Z[..., dry] = A[..., dry]
         both = np.concatenate([Z[..., :b], A], axis=-1)
         factors = [triangle(of_joint[kept]) for of_joint, kept in zip(both, keep & keep_filtered, strict=True)]
         height = max(map(len, factors))
