@@ -43,6 +43,8 @@ def save(path: Path, header: str, *columns: np.ndarray) -> Path:
         ("joint_velocity_2", "velocity", "2", None),
         ("dq4", "velocity", "4", None),
         ("tau_ext_3", "other", "3", None),
+        ("torque_sensor_3", "sensor", "3", None),
+        ("position_sensor_3", "position", "3", None),
         ("actual_current_5", "current", "5", None),
         ("motor2 (mA)", "motor", "2", "mA"),
         ("v7", "command", "7", None),
@@ -265,3 +267,20 @@ def test_temperatures_and_poses_are_offered_as_comments(tmp_path: Path) -> None:
     (tmp_path / "experiment.yaml").write_text(text.replace(offered, offered[2:]))
     found = read_experiment(tmp_path / "experiment.yaml").signals.temperature_columns
     assert found == {"left": "motor_temp_1", "right": "motor_temp_2"}
+
+
+@pytest.mark.parametrize("name", ["torque_sensor", "tau"])
+def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
+    """By their names they are sensors; torques that may have been computed from currents are offered as a comment."""
+    header = f"t,q1,q2,current1,current2,{name}1,{name}2"
+    log = save(tmp_path / "log.csv", header, TIME, Q, V, 3 * V + 0.1)
+    draft = discover([log])
+    columns = {"j1": f"{name}1", "j2": f"{name}2"}
+    assert (draft.sensors, draft.torques) == ((columns, {}) if "sensor" in name else ({}, columns))
+    text = draft_text(draft, tmp_path)
+    (line,) = [each for each in text.splitlines() if "joint_torque:" in each]
+    assert line.lstrip().startswith("#") == (name == "tau")
+    (tmp_path / "experiment.yaml").write_text(text.replace("NAME-OR-FILE", "five-bar"), encoding="utf-8")
+    if name == "torque_sensor":
+        assert read_experiment(tmp_path / "experiment.yaml").signals.sensors == ("j1", "j2")
+        assert "Drive gains need the mass" not in text

@@ -14,7 +14,7 @@ WORDS: dict[str, frozenset[str]] = {
         "velocity": "dq qd vel velocity velocities velo speed omega qdot",
         "acceleration": "ddq qdd acc accel acceleration",
         "current": "current currents cur curr amp amps ampere iq i",
-        "torque": "tau torque torques effort moment trq tq force",
+        "torque": "tau torque torques jts effort moment trq tq force",
         "motor": "motor",
         "other": "ext external mocap grav gravity temp temperature err error latency voltage rate success filtered age",
     }.items()
@@ -23,6 +23,7 @@ PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "
 REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d"])
 TEMPERATURE = frozenset(["temp", "temps", "temperature", "temperatures"])
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
+SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
 COMMAND = frozenset(["v", "u", "control", "action", "command"])  # currents or torques, unless they are velocities
 UNITS = {
     "deg": "deg",
@@ -43,8 +44,8 @@ UNITS |= {"us": "us", "ns": "ns", "nm": "N m", "n m": "N m", "n": "N"}
 class ColumnName:
     """A column's ``name`` taken apart: what is left without its joint, the joint's label, the kind and the unit.
 
-    ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), or None; ``reference`` where
-    it is what was asked for and not what was measured.
+    ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), ``sensor`` (of torque), or None;
+    ``reference`` where it is what was asked for and not what was measured.
     """
 
     name: str
@@ -79,6 +80,8 @@ def taken_apart(name: str, joints: Sequence[str] = ()) -> ColumnName:
         words = _words(stem)
     kinds = [kind for word in words for kind, known in WORDS.items() if word in known]
     kind = next((each for each in PRECEDENCE if each in kinds), None)
+    if kind == "torque" and any(word in SENSOR for word in words):
+        kind = "sensor"
     if kind is None and any(word in COMMAND for word in words):
         kind = "command"
     return ColumnName(

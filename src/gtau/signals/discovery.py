@@ -24,8 +24,9 @@ class Draft:
 
     ``time`` are time columns, one or two, or the ``rate`` (Hz) instead; ``command_time`` those of commands with stamps
     of their own. ``position`` and ``command`` are columns by joint, ``kind`` what the latter hold. ``masses`` (kg) of
-    payloads by log come from the names of the files. ``others`` are columns that might be meant instead. Columns of
-    ``temperature`` are by joint, or one for all; those of a ``pose`` are only listed.
+    payloads by log come from the names of the files. ``sensors`` are columns of torque sensors by joint, such by their
+    names, ``torques`` those that may be. ``others`` are columns that might be meant instead. Columns
+    of ``temperature`` are by joint, or one for all; those of a ``pose`` are only listed.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -39,6 +40,8 @@ class Draft:
     command_time: tuple[str, ...] = ()
     masses: Mapping[Path, float] = field(default_factory=dict)
     others: tuple[str, ...] = ()
+    sensors: Mapping[str, str] = field(default_factory=dict)
+    torques: Mapping[str, str] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
     open: tuple[str, ...] = ()
     temperature: Mapping[str, str] | str | None = None
@@ -100,7 +103,11 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     if command_log is not position_log and command_log.time and apart:
         command_time = command_log.time
     alike = {group.listed for group in (*position_log.groups, *command_log.groups) if group.kind != "other"}
-    used = {positions.listed, commands.listed}
+    label = {
+        joint: next(each for each, name in positions.columns.items() if name == columns[joint]) for joint in joints
+    }
+    sensors, torques = (_beside(command_log.group(each), label) for each in ("sensor", "torque"))
+    used = {positions.listed, commands.listed, *(each.listed for each in command_log.groups if each.kind == "sensor")}
     used_names = {*positions.columns.values(), *commands.columns.values()}
     draft = Draft(
         logs=tuple(runs),
@@ -116,10 +123,17 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         pose=tuple(name for name in position_log.table.columns if is_pose(name) and name not in used_names),
         masses={run[0]: mass for run in runs if (mass := _mass_in_name(run[0])) is not None},
         others=tuple(sorted(alike - used)),
+        sensors=sensors,
+        torques=torques if kind == "current" and not sensors else {},
         reasons=reasons,
         open=tuple(unsure if source is not None else ["robot", *unsure]),
     )
     return replace(draft, open=(*draft.open, "reference")) if commands.reference else draft
+
+
+def _beside(group: Group | None, label: Mapping[str, str]) -> dict[str, str]:
+    """Columns of a group by joint, from the ``label`` that each joint has in the names of columns."""
+    return {} if group is None else {joint: group.columns[of] for joint, of in label.items() if of in group.columns}
 
 
 def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:

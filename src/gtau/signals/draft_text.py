@@ -55,6 +55,11 @@ def draft_text(draft: Draft, folder: Path) -> str:
     if draft.pose:
         listed = ", ".join(draft.pose[:8]) + (", ..." if len(draft.pose) > 8 else "")
         lines.append(f"  # A pose tests the robot's geometry; if {listed} hold one, describe it under 'pose:'.")
+    if draft.sensors:
+        lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")
+    if draft.torques:
+        lines.append("  # Torques of sensors behind the gears (not computed from currents) fix the scale of the gains:")
+        lines += [f"  #{line[1:]}" for line in _by_joint("joint_torque", draft.torques, "")]
     if draft.others:
         lines.append(f"  # Not used: columns {'; '.join(draft.others)}.")
     if found:
@@ -66,7 +71,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
         if (mass := draft.masses.get(run[0])) is not None:
             payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
             lines.append(_line(f"    payload: {_flow(payload)}", f"{CHECK}kg, from the name of the file"))
-    if draft.kind == "current" and not draft.masses:
+    if draft.kind == "current" and not draft.masses and not draft.sensors:
         lines += [
             "# Drive gains need the mass (kg) of the payload of one run or more, and a run with another one or none:",
             "#   payload: {name: steel, mass: 1.2, mass_std: 0.001}",

@@ -49,10 +49,12 @@ def ml(problem: Problem) -> Solution:
 
     solution = solve(problem, start, weights, True)
     if not solution.settled and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
+        loaded = bool(problem.blocks[..., problem.n_theta].any())
+        scale = "a heavier payload" if loaded else "a payload, torque sensors or more known parameters"
         raise GtauError(
             "the maximum-likelihood iteration did not settle, so the data do not fix the drive gains: "
             f"{scarcity(problem)}check the signs and units of positions and currents, add runs that move every joint "
-            "or a heavier payload, or use --method wls with prior_gains."
+            f"or {scale}, or use --method wls with prior_gains."
         )
     return solution
 
