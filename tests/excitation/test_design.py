@@ -23,7 +23,7 @@ from gtau.excitation.forecast import forecast, sampled_motions
 from gtau.excitation.initial_guesses import random_start
 from gtau.excitation.nlp import Programme
 from gtau.excitation.weak_parameters import Weak, weak_unknowns
-from gtau.report.excite_page import describe_design, design_page
+from gtau.report.excite_page import _payload_table, describe_design, design_page
 from gtau.signals.log_file import read_log
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -291,3 +291,17 @@ def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
 def test_design_files_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(GtauError, match=message):
         read_design(write(tmp_path, DESIGN.replace(old, new)))
+
+
+def test_the_table_of_other_payloads_fits_a_terminal() -> None:
+    joints = [f"{part}_joint" for part in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
+    gains = [{"name": joint, "rel_std": 1.25} for joint in joints]
+    masses = [
+        {"mass": mass, "rms": 2.0, "rel_std": dict.fromkeys(joints, mass), "exceeded": ["current of a"] * (mass > 5)}
+        for mass in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    ]
+    lines = _payload_table({"gains": gains, "gains_rms": 3.25, "payload_masses": masses})
+    assert max(map(len, lines)) <= 80
+    assert ["shoulder_pan_joint", "1.25", "1", "2", "3", "4"] in [line.split() for line in lines]
+    assert ["shoulder_pan_joint", "5", "6"] in [line.split() for line in lines]
+    assert lines[-1].strip() == "with 6 kg this motion exceeds: current of a"

@@ -80,5 +80,5 @@ def test_a_base_close_to_singular_angles_is_refused() -> None:
 
 def test_units_of_the_position() -> None:
     assert base("world").scale(BaseUnits(length="mm")) == [1e-3] * 3 + [1.0] * 4
-    with pytest.raises(ValueError, match="'deg' is no unit of a length"):
+    with pytest.raises(ValueError, match="'deg' is not a unit of length"):
         BaseUnits(length="deg")

@@ -87,7 +87,7 @@ def test_motors_that_turn_against_their_joints_may_have_negative_gains(tmp_path:
     [
         ("{gear_ratio: 0, torque_constant: 1}", "", "drives.arm.gear_ratio: the gear ratio is zero; write rad of"),
         ("{gear_ratio: 5}", "", "neither 'torque_constant' nor 'rotor_inertia' is given; add one"),
-        ("{rotor_inertia: 1, efficiency: 0.8}", "", "'efficiency' stands without 'torque_constant'"),
+        ("{rotor_inertia: 1, efficiency: 0.8}", "", "'efficiency' is given without 'torque_constant'"),
         ("{torque_constant: 1}", "prior_gains: {arm: 2}", "joint 'arm' has a 'prior_gains' too; remove it"),
         ("{rotor_inertia: 1}", "priors: {ia_arm: {min: 0}}", "'priors' has 'ia_arm' too; remove it"),
         ("{torque_constant: 1, efficency: 1}", "", "unknown key 'efficency'; did you mean 'efficiency'"),

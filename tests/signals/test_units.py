@@ -78,7 +78,7 @@ def test_motor_torques_are_those_of_the_joints_by_the_gear_ratio(log: Path) -> N
         ({}, {"current": "%"}, "which is not given; add 'rated: {JOINT: ...}' in A"),
         ({}, {"current": "%", "rated": {"a": 2}}, "units, rated: joint 'b' has no rated current"),
         ({}, {"rated": {"a": 2}}, "'rated' is given, but no unit is '%' or '‰'; remove it"),
-        ({"gear_ratio": {"a": 2}}, {}, "'gear_ratio' stands without 'motor_torque'"),
+        ({"gear_ratio": {"a": 2}}, {}, "'gear_ratio' is given without 'motor_torque'"),
         ({"motor_torque": {"a": "va"}}, {}, "give the columns of either 'current' or 'torque'"),
         (
             {"current": None, "motor_torque": {"a": "va", "b": "vb"}, "gear_ratio": {"a": 2}},

@@ -106,7 +106,7 @@ LOGS = [
         column(1, lambda x: np.where(np.arange(len(x)) % 5, x, np.nan)),
     ),
     Case("infinite", "column 'v1' holds no number (it begins with 'inf')", column(3, lambda x: np.inf)),
-    Case("far out", "which no joint or drive does", column(1, lambda x: 1e100 * x)),
+    Case("far out", "more than any joint or drive reaches", column(1, lambda x: 1e100 * x)),
     Case(
         "degrees for radians",
         "its positions look like deg taken for rad; write deg under units.position",
@@ -135,11 +135,13 @@ LOGS = [
         "line 2 has 10 columns where the header in line 1 has 5",
         lines(lambda x: [x[0], *(row.replace(".", ",") for row in x[1:])]),
     ),
-    Case("backwards", "so time does not pass; give the column of the time", lines(lambda x: [x[0], *x[:0:-1]])),
+    Case("backwards", "so time does not advance; give the column of the time", lines(lambda x: [x[0], *x[:0:-1]])),
     Case(
-        "shuffled", "so time does not pass; give the column of the time", lines(lambda x: [x[0], *x[3000:], *x[1:3000]])
+        "shuffled",
+        "so time does not advance; give the column of the time",
+        lines(lambda x: [x[0], *x[3000:], *x[1:3000]]),
     ),
-    Case("time stands still", "so time does not pass; give the column of the time", column(0, lambda x: 0.0)),
+    Case("time stands still", "so time does not advance; give the column of the time", column(0, lambda x: 0.0)),
     Case("time without numbers", "column 't' holds no number", column(0, lambda x: np.nan)),
     Case(
         "time in milliseconds",

@@ -55,7 +55,7 @@ def _verdict(document: dict[str, Any]) -> Section:
     sentences = [f"poorly determined (30 % or more), {', '.join(names)}: {advice}" for advice, names in weak.items()]
     if document["without_effect"]:
         sentences.append(f"without effect on any motor, whatever the motion: {', '.join(document['without_effect'])}")
-    sentences.append("these are the standard deviations of white noise; errors of the model come on top")
+    sentences.append("these standard deviations hold for white noise; model errors add to them")
     shown = facts(
         {
             "period": f"{document['period']:.4g} s",

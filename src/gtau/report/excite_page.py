@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 CURVES = ("position", "velocity", "acceleration")
 DIGITS = 9
 MOST = 1000  # %, of an assumed value, that are worth printing
+CASES = 5  # payloads beside each other in a table
 
 
 def file_stems(task: DesignProblem) -> tuple[str, ...]:
@@ -205,22 +206,25 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _payload_table(document: dict[str, Any]) -> list[str]:
-    """Deviations of the gains, per cent, with payloads of other masses."""
-    joints = [each["name"] for each in document["gains"]]
-    width = max(9, *(len(joint) + 2 for joint in joints))
-    lines = ["", "  the same motion with other payloads, deviations of the gains in %:"]
-    lines.append(f"  {'':<14}{'rms':>9}" + "".join(f"{joint:>{width}}" for joint in joints))
+    """Standard deviations of the gains, per cent, with payloads of other masses."""
     now = {"rms": document["gains_rms"], "rel_std": {each["name"]: each["rel_std"] for each in document["gains"]}}
-    for label, each in [("as designed", now), *((f"{each['mass']:g} kg", each) for each in document["payload_masses"])]:
-        found = "".join(f"{each['rel_std'][joint]:>{width}.3g}" for joint in joints)
-        lines.append(f"  {label:<14}{each['rms']:>9.3g}{found}")
+    cases = [("as designed", now), *((f"{each['mass']:g} kg", each) for each in document["payload_masses"])]
+    lines = ["", "  the same motion with other payloads, standard deviations of the gains in %:"]
+    for first in range(0, len(cases), CASES):
+        shown = cases[first : first + CASES]
+        lines.append(f"  {'':<18}" + "".join(f"{label:>12}" for label, _ in shown))
+        lines.append(f"  {'rms':<18}" + "".join(f"{each['rms']:>12.3g}" for _, each in shown))
+        for gain in document["gains"]:
+            values = "".join(f"{each['rel_std'][gain['name']]:>12.3g}" for _, each in shown)
+            lines.append(f"  {gain['name'][:18]:<18}{values}")
+    for label, each in cases:
         if each.get("exceeded"):
-            lines += _wrapped(f"with it this motion exceeds: {', '.join(each['exceeded'])}")
+            lines += _wrapped(f"with {label} this motion exceeds: {', '.join(each['exceeded'])}")
     return lines
 
 
 def _gain_row(each: dict[str, Any]) -> str:
-    """A row of a gain; of one that is only assumed, the relative deviation is all that can be told."""
+    """A row of a gain; of one that is only assumed, only the relative standard deviation is known."""
     if not each["assumed"]:
         return _row(each)
     return f"  {each['name']:<26}{'(assumed)':>11}{'-':>11}{_relative(each):>9}   {each['unit']}"

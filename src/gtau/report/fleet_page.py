@@ -56,7 +56,7 @@ def fleet_page(table: FleetTable) -> str:
 
 
 def remarks(table: FleetTable) -> list[str]:
-    """What else is to be said of the outliers."""
+    """Remarks on the outliers."""
     said = [
         f"robot '{robot}': all its gains are {sign} alike; check the payload's mass in its experiment first"
         for robot, sign in _off_alike(table.outliers, table.gains)
@@ -64,7 +64,7 @@ def remarks(table: FleetTable) -> list[str]:
     few = [each for each in table.joints if not each.comparable]
     if few:
         models = ", ".join(dict.fromkeys(f"'{each.model}'" for each in few))
-        said.append(f"of {models} there are too few robots to tell outliers (8 are needed)")
+        said.append(f"of {models} there are too few robots to find outliers (8 are needed)")
     return said
 
 

@@ -41,7 +41,7 @@ def _verdict(found: FleetTable) -> Section:
         words = f"{len(outliers)} drive gain{'' if len(outliers) == 1 else 's'} of {len(robots)} robot"
         words, grade = f"{words}{'' if len(robots) == 1 else 's'} stand apart from the fleet.", "weak"
     elif any(joint.comparable for joint in found.joints):
-        words, grade = "No drive gain stands apart from the fleet.", "good"
+        words, grade = "No drive gain is an outlier in the fleet.", "good"
     else:
         words, grade = "The robots are identified, but too few to detect outliers among them.", "plain"
     sentences = [

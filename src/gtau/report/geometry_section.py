@@ -39,7 +39,7 @@ def geometry_section(test: GeometryTest | None, arrays: Arrays) -> Section | Non
 def _frames(test: GeometryTest) -> list[str]:
     estimated = {
         "controller": "Nothing but the delay of the poses was estimated beside the constants.",
-        "tool": "Where the tool stands on the body was estimated beside the constants.",
+        "tool": "The position of the tool on the body was estimated too.",
         "tracker": "Where the tracker (in each run) and its marker stand was estimated beside the constants.",
     }[test.source]
     return [estimated, *([sentence(late(test))] if test.delay_std < MOST_UNCERTAIN else [])]

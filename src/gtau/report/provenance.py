@@ -79,7 +79,7 @@ def versions() -> dict[str, str]:
 
 
 def fingerprint(path: Path) -> tuple[str, str]:
-    """Size of a file in words, and its SHA-256; a folder is told by its files, and a missing file as such."""
+    """Size of a file in words, and its SHA-256; a folder is described by its files, and a missing file as such."""
     if path.is_dir():
         parts = sorted(each for each in path.iterdir() if each.is_file())
         return f"{len(parts)} files", _digest(parts)

@@ -121,7 +121,7 @@ def zigzag(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
 
 
 def foot_of(joint: Joint, found: dict[str, Frame]) -> np.ndarray:
-    """Where a joint stands on the link before it, (3,)."""
+    """Position of a joint on the link before it, (3,)."""
     R, p = found[joint.antecedent]
     foot: np.ndarray = p + R @ joint.placement.position
     return foot

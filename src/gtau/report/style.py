@@ -1,4 +1,4 @@
-"""One look for all figures: told apart by line and marker as well as by colour, so that they survive a copier."""
+"""One look for all figures: lines differ in style and marker as well as in colour, so that they survive a copier."""
 
 from __future__ import annotations
 

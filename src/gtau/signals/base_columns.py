@@ -49,7 +49,7 @@ class BaseUnits(_Keys):
     def _of_length(self) -> BaseUnits:
         si_factor(self.length, "position")
         if is_angle(self.length):
-            raise ValueError(f"'{self.length}' is no unit of a length; write m or mm")
+            raise ValueError(f"'{self.length}' is not a unit of length; write m or mm")
         return self
 
 

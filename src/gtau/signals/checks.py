@@ -92,8 +92,8 @@ def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
         if max(-least, most) > LARGEST_VALUE:
             value = most if most > -least else least
             raise GtauError(
-                f"{source.name}, column '{column}' reaches {value:.3g}, which no joint or drive does; correct the "
-                "column, or give its unit."
+                f"{source.name}, column '{column}' reaches {value:.3g}, more than any joint or drive reaches; correct "
+                "the column, or give its unit."
             )
     still = (low == high)[:n]
     if still.all():
@@ -117,7 +117,7 @@ def _refuse_standing_time(samples: Samples) -> None:
     if not time[-1] > time[0]:
         raise GtauError(
             f"{source.name}, column '{source.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s in "
-            "the first, so time does not pass; give the column of the time, or the rate instead (time: {rate: HZ})."
+            "the first, so time does not advance; give the column of the time, or the rate instead (time: {rate: HZ})."
         )
 
 
@@ -155,8 +155,8 @@ def drop_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", 
                     return samples
                 i = int(different[0])
                 raise GtauError(
-                    f"{source.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s stands in two rows with "
-                    "different values, so the stamps are not the instants of the samples; remove 'clock: stamps'."
+                    f"{source.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s occurs in two rows with "
+                    "different values, so the time stamps are not the sampling instants; remove 'clock: stamps'."
                 )
             repeated += (start + again + 1).tolist()
     if not repeated:
@@ -243,7 +243,7 @@ def _refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
     speeds = fast.quantile(0.999)
     for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
         raise GtauError(
-            f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, which no joint does; "
+            f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
             "give the units of its position and of the time (units: {position: ..., time: ...})."
         )
     low, high = extremes(samples.position)
@@ -252,7 +252,7 @@ def _refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
         k = int(places[j])
         raise GtauError(
             f"{source.name}, {samples.place(k)}: the position of joint '{source.joints[j]}' jumps by "
-            f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is no motion; check "
+            f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is not a motion; check "
             "the coupling and the counter of its encoder, or cut the log there into two runs."
         )
 
@@ -286,5 +286,5 @@ def _refuse_rates(samples: Samples, clock: Clock) -> None:
         )
         raise GtauError(
             f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
-            f"{clock.period:.3g} s), which no drive's log is; {repair}."
+            f"{clock.period:.3g} s), which is no sampling rate of a drive; {repair}."
         )

@@ -200,7 +200,7 @@ class Signals(Keys):
     def _ratios_of_motor_torques(self) -> Signals:
         ratios = self.gear_ratio or {}
         if self.motor_torque is None and ratios:
-            raise ValueError("'gear_ratio' stands without 'motor_torque'; remove it, or name the torques so")
+            raise ValueError("'gear_ratio' is given without 'motor_torque'; remove it, or name the torques so")
         for joint in self.motor_torque or {}:
             if not ratios.get(joint):
                 raise ValueError(

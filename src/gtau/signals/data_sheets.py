@@ -45,7 +45,7 @@ class Drive(Keys):
         if self.torque_constant is None and self.rotor_inertia is None:
             raise ValueError("neither 'torque_constant' nor 'rotor_inertia' is given; add one, or remove the drive")
         if self.efficiency is not None and self.torque_constant is None:
-            raise ValueError("'efficiency' stands without 'torque_constant'; add it, or remove the efficiency")
+            raise ValueError("'efficiency' is given without 'torque_constant'; add it, or remove the efficiency")
         return self
 
     @property
