@@ -152,6 +152,25 @@ def test_a_tracker_anywhere_with_a_marker_anywhere(rng: np.random.Generator) -> 
     assert "source: tracker" in taken_for_the_base.note
 
 
+def test_a_tool_of_unknown_place(rng: np.random.Generator) -> None:
+    """A TCP as rotation vector, as Universal Robots log it: where it sits on the flange is a nuisance."""
+    right = load_robot("ur10e")
+    time, q = sines(right, 0.8, rng)
+    place = Rotation.from_rotvec([0.0, 0.4, 1.0]), np.array([0.01, -0.03, 0.2])
+    found = logged(right, time, q, rng, marker=place)
+    turned = Rotation.from_quat(found.values[:, 3:], scalar_first=True).as_rotvec()
+    vectors = replace(found, values=np.hstack([found.values[:, :3], turned]))
+    positions = {axis: f"p{axis}" for axis in "xyz"}
+    of_tool = PoseColumns(source="tool", position=positions, rotation_vector=("rx", "ry", "rz"))
+    for robot, names in ((right, []), (longer(right, "elbow_joint", "d", 0.01), ["d of 'elbow_joint'"])):
+        result = geometry_test(InverseDynamics(robot), of_tool, robot.actuated, [vectors])
+        assert [change.name for change in result.explained_by] == names
+        assert result.position_after == pytest.approx(NOISE * np.sqrt(3), rel=0.1)
+        assert "wrist_2_offset, r of 'wrist_2_joint'" not in result.unseen
+        assert "zero of 'wrist_3_joint'" in result.unseen  # the tool may be turned instead
+    assert result_of(right, "controller", found).outcome == "unexplained"
+
+
 def test_an_encoder_zero_is_found_as_such(rng: np.random.Generator) -> None:
     """A joint whose zero is off by 0.01 rad is not taken for a length."""
     robot = load_robot("ur10e")

@@ -30,7 +30,7 @@ TRIED = 4  # constants that are fitted beyond the first order,
 LIKELY = 0.5  # if to first order they explain this part of what makes one the explanation
 MOST = 4  # constants that explain the residuals together
 ALIKE = 1.5  # times the squares that the best leaves: a constant that leaves less is as likely
-FREE = 1e-6  # share of a constant's effect that the frames leave: with less it has none of its own
+FREE = 1e-3  # share of a constant's effect that the frames leave: with less it has none of its own
 
 
 @single_threaded_blas
@@ -149,7 +149,7 @@ def _tested(
         change, share = float(found.state.change[k]), 1 - alone.left / given.left
         explained.append(_change(constants[k], change, float(std), share, [constants[each.constant] for each in alike]))
     seen = {each.constant for each in tried}
-    off = position[0] is not None and position[0] > GEOMETRY_RMS * characteristic_length(robot)
+    off = position[1] is not None and position[1] > GEOMETRY_RMS * characteristic_length(robot)
     residuals, traces = [], []
     for k, run in enumerate(runs):
         mine = poses.run == k
@@ -160,7 +160,7 @@ def _tested(
     return GeometryTest(
         body=body,
         source=columns.source,
-        outcome="other constants" if explained else "unexplained" if off else "confirmed",
+        outcome="unexplained" if off else "other constants" if explained else "confirmed",
         position_rms=position[0],
         position_after=position[1],
         angle_rms=angle[0],

@@ -78,7 +78,7 @@ class GeometryTest:
     body, source : str
         Whose pose, and from where; see :class:`gtau.signals.pose_columns.PoseColumns`.
     outcome : {"confirmed", "other constants", "unexplained"}
-        The last where the residuals are too large for the robot and no constant explains them.
+        The last where residuals too large for the robot are left, whatever constants change.
     position_rms, angle_rms : float or None
         Distance in m and angle in rad between logged and computed poses, rms; None where none is logged.
     position_after, angle_after : float or None
@@ -122,15 +122,16 @@ class GeometryTest:
         logged = f"the logged pose of '{self.body}'"
         if self.outcome == "confirmed":
             return Note(Kind.ROBOT, f"{logged} confirms the robot's geometry to {before} rms")
+        changes = " and ".join(map(str, self.explained_by))
         if self.outcome == "unexplained":
+            found = f"; {changes} would explain {percent(self.share)} of its variance" if changes else ""
             return Note(
                 Kind.GEOMETRY,
-                f"{logged} is {before} rms from the one computed from the positions, which no length and no encoder "
-                "zero explains",
+                f"{logged} is {before} rms from the one computed from the positions, which lengths and encoder zeros "
+                f"do not explain{found}",
                 "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the "
                 "robot's base (source: tracker), and the angles of the robot's geometry",
             )
-        changes = " and ".join(map(str, self.explained_by))
         explained = "explains" if len(self.explained_by) == 1 else "explain"
         return Note(
             Kind.GEOMETRY,
