@@ -12,8 +12,10 @@ import pytest
 from engines import closed_torques
 from five_bar_logs import CHI, GAINS, TOOL, five_bar
 from sensed_logs import SensedPlant
+from typer.testing import CliRunner
 
 from gtau import Result, read_run
+from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.scale import scale_shares
 from gtau.estimation.diagnostics.sensor_checks import sensor_scales
@@ -200,6 +202,16 @@ def test_a_sensor_out_of_scale_contradicts_the_others() -> None:
     assert [gain.value for gain in result.drive_gains.values()] == pytest.approx(ARM_GAINS, rel=5e-3)
 
 
+def test_a_sensor_beside_known_parameters_is_held_against_them_with_their_deviations() -> None:
+    plant = arm().with_sensors("2")
+    priors = {"mx_3": Prior(value=1.05 * plant.chi["mx_3"], std=0.05 * plant.chi["mx_3"])}
+    (each,) = sensor_scales(fit_of(ARM, [plant.run(1), plant.run(2)], priors))
+    assert each.std == pytest.approx(0.05, rel=0.2)
+    assert each.value == pytest.approx(1.05, abs=0.02)
+    (gain, *_) = identify(ARM, [plant.run(1), plant.run(2)], method="ridge").drive_gains.values()
+    assert gain.verdict.outcome == Outcome.GOOD  # natural sizes say next to nothing of the scale
+
+
 def test_a_wrong_mass_beside_a_sensor_is_named() -> None:
     plant = arm().with_sensors("1", "2", "3")
     result = identify(ARM, [plant.run(1), plant.run(2, STEEL, Payload(name="steel", mass=1.2 * STEEL["m"]))])
@@ -250,6 +262,27 @@ def test_a_sensor_column_is_read_like_a_current(tmp_path: Path) -> None:
     text[500] = ",".join([*cells[:-1], ""])
     log.write_text("\n".join(text))
     assert any("missing" in note for note in read_run(log, signals).notes)
+
+
+def test_every_command_takes_a_sensor_column(tmp_path: Path) -> None:
+    plant = linkage().with_sensors("left")
+    for k, name in enumerate(("a", "check")):
+        run = plant.run(k + 1)
+        table = np.column_stack([run.time, run.position, run.command])
+        header = "t,q1,q2,i1,i2,s1"
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header=header, comments="", fmt="%.8g")
+    (tmp_path / "experiment.yaml").write_text(
+        "robot: five-bar\n"
+        "signals: {time: t, position: {left: q1, right: q2}, current: {left: i1, right: i2}, joint_torque: {left: s1}}\n"
+        "runs: [{log: a.csv}]\nvalidation: [{log: check.csv}]\n"
+    )
+    file, out = str(tmp_path / "experiment.yaml"), str(tmp_path / "out")
+    model = f"{out}/model.json"
+    for command in (("check", file), ("identify", file, "--out", out), ("validate", model, file)):
+        result = CliRunner().invoke(app, command)
+        assert result.exit_code == 0, result.output
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "The scale of all gains rests on the torque sensor of" in page
 
 
 def test_other_estimators_with_a_sensor() -> None:

@@ -252,7 +252,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         highest.append(of.q.max(axis=0))
         fastest.append(np.abs(of.qd).max(axis=0))
         strongest.append(np.abs(of.command).max(axis=0))
-    values, used, found = distances.array(), masks.array(), spectra(run)
+    values, used, found = distances.array(), masks.array()[:, :n], spectra(run)  # of the joints, not their sensors
     columns = zip(
         run.joints,
         np.min(lowest, axis=0).tolist(),
@@ -260,8 +260,8 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         np.sqrt(np.diag(prepared.speeds)).tolist(),
         np.max(fastest, axis=0).tolist(),
         [each.bandwidth for each in found],
-        np.sqrt(power / rows).tolist(),
-        np.max(strongest, axis=0).tolist(),
+        np.sqrt(power / rows)[:n].tolist(),
+        np.max(strongest, axis=0)[:n].tolist(),
         used.mean(axis=0).tolist(),
         strict=True,
     )

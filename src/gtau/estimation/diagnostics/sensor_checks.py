@@ -83,7 +83,8 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
         for unit in units:
             A = unit[:, columns] @ back
             sides.append((A.T @ A, A.T @ (unit[:, -1] + unit[:, columns] @ step)))
-        std = float(np.sqrt(jackknife(one_step(sides) @ back[-1:].T)[0, 0]))
+        of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
+        std = float(np.sqrt(jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part))
         found.append(SensorScale(joint, 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(found)
 
