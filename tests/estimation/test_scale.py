@@ -273,7 +273,8 @@ def test_every_command_takes_a_sensor_column(tmp_path: Path) -> None:
         np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header=header, comments="", fmt="%.8g")
     (tmp_path / "experiment.yaml").write_text(
         "robot: five-bar\n"
-        "signals: {time: t, position: {left: q1, right: q2}, current: {left: i1, right: i2}, joint_torque: {left: s1}}\n"
+        "signals: {time: t, position: {left: q1, right: q2}, current: {left: i1, right: i2}, "
+        "joint_torque: {left: s1}}\n"
         "runs: [{log: a.csv}]\nvalidation: [{log: check.csv}]\n"
     )
     file, out = str(tmp_path / "experiment.yaml"), str(tmp_path / "out")
