@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
@@ -170,7 +171,10 @@ def validate(
                 progress("predicting torques", k, len(runs))
                 validations.append(validate_run(result, run))
         written: list[Path] = []
-        notes = [f"- {note}" for note in without_temperature(result, described.signals)]
+        notes = [
+            textwrap.fill(f"- {note}", 80, subsequent_indent="  ")
+            for note in without_temperature(result, described.signals)
+        ]
         if out is not None:
             from gtau.report.style import skipped_figures
             from gtau.report.write_reports import write_validation
