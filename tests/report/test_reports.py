@@ -42,7 +42,7 @@ SECTIONS = {
     "validate": "verdict torques gains robot logs provenance",
     "payload": "verdict masses payloads gains robot provenance",
     "compare": "verdict estimators gains provenance",
-    "check": "verdict joints motion robot logs notes provenance",
+    "check": "verdict notes joints motion robot logs provenance",
     "fleet": "verdict joints chart gains provenance",
     "excite": "verdict gains motion limits parameters robot assumed provenance",
 }

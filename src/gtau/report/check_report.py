@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
-from gtau.estimation.grades import Grade, by_grade
+from gtau.estimation.grades import Grade
 from gtau.report import provenance
 from gtau.report.evidence import payload_words
 from gtau.report.geometry_section import geometry_section
@@ -33,6 +33,7 @@ def check_report(checked: ExperimentCheck, of: Provenance) -> str:
     robot = f'<figure class="panel robot">{robot_drawing(checked.robot)}</figure>'
     sections = (
         _verdict(checked),
+        notes_section(checked.notes),
         Section("joints", "Joints", "\n".join(_joints(log, checked.robot) for log in checked.logs)),
         Section("motion", "Motion", _motion(checked, arrays)),
         Section("robot", "Robot and singular poses", robot + distances_part(nearest, distances, starts, arrays)),
@@ -40,7 +41,6 @@ def check_report(checked: ExperimentCheck, of: Provenance) -> str:
         if preparation
         else None,
         geometry_section(checked.geometry, arrays),
-        notes_section(checked.notes),
         provenance.section(of),
     )
     lead = [f"{len(checked.logs)} logs; nothing has been identified from them yet."]
@@ -51,9 +51,7 @@ def _verdict(checked: ExperimentCheck) -> Section:
     used = [log for log in checked.logs if not log.validation]
     seconds = sum(float(log.run.time[-1] - log.run.time[0]) for log in used)
     colour = {Grade.STOPS: "bad", Grade.MEND: "weak", Grade.INFORMATION: "good"}[checked.worst]
-    notes = by_grade(checked.notes)
     said = [f"{counted(len(used), 'run')} of {seconds:.4g} s in all for the identification"]
-    said += [*notes.get(Grade.STOPS, ()), *notes.get(Grade.MEND, ())]
     return Section("verdict", "Verdict", verdict(colour, gate_words(checked.notes), said))
 
 

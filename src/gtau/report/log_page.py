@@ -16,7 +16,7 @@ from gtau.estimation.diagnostics.geometry_findings import geometry_lines
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.grades import Grade, by_grade, from_document, to_document
 from gtau.estimation.results.singularity_distances import write_distances
-from gtau.estimation.results.summary import findings_lines
+from gtau.estimation.results.summary import findings_lines, same_in_several
 from gtau.estimation.thresholds import NEAR_SINGULAR
 from gtau.report.style import BLACK, LINES, has_matplotlib, joint_label, light_grid, new_figure, save_figure, styled
 from gtau.robots.robot import Robot
@@ -109,7 +109,7 @@ def log_page(document: dict[str, Any]) -> str:
 
 def gate_words(notes: Sequence[Note]) -> str:
     """What to expect of an identification from these logs, in one sentence."""
-    found = by_grade(notes)
+    found = by_grade(same_in_several(notes))
     if stops := found.get(Grade.STOPS):
         return f"gtau identify will refuse these logs: {counted(len(stops), 'finding')} to resolve first."
     if mend := found.get(Grade.MEND):

@@ -16,6 +16,7 @@ from gtau.estimation.results.headline import headline
 from gtau.estimation.results.remarks import remarks
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.scale_text import scale_lines
+from gtau.estimation.results.summary import same_in_several
 from gtau.report.evidence import (
     GOOD_OUTCOMES,
     Evidence,
@@ -397,7 +398,7 @@ def findings_table(notes: Sequence[Note]) -> str:
     """Notes as a table, the worst first; empty without notes."""
     rows = [
         [badge(grade.value), text(_where(note)), text(sentence(note.what)), text(note.action and sentence(note.action))]
-        for grade, members in by_grade(notes).items()
+        for grade, members in by_grade(same_in_several(notes)).items()
         for note in members
     ]
     columns = [Column("grade"), Column("where"), Column("what was found"), Column("what to do")]

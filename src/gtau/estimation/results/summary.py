@@ -267,11 +267,17 @@ def findings_lines(notes: Sequence[Note], most: int | None = None) -> list[str]:
 
 def same_in_several(notes: Sequence[Note]) -> list[Note]:
     """Notes of which those that say the same of several logs are one."""
-    sources: dict[tuple[str, str], list[str]] = {}
+    groups: dict[tuple[str, str], list[Note]] = {}
     for note in notes:
-        sources.setdefault((note.what, note.action), []).append(note.source)
-    first = {(note.what, note.action): note for note in reversed(notes)}
+        groups.setdefault((note.what, note.action), []).append(note)
     return [
-        Note(note.kind, *key, source=", ".join(dict.fromkeys(filter(None, sources[key]))), share=note.share)
-        for key, note in ((key, first[key]) for key in sources)
+        _on_all(group[0], ", ".join(dict.fromkeys(each.source for each in group if each.source)))
+        if len(group) > 1
+        else group[0]
+        for group in groups.values()
     ]
+
+
+def _on_all(note: Note, source: str) -> Note:
+    """The same note on other logs; it keeps no instant, as each has its own."""
+    return Note(note.kind, note.what, note.action, source=source, joint=note.joint, share=note.share)
