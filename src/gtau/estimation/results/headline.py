@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil, floor, log10
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
@@ -28,7 +29,8 @@ def headline(result: IdentifiedModel) -> str:
             if gain.verdict.outcome == outcome:
                 reasons.setdefault((gain.verdict.why, gain.verdict.advice), []).append(gain)
         sentences += [_sentence(outcome, members, why, advice) for (why, advice), members in reasons.items()]
-    sentences += _weak([gain for gain in gains if gain.verdict.outcome == Outcome.WEAK])
+    accuracy = 100 * result.statistics.get("accuracy", 0.0)
+    sentences += _weak([gain for gain in gains if gain.verdict.outcome == Outcome.WEAK], accuracy)
     remarks = [
         f"Joint '{gain.name}': {gain.verdict.why}; {gain.verdict.advice}."
         for gain in gains
@@ -51,16 +53,25 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
     return known[0].upper() + known[1:]
 
 
-def _weak(gains: Sequence[Estimate]) -> list[str]:
-    """How well the weak gains are known, and what makes the worst of them uncertain."""
+def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
+    """How well the weak gains are known, and what makes the worst of them uncertain; ``accuracy`` in per cent."""
     if not gains:
         return []
     widths = [(gain.half_width or 0.0, gain) for gain in gains]
-    known = [f"'{gain.name}' to +-{width:.2g} %" for width, gain in widths]
+    known = [f"'{gain.name}' to +-{_wider(width, accuracy)} %" for width, gain in widths]
     known[0] = known[0].replace(" to ", " is known to ", 1)
     listed = known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]
     worst = max(widths, key=lambda pair: pair[0])[1]
     return [f"{listed}. Joint '{worst.name}': {worst.verdict.why}; {worst.verdict.advice}."]
+
+
+def _wider(width: float, accuracy: float) -> str:
+    """A width in two digits; one that would round to the accuracy, which it exceeds, is rounded up."""
+    shown = f"{width:.2g}"
+    if width > accuracy >= float(shown) > 0:
+        step = 10.0 ** (floor(log10(width)) - 1)
+        shown = f"{ceil(width / step) * step:.2g}"
+    return shown
 
 
 def _sentence(outcome: Outcome, gains: Sequence[Estimate], why: str, advice: str) -> str:

@@ -37,7 +37,7 @@ def summary(result: IdentifiedModel) -> str:
     low_pass = "none" if preparation.cutoff is None else f"{preparation.cutoff:.3g} Hz"
     lines = [
         "=" * WIDTH,
-        *textwrap.wrap(headline(result), WIDTH),
+        *_paragraph(headline(result)),
         "=" * WIDTH,
         f"Robot     {result.robot.name}",
         f"Method    {ESTIMATORS[result.method].description}{OF_TORQUES if result.kind == 'torque' else ''}",
@@ -97,7 +97,7 @@ def summary(result: IdentifiedModel) -> str:
 
 def short_summary(result: IdentifiedModel) -> str:
     """What can be believed, drive gains, payloads and fit, and the notes that matter most: one screen of text."""
-    lines = ["=" * WIDTH, *textwrap.wrap(headline(result), WIDTH), "=" * WIDTH, *gain_lines(result)]
+    lines = ["=" * WIDTH, *_paragraph(headline(result)), "=" * WIDTH, *gain_lines(result)]
     for payload in result.payloads:
         lines += [*payload_lines(payload, only=("m",))] if "m" in set(payload.parameters) - payload.known else []
     if result.residuals:
@@ -128,6 +128,11 @@ def reference_lines(result: IdentifiedModel) -> list[str]:
     at = f"{next(iter(warm.of_joint.values())):.4g}" if same else listed
     words = f"fvt, fst: viscous and Coulomb friction per {warm.per} above the mean, {at} {warm.unit}"
     return textwrap.wrap(words, WIDTH, initial_indent="  ", subsequent_indent="  ")
+
+
+def _paragraph(text: str) -> list[str]:
+    """Lines of a text in which no number stands apart from its per cent."""
+    return [line.replace("\xa0", " ") for line in textwrap.wrap(text.replace(" %", "\xa0%"), WIDTH)]
 
 
 def gain_lines(result: IdentifiedModel) -> list[str]:
