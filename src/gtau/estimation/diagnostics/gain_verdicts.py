@@ -21,6 +21,11 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds import APART_REFUTED, LOST_GAIN, MISFIT, NAMED_SHARE
 
 NORMAL = 1.96  # standard deviations in half a 95 % interval
+BARE = (
+    "use longer runs, motions in which this joint lifts or accelerates more, or a payload that was weighed beside what "
+    "is known; check the direction of gravity"
+)
+"""What helps where no run carries a payload."""
 
 
 def gain_verdicts(
@@ -95,7 +100,9 @@ def _verdict(
             if std > LOST_GAIN
             else "the 95 % interval includes zero",
             "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
-            "gravity, which runs carry the payload, and on which body",
+            "gravity, which runs carry the payload, and on which body"
+            if fit.system.payloads
+            else BARE,
         )
     apart = [
         each
@@ -111,7 +118,11 @@ def _verdict(
             apart[0].advice,
         )
     if half > accuracy:
-        return _weak(findings, uncertainty, problem.n_theta + j, half, NORMAL * std > accuracy)
+        found = _weak(findings, uncertainty, problem.n_theta + j, half, NORMAL * std > accuracy)
+        if fit.system.payloads:
+            return found
+        advice = found.advice.replace("use a heavier payload and longer runs, too", "use longer runs, too")
+        return Verdict(found.outcome, found.why, BARE if advice.startswith("use a heavier payload") else advice)
     if solution.gains[j] < 0:
         return Verdict(
             Outcome.GOOD,
