@@ -155,3 +155,24 @@ def test_intervals_hold_a_random_and_a_model_part(runs: list[Run]) -> None:
         assert gain.std == pytest.approx(np.hypot(gain.random_std or 0.0, gain.model_std or 0.0))
     assert {each.hypothesis for each in result.alternatives} >= {"friction shape", "saturation", "encoder zeros"}
     assert all(set(each.moves) == set(JOINTS) for each in result.alternatives)
+
+
+def test_a_description_is_refuted_only_where_it_explains_more_than_missing_physics() -> None:
+    def alternative(hypothesis: str, share: float, description: bool, subject: str = "") -> Alternative:
+        nothing = np.zeros(4)
+        return Alternative(
+            hypothesis, subject or hypothesis, 10.0, 1.0, "", 1.0, subject or hypothesis, 50.0, 1.0, share, nothing,
+            nothing[:2], "", description, 1.0,
+        )  # fmt: skip
+
+    def refuted(*alternatives: Alternative) -> list[str]:
+        ripple = PositionRipple(np.zeros(2), np.zeros(4))
+        return [each.hypothesis for each in Findings(1.0, alternatives, ripple, ()).refuted]
+
+    gravity = alternative("gravity", 0.3, True)
+    lag = [alternative("current lag", 0.2, False, joint) for joint in ("left", "right")]
+    assert refuted(gravity) == ["gravity"]
+    assert refuted(gravity, lag[0]) == ["gravity"]
+    assert refuted(gravity, *lag) == []  # 0.4 in both joints
+    assert refuted(replace(gravity, share=0.9), *lag) == ["gravity"]
+    assert refuted(replace(gravity, share=0.03)) == []

@@ -60,21 +60,16 @@ class Findings:
     def refuted(self) -> tuple[Alternative, ...]:
         """Alternatives that contradict the description and that the data ask for, the best supported first.
 
-        Those that explain less of the residuals than physics that the model lacks, in all joints, are left out: an
-        elastic transmission looks a little like another gravity.
+        Each is tried alone, so what a lag of the currents leaves, say, goes in part with gravity, with lengths and with
+        currents that change: none of these refutes the description unless it explains more than the lag of all joints.
         """
+        held = [each for each in self.alternatives if each.probability > 0.5 and abs(each.t) > REFUTED_STD]
         of_physics: dict[str, float] = {}
-        for each in self.alternatives:
-            if not each.description and each.probability > 0.5:
+        for each in held:
+            if not each.description:
                 of_physics[each.hypothesis] = of_physics.get(each.hypothesis, 0.0) + each.share
-        found = [
-            each
-            for each in self.alternatives
-            if each.description
-            and each.probability > 0.5  # nothing else explains the residuals of this joint better
-            and abs(each.t) > REFUTED_STD
-            and each.share > max(REFUTED_SHARE, *of_physics.values(), 0.0)
-        ]
+        least = max([REFUTED_SHARE, *of_physics.values()])
+        found = [each for each in held if each.description and each.share > least]
         return tuple(sorted(found, key=lambda each: -each.share))
 
 
