@@ -62,7 +62,7 @@ class EstimatorComparison:
         return f"EstimatorComparison(joints {', '.join(self.joints)}; {', '.join(row.method for row in self.rows)})"
 
     def to_frame(self) -> pl.DataFrame:
-        """The comparison as a Polars table, one row an estimator and joint; ``.to_pandas()`` makes it one of pandas."""
+        """Return the comparison as a Polars table, one row an estimator and joint; ``.to_pandas()`` converts it."""
         import polars as pl
 
         rows = [
@@ -137,7 +137,7 @@ WIDTH = 80
 
 
 def table(found: EstimatorComparison) -> str:
-    """The comparison as text: residuals and verdicts, then the gains of as many joints at a time as fit a terminal."""
+    """Print the comparison: residuals and verdicts, then the gains of as many joints at a time as fit a terminal."""
     lines = [f"{'method':<8}{'residual':>11}{'time':>10}   worst verdict"]
     for row in found.rows:
         if row.gains is None or row.residuals is None:
@@ -158,7 +158,7 @@ def table(found: EstimatorComparison) -> str:
 
 
 def _gains(row: Row) -> list[str]:
-    """Gains of an estimator as text; none where it refused."""
+    """Print the gains of an estimator; none where it refused."""
     if row.gains is None:
         return []
     if row.std is None:
@@ -167,7 +167,7 @@ def _gains(row: Row) -> list[str]:
 
 
 def to_document(found: EstimatorComparison) -> dict[str, Any]:
-    """The comparison as a JSON document."""
+    """Describe the comparison as a JSON document."""
 
     def numbers(values: Sequence[float] | np.ndarray | None) -> list[float] | None:
         return None if values is None else [float(value) for value in values]

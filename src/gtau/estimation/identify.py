@@ -199,7 +199,7 @@ def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Pr
 def gains_for(
     estimator: Estimator, robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None
 ) -> np.ndarray | None:
-    """Gains (n,) that an estimator takes: 1 for torques, otherwise the prior ones; None where it estimates them.
+    """Return the gains (n,) that an estimator takes: 1 for torques, else the prior ones; None if it estimates them.
 
     Raises
     ------
@@ -224,7 +224,7 @@ def gains_for(
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:
-    """Gains for least squares: 1 for torques, otherwise the prior ones, (n,).
+    """Return gains for least squares: 1 for torques, otherwise the prior ones, (n,).
 
     Raises
     ------

@@ -96,7 +96,7 @@ def weigh(
 
 
 def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -> np.ndarray:
-    """Derivative of the WLS estimates (k,) by the gain of joint j."""
+    """Differentiate the WLS estimates (k,) with respect to the gain of joint j."""
     step = 1e-4 * gains[j]
     moved = gains.copy()
     moved[j] += step

@@ -34,7 +34,7 @@ def comparison_report(
 
 
 def headline(found: EstimatorComparison) -> str:
-    """How far the estimators agree, in one sentence."""
+    """Summarise in one sentence how far the estimators agree."""
     rows = [row for row in found.rows if row.gains is not None and row.std is not None]
     believed = [row for row in rows if row.outcome is not None and row.outcome.value in BELIEVED]
     if len(believed) < 2:
@@ -49,7 +49,7 @@ def headline(found: EstimatorComparison) -> str:
 
 
 def remarks(found: EstimatorComparison) -> list[str]:
-    """Estimators that refuse the data, or whose gains are not to be believed."""
+    """List estimators that refuse the data, or whose gains are not to be believed."""
     words = [f"{row.method}: {row.refusal}" for row in found.rows if row.refusal]
     words += [
         f"{row.method}: the gains are {row.outcome.value}"
@@ -60,7 +60,7 @@ def remarks(found: EstimatorComparison) -> list[str]:
 
 
 def comparison_table(found: EstimatorComparison, units: Mapping[str, str]) -> str:
-    """A row for each estimator: gains with their relative standard deviations, residual, time and worst verdict."""
+    """Tabulate each estimator: gains with their relative standard deviations, residual, time and worst verdict."""
     columns = [
         Column("estimator"),
         *(Column(f"{joint_label(joint)}, {units.get(joint, 'N m/A or N/A')}", True) for joint in found.joints),
@@ -88,7 +88,7 @@ def _row(row: Row, n: int) -> list[Cell]:
 
 
 def comparison_charts(found: EstimatorComparison, units: Mapping[str, str], prior_gains: Mapping[str, float]) -> str:
-    """The gain of each joint by every estimator, with 95 % intervals, and the prior gain."""
+    """Draw the gain of each joint by every estimator, with 95 % intervals, and the prior gain."""
     parts = []
     rows = [row for row in found.rows if row.gains is not None and row.std is not None]
     for j, joint in enumerate(found.joints):

@@ -40,7 +40,7 @@ LOOKS: dict[str, dict[str, Any]] = dict(
 
 
 def references_figure(references: Mapping[str, Reference], joints: Sequence[str], units: Sequence[str]) -> Figure:
-    """Positions of the actuated joints along the test trajectories (paper, Fig. 6)."""
+    """Draw positions of the actuated joints along the test trajectories (paper, Fig. 6)."""
     with styled():
         figure = new_figure(7.2, 2.6)
         for axes, (name, reference) in zip(
@@ -58,7 +58,7 @@ def references_figure(references: Mapping[str, Reference], joints: Sequence[str]
 
 
 def tracking_figure(comparison: ControlComparison, trajectory: str) -> Figure:
-    """Tracking errors along a trajectory (paper, Figs. 7 and 8), a row a joint; computed torques on their own scale."""
+    """Draw tracking errors along a trajectory (paper, Figs. 7 and 8), a row a joint; computed torques apart."""
     tracking = [each for each in comparison.tracking if each.trajectory == trajectory]
     joints = comparison.joints
     with styled():

@@ -80,7 +80,7 @@ class Evidence:
         return names, np.clip(part, -1.0, 1.0)
 
     def residuals(self, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Of each run used, times (K,) in s and residuals (K,) of a joint, NaN where they are masked."""
+        """Yield of each run used times (K,), s, and residuals (K,) of a joint, NaN where they are masked."""
         found = []
         for each in self.runs:
             if each.used and each.prediction is not None:
@@ -91,7 +91,7 @@ class Evidence:
 
 
 def payload_words(run: Run) -> str:
-    """What a run carries, in words."""
+    """Describe in words what a run carries."""
     if run.payload is None:
         return "no payload"
     mass = "of unknown mass" if run.payload.mass is None else f"of {run.payload.mass:g} kg"
@@ -119,7 +119,7 @@ def gather(
 
 
 def settings_of(result: Result) -> dict[str, str]:
-    """Settings of an identification by name."""
+    """List the settings of an identification by name."""
     preparation = result.preparation
     cutoff = preparation.cutoff
     return {
@@ -150,7 +150,7 @@ def _beginning(run: Run) -> Run:
 
 
 def interval_parts(gain: Estimate) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """The 95 % interval of an estimate, and its random part alone where a model part is known too."""
+    """Compute the 95 % interval of an estimate, and its random part alone where a model part is known too."""
     whole = gain.interval()
     if whole is None or not gain.model_std or gain.value is None or not gain.std:
         return whole, None
@@ -159,7 +159,7 @@ def interval_parts(gain: Estimate) -> tuple[tuple[float, float] | None, tuple[fl
 
 
 def body_path(result: Result, run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Times (P,) in s from the start of a run, and positions (P, 3) in m of the body that carries the payload."""
+    """Compute times (P,), s, from the start of a run, and positions (P, 3), m, of the body that carries the payload."""
     import casadi as ca
 
     from gtau.model.kinematics import frames

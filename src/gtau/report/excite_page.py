@@ -48,7 +48,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
 
 
 def trajectory_figure(task: DesignProblem, motion: int, time: np.ndarray, joints: np.ndarray) -> Figure:
-    """Positions, velocities and accelerations (4, n, N) at ``time`` (N,) of a motion, titled with its runs."""
+    """Draw positions, velocities and accelerations (4, n, N) at ``time`` (N,) of a motion, titled with its runs."""
     units = {"rad" if task.model.robot.joint(joint).kind == "revolute" else "m" for joint in task.model.actuated}
     unit = " or ".join(sorted(units))
     with styled():
@@ -70,7 +70,7 @@ def trajectory_figure(task: DesignProblem, motion: int, time: np.ndarray, joints
 
 
 def describe_design(design: Design, assumed: Mapping[str, str], masses: Sequence[float]) -> dict[str, Any]:
-    """What a design promises, as a JSON document.
+    """Describe what a design promises as a JSON document.
 
     ``assumed`` is what the design file left out, as :func:`gtau.read_design` returns it, and ``masses`` are those of
     other payloads to be tried with it.
@@ -137,7 +137,7 @@ def _advice(weak: Weak) -> dict[str, Any]:
 
 
 def _with_mass(design: Design, mass: float) -> dict[str, Any]:
-    """Gains to expect where all known payloads weigh ``mass``, and the limits that the motion then exceeds."""
+    """Predict the gains where all known payloads weigh ``mass``, and list the limits that the motion then exceeds."""
     task = design.task.with_payload_mass(mass)
     expected = forecast(task, design.x)
     exceeded = [load.what for load in check(task, design.x) if load.excess > 1]
@@ -154,7 +154,7 @@ def _rms(expected: Forecast) -> float:
 
 
 def design_page(document: dict[str, Any]) -> str:
-    """The description as text."""
+    """Print the description."""
     runs = ["no payload" if run == "none" else run for run in document["runs"]]
     what = f"of {document['duration']:.4g} s, designed for '{document['criterion']}'"
     if document["motions"] == "one":
@@ -206,7 +206,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _payload_table(document: dict[str, Any]) -> list[str]:
-    """Standard deviations of the gains, per cent, with payloads of other masses."""
+    """Tabulate standard deviations of the gains, per cent, with payloads of other masses."""
     now = {"rms": document["gains_rms"], "rel_std": {each["name"]: each["rel_std"] for each in document["gains"]}}
     cases = [("as designed", now), *((f"{each['mass']:g} kg", each) for each in document["payload_masses"])]
     lines = ["", "  the same motion with other payloads, standard deviations of the gains in %:"]
@@ -224,7 +224,7 @@ def _payload_table(document: dict[str, Any]) -> list[str]:
 
 
 def _gain_row(each: dict[str, Any]) -> str:
-    """A row of a gain; of one that is only assumed, only the relative standard deviation is known."""
+    """Make the row of a gain; of one that is only assumed, just the relative standard deviation is shown."""
     if not each["assumed"]:
         return _row(each)
     return f"  {each['name']:<26}{'(assumed)':>11}{'-':>11}{_relative(each):>9}   {each['unit']}"

@@ -32,7 +32,7 @@ INTERVAL = 1.96  # standard deviations to either side, 95 %
 
 
 def gains_figure(gains: Mapping[str, Estimate], truth: Mapping[str, float], prior: Mapping[str, float]) -> Figure:
-    """Identified drive gains with their 95 % intervals, and the manufacturer's, in per cent off the true gains.
+    """Draw identified drive gains with 95 % intervals, and the manufacturer's, in per cent off the true gains.
 
     On the left both on one scale, on the right the identified ones alone on their own.
     """
@@ -78,7 +78,7 @@ def torques_figure(
     origin: float = 0.0,
     length: float | None = None,
 ) -> Figure:
-    """Measured and predicted torques of each joint between two instants, and the residuals.
+    """Draw measured and predicted torques of each joint between two instants, and the residuals.
 
     ``start`` and ``stop`` are in s from the start of the run, which the prediction's clock calls ``origin``; a stretch
     that is not the whole run, of ``length`` s, stands in the title. Where ``kind`` is current, what is measured is
@@ -128,7 +128,7 @@ def trajectory_figure(
     run: str,
     detail: float = 5.0,
 ) -> Figure:
-    """Positions of the actuated joints over a whole run; velocities and accelerations during its first seconds.
+    """Draw joint positions over a whole run; velocities and accelerations during its first seconds.
 
     ``run`` is the name of the run, ``time`` (N,) in s, ``motion`` positions, velocities and accelerations, each (N, n),
     in ``unit`` and s.
@@ -159,7 +159,7 @@ def _joint_lines(axes: Axes, time: np.ndarray, values: np.ndarray, joints: Seque
 
 
 def payload_figure(prior: Estimate, identified: Estimate, truth: float) -> Figure:
-    """Mass of a payload weighed with the manufacturer's and with the identified gains, and the true one, kg."""
+    """Draw a payload's mass by the manufacturer's and by the identified gains, and the true one, kg."""
     with styled():
         figure = new_figure(7.2, 2.0)
         axes = figure.subplots()

@@ -17,7 +17,7 @@ INTERVAL = 1.96  # standard deviations to either side of a value
 
 
 def fleet_figure(table: FleetTable, model: str) -> Figure:
-    """Gains of the robots of one model in per cent of the median, with 95 % intervals; outliers by name."""
+    """Draw gains of the robots of one model in per cent of the median, with 95 % intervals; outliers by name."""
     joints = [each for each in table.joints if each.model == model]
     robots = list(dict.fromkeys(gain.robot for gain in table.gains if gain.model == model))
     with styled():

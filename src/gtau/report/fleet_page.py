@@ -19,7 +19,7 @@ LISTED = 20  # outliers, or robots that were refused; the others stand in the ta
 
 
 def fleet_document(table: FleetTable) -> dict[str, Any]:
-    """The fleet as a JSON document: joints over the fleet, gains by robot, robots that were refused."""
+    """Describe the fleet as a JSON document: joints over the fleet, gains by robot, robots that were refused."""
     return {
         "schema": "gtau-fleet/1",
         "joints": [asdict(joint) for joint in table.joints],
@@ -29,7 +29,7 @@ def fleet_document(table: FleetTable) -> dict[str, Any]:
 
 
 def fleet_page(table: FleetTable) -> str:
-    """The fleet as text: each joint over the robots, outliers, and robots that were refused."""
+    """Print the fleet: each joint over the robots, outliers, and robots that were refused."""
     lines = [
         f"{len(table.robots)} robots identified, {len(table.refused)} refused",
         "",
@@ -56,7 +56,7 @@ def fleet_page(table: FleetTable) -> str:
 
 
 def remarks(table: FleetTable) -> list[str]:
-    """Remarks on the outliers."""
+    """List what else is to be said of the outliers."""
     said = [
         f"robot '{robot}': all its gains are {sign} alike; check the payload's mass in its experiment first"
         for robot, sign in _off_alike(table.outliers, table.gains)

@@ -33,7 +33,7 @@ TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 
 
 def describe_logs(checked: ExperimentCheck) -> dict[str, Any]:
-    """The check as a JSON document, SI units."""
+    """Describe the check as a JSON document, SI units."""
     preparation = checked.preparation
     return {
         "robot": checked.robot.name,
@@ -87,7 +87,7 @@ def _unit(robot: Robot, joint: str) -> str:
 
 
 def log_page(document: dict[str, Any]) -> str:
-    """The document as text: the logs, the findings by grade, and in the last line what to expect of them."""
+    """Print the document."""
     lines = []
     if preparation := document["preparation"]:
         low_pass = "none" if preparation["cutoff"] is None else f"{preparation['cutoff']:.3g} Hz"
@@ -151,7 +151,7 @@ def _log_lines(log: dict[str, Any]) -> list[str]:
 
 
 def log_figure(log: LogCheck, robot: Robot) -> Figure:
-    """The motion of the joints in a log, and its distances to singularities of both types."""
+    """Draw the motion of the joints in a log, and its distances to singularities of both types."""
     units = {
         unit: [j for j, each in enumerate(log.joints) if _unit(robot, each.joint) == unit] for unit in ("rad", "m")
     }
@@ -185,7 +185,7 @@ def log_figure(log: LogCheck, robot: Robot) -> Figure:
 
 
 def outline(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What a line (K,) looks like in a figure: of a long one the extremes of each of 2000 stretches."""
+    """Thin a line (K,) for a figure: of a long one the extremes of each of 2000 stretches."""
     size = -(-len(values) // 2000)
     if size <= 2:
         return time, values

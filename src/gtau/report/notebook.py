@@ -28,7 +28,7 @@ FIT = "try { frameElement.style.height = document.body.getBoundingClientRect().h
 
 
 def html(shown: object) -> str:
-    """Markup of an object for a notebook: a frame with its view."""
+    """Write the markup of an object for a notebook: a frame with its view."""
     arrays = Arrays()
     body = view(shown, arrays)
     scripts = [f"new ResizeObserver(() => {{ {FIT} }}).observe(document.body);"]
@@ -44,7 +44,7 @@ def html(shown: object) -> str:
 
 
 def plots(result: Result) -> Plots:
-    """The figures of a result."""
+    """Return the figures of a result."""
     return Plots(result)
 
 
@@ -58,7 +58,7 @@ def write(result: Result, path: Path) -> None:
 
 @singledispatch
 def view(shown: object, arrays: Arrays) -> str:
-    """Markup of an object, whose charts put what they draw into ``arrays``."""
+    """Write the markup of an object, whose charts put what they draw into ``arrays``."""
     return f"<pre>{escape(repr(shown))}</pre>"
 
 

@@ -39,7 +39,7 @@ def payload_report(
 
 
 def headline(payloads: Sequence[PayloadEstimate]) -> str:
-    """The masses in one sentence."""
+    """Summarise the masses in one sentence."""
     parts = []
     for each in payloads:
         mass = each.parameters.get("m")

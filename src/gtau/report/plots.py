@@ -36,7 +36,7 @@ class Plots:
         return f"figures of {self.result.robot.name!r}: {', '.join(names)}"
 
     def gains(self, prior: Mapping[str, float] | None = None) -> Figure:
-        """Drive gains with their 95 % intervals, in per cent of the gain, beside ``prior`` ones."""
+        """Draw drive gains with their 95 % intervals, in per cent of the gain, beside ``prior`` ones."""
         return result_figures.gains_figure(self.result.drive_gains, prior or {})
 
     def torques(
@@ -60,7 +60,7 @@ class Plots:
         return torques_figure(part, [units[k] for k in chosen], start, stop, run.name, run.kind, origin, length)
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
-        """Histogram, spectrum and autocorrelation of a joint's residuals along a run."""
+        """Draw histogram, spectrum and autocorrelation of a joint's residuals along a run."""
         run, prediction, (name,) = self._predicted(joint, run)
         j = prediction.joints.index(name)
         values = np.where(prediction.keep[:, j], prediction.measured[:, j] - prediction.predicted[:, j], np.nan)
@@ -68,11 +68,11 @@ class Plots:
         return result_figures.residuals_figure(prediction.time, values, f"{run.name}: {name}", unit)
 
     def correlation(self) -> Figure:
-        """Correlation matrix of all estimates."""
+        """Draw the correlation matrix of all estimates."""
         return result_figures.correlation_figure(self.result.covariance, self.result.covariance_names)
 
     def singular_values(self) -> Figure:
-        """Singular values of ``W_tot`` (eq. 33), with the gap before the smallest."""
+        """Draw the singular values of ``W_tot`` (eq. 33), with the gap before the smallest."""
         if not self.result.singular_values:
             raise GtauError(
                 "this result has no singular values: its gains were given, or it was loaded from a file; identify the "
@@ -81,14 +81,14 @@ class Plots:
         return result_figures.singular_values_figure(np.array(self.result.singular_values))
 
     def distances(self) -> Figure:
-        """Distances to singular poses along the runs."""
+        """Draw distances to singular poses along the runs."""
         if not self.result.distances:
             raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
         starts = {run.name: float(run.time[0]) for run in self.result.data}
         return result_figures.distances_figure(self.result.distances, starts)
 
     def robot(self) -> Figure:
-        """The robot at home."""
+        """Draw the robot at home."""
         from gtau.report.robot_figure import robot_figure
 
         return robot_figure(self.result.robot)

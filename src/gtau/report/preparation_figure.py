@@ -40,7 +40,7 @@ def preparation_figure(log: LogCheck) -> Figure:
 
 
 def _spectra(axes: Axes, log: LogCheck, what: str) -> None:
-    """Spectra of all joints that move; end of the signal, bandwidth, filter and rate of rows."""
+    """Draw spectra of all joints that move; end of the signal, bandwidth, filter and rate of rows."""
     preparation = log.preparation
     for j, (joint, each) in enumerate(zip(log.run.joints, log.spectra, strict=True)):
         density = getattr(each, what)
@@ -67,7 +67,7 @@ def _spectra(axes: Axes, log: LogCheck, what: str) -> None:
 
 
 def _steps(axes: Axes, stamps: np.ndarray, period: float) -> None:
-    """Steps of the time column over time, in samples of the grid."""
+    """Draw steps of the time column over time, in samples of the grid."""
     time, steps = stamps[1:] - stamps[0], np.diff(stamps) / period
     if len(steps) > 20000:  # of a long log the extremes of each stretch
         size = len(steps) // 5000
@@ -84,7 +84,7 @@ def _steps(axes: Axes, stamps: np.ndarray, period: float) -> None:
 
 
 def _used(axes: Axes, log: LogCheck) -> None:
-    """Which decimated rows of each joint are used: bars; the gaps are reversals, rests and masked samples."""
+    """Draw which decimated rows of each joint are used: bars; the gaps are reversals, rests and masked samples."""
     time = log.distances.time
     for j, look in enumerate(LINES[k % len(LINES)] for k in range(len(log.run.joints))):
         edges = np.flatnonzero(np.diff(np.r_[False, log.used[:, j], False]))
@@ -106,5 +106,5 @@ def write_preparation_figures(checked: ExperimentCheck, folder: Path) -> list[Pa
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
-    """Names of files, with a number where one comes again."""
+    """Name files, with a number where a name recurs."""
     return [name if names.index(name) == k else f"{name}-{names[: k + 1].count(name)}" for k, name in enumerate(names)]

@@ -34,12 +34,12 @@ class Provenance:
 
 
 def command_line() -> str:
-    """The command that runs now, as it can be typed again."""
+    """Reconstruct the command that runs now, as it can be typed again."""
     return shlex.join(["gtau", *sys.argv[1:]])
 
 
 def section(of: Provenance) -> Section:
-    """The provenance as a section of a page."""
+    """Show the provenance as a section of a page."""
     rows = []
     for what, path in of.inputs:
         size, digest = fingerprint(path)
@@ -66,7 +66,7 @@ def section(of: Provenance) -> Section:
 
 
 def versions() -> dict[str, str]:
-    """Versions of gtau, Python and the packages that compute."""
+    """List versions of gtau, Python and the packages that compute."""
     from gtau import __version__
 
     found = {"gtau": __version__, "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}"}
@@ -79,7 +79,7 @@ def versions() -> dict[str, str]:
 
 
 def fingerprint(path: Path) -> tuple[str, str]:
-    """Size of a file in words, and its SHA-256; a folder is described by its files, and a missing file as such."""
+    """Return size in words and SHA-256 of a file; of a folder those of its files, of a missing file that it is."""
     if path.is_dir():
         parts = sorted(each for each in path.iterdir() if each.is_file())
         return f"{len(parts)} files", _digest(parts)

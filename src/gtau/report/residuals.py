@@ -25,7 +25,7 @@ class Histogram:
     std: float
 
     def normal(self, x: np.ndarray) -> np.ndarray:
-        """The normal density at ``x``."""
+        """Evaluate the normal density at ``x``."""
         z = (x - self.mean) / self.std
         return np.asarray(np.exp(-(z**2) / 2) / (self.std * np.sqrt(2 * np.pi)))
 
@@ -48,7 +48,7 @@ class Autocorrelation:
 
 
 def histogram(series: Series) -> Histogram | None:
-    """Histogram of the residuals that are kept; None where there are too few."""
+    """Compute the histogram of the residuals that are kept; None where there are too few."""
     values = np.concatenate([values[np.isfinite(values)] for _, values in series]) if series else np.zeros(0)
     if len(values) < FEWEST or not np.ptp(values):
         return None
@@ -59,7 +59,7 @@ def histogram(series: Series) -> Histogram | None:
 
 
 def spectrum(series: Series) -> Spectrum | None:
-    """Welch's spectrum over all runs, masked residuals taken as zero and the power scaled by the share that is kept."""
+    """Compute Welch's spectrum over all runs, masked residuals as zero, scaled by the share that is kept."""
     from scipy.signal import welch
 
     whole = [(time, values) for time, values in series if np.isfinite(values).sum() >= FEWEST]
@@ -78,7 +78,7 @@ def spectrum(series: Series) -> Spectrum | None:
 
 
 def autocorrelation(series: Series) -> Autocorrelation | None:
-    """Autocorrelation over all runs, from the pairs of residuals that are both kept."""
+    """Compute the autocorrelation over all runs, from the pairs of residuals that are both kept."""
     whole = [(time, values) for time, values in series if np.isfinite(values).sum() >= FEWEST]
     if not whole:
         return None

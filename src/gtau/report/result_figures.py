@@ -32,7 +32,7 @@ KINDS = ("type 1 (serial)", "type 2 (parallel)")
 
 
 def gains_figure(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> Figure:
-    """Drive gains with their 95 % intervals, and prior ones, in per cent from the identified gain."""
+    """Draw drive gains with their 95 % intervals, and prior ones, in per cent from the identified gain."""
     with in_style():
         figure = new_figure(6.4, 1.1 + 0.42 * len(gains))
         axes = figure.subplots()
@@ -57,7 +57,7 @@ def gains_figure(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> F
 
 
 def residuals_figure(time: np.ndarray, values: np.ndarray, title: str, unit: str) -> Figure:
-    """Residuals (K,), NaN where masked, along ``time`` (K,), with histogram, spectrum and autocorrelation."""
+    """Draw residuals (K,), NaN where masked, along ``time`` (K,), with histogram, spectrum and autocorrelation."""
     series = [(time, values)]
     found = histogram(series), spectrum(series), autocorrelation(series)
     with in_style():
@@ -94,7 +94,7 @@ def _plain_log(axes: Axes) -> None:
 
 
 def correlation_figure(covariance: np.ndarray, names: Sequence[str]) -> Figure:
-    """Correlation matrix of the estimates that have a variance."""
+    """Draw the correlation matrix of the estimates that have a variance."""
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     known = np.flatnonzero(std > 0).tolist()
     matrix = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
@@ -113,7 +113,7 @@ def correlation_figure(covariance: np.ndarray, names: Sequence[str]) -> Figure:
 
 
 def singular_values_figure(values: np.ndarray) -> Figure:
-    """Singular values (K,) in falling order, the smallest apart."""
+    """Draw singular values (K,) in falling order, the smallest apart."""
     order = np.arange(1, len(values) + 1)
     with in_style():
         figure = new_figure(5.4, 3.0)
@@ -128,7 +128,7 @@ def singular_values_figure(values: np.ndarray) -> Figure:
 
 
 def distances_figure(distances: Sequence[Distances], starts: Mapping[str, float]) -> Figure:
-    """Distances to singular poses along runs, which begin at ``starts`` (s) by name."""
+    """Draw distances to singular poses along runs, which begin at ``starts`` (s) by name."""
     with in_style():
         figure = new_figure(7.2, 0.8 + 1.5 * len(distances))
         panels = figure.subplots(len(distances), 1, squeeze=False)[:, 0]

@@ -47,7 +47,7 @@ POORLY_KNOWN = 1000.0  # per cent: of a larger standard deviation the value says
 
 
 def verdict_section(evidence: Evidence) -> Section:
-    """The verdict in words, and the figures that a reader asks for first."""
+    """Show the verdict in words, and the figures that a reader asks for first."""
     result = evidence.result
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     grade = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
@@ -68,7 +68,7 @@ def verdict_section(evidence: Evidence) -> Section:
 
 
 def counts(result: Result) -> str:
-    """The verdicts on the drive gains, counted, in one sentence."""
+    """Count the verdicts on the drive gains, in one sentence."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     (first, count), *others = outcomes.most_common()
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
@@ -76,7 +76,7 @@ def counts(result: Result) -> str:
 
 
 def _worst_errors(evidence: Evidence) -> dict[str, str]:
-    """The largest torque error of the fit, and on the runs kept for validation."""
+    """Find the largest torque error of the fit, and on the runs kept for validation."""
     found = {}
     if evidence.result.residuals:
         worst = max(evidence.result.residuals, key=lambda each: each.relative)
@@ -91,7 +91,7 @@ def _worst_errors(evidence: Evidence) -> dict[str, str]:
 
 
 def gains_section(evidence: Evidence) -> Section:
-    """Drive gains with their 95 % intervals, beside the prior ones, as a table and as a chart."""
+    """Show drive gains with their 95 % intervals, beside the prior ones, as a table and as a chart."""
     result, prior = evidence.result, evidence.prior_gains
     joints = list(result.drive_gains)
     parts = {joint: interval_parts(gain) for joint, gain in result.drive_gains.items()}
@@ -137,7 +137,7 @@ def gains_section(evidence: Evidence) -> Section:
 
 
 def scale_note(result: Result) -> str:
-    """What the scale of the gains rests on."""
+    """Describe what the scale of the gains rests on."""
     if not any(gain.std is not None for gain in result.drive_gains.values()):
         return ""
     masses = {f"payload '{each.name}'": each.parameters["m"].value for each in result.payloads if "m" in each.known}
@@ -163,7 +163,7 @@ def _interval_table(joints: Sequence[str], bars: Sequence[Interval], split: bool
 
 
 def interval_cell(interval: tuple[float, float] | None) -> Cell:
-    """An interval as a cell."""
+    """Make a cell of an interval."""
     if interval is None:
         return Cell("–", True)
     low, high = interval
@@ -201,7 +201,7 @@ def _off(given: float | None, value: float | None) -> float | None:
 
 
 def payloads_section(payloads: Sequence[PayloadEstimate], title: str = "Payloads") -> Section | None:
-    """Inertial parameters of the payloads; None without any."""
+    """Show inertial parameters of the payloads; None without any."""
     if not payloads:
         return None
     parts = []
@@ -232,7 +232,7 @@ def payloads_section(payloads: Sequence[PayloadEstimate], title: str = "Payloads
 
 
 def parameters_section(result: Result) -> Section:
-    """Essential, cancelled and friction parameters in one table that sorts and searches."""
+    """Show essential, cancelled and friction parameters in one table that sorts and searches."""
     rows, faint = [], []
     entries = [(name, result.essential.get(name, each)) for name, each in result.parameters.items()]
     for name, each in entries:
@@ -281,7 +281,7 @@ def _parameter_row(name: str, each: Estimate, role: str) -> list[Cell]:
 
 
 def correlation_section(evidence: Evidence) -> Section | None:
-    """Correlation matrix of the estimates, and the pairs that are strongly correlated."""
+    """Show the correlation matrix of the estimates, and the pairs that are strongly correlated."""
     names, matrix = evidence.correlation
     if len(names) < 2:
         return None
@@ -308,7 +308,7 @@ def correlation_section(evidence: Evidence) -> Section | None:
 
 
 def singular_values_section(evidence: Evidence) -> Section | None:
-    """Singular values in falling order with the gap before the smallest; None where the result has none."""
+    """Show singular values in falling order with the gap before the smallest; None where the result has none."""
     values = np.array(evidence.result.singular_values)
     if len(values) < 2 or values[-1] <= 0:
         return None
@@ -340,7 +340,7 @@ def singular_values_section(evidence: Evidence) -> Section | None:
 
 
 def alternatives_section(evidence: Evidence) -> Section | None:
-    """Other models of the same data, and by how much each moves the gains; None where the result lists none."""
+    """Show other models of the same data, and by how much each moves the gains; None where the result lists none."""
     listed = evidence.result.alternatives
     if not listed:
         return None
@@ -389,7 +389,7 @@ def _share(part: float) -> str:
 
 
 def notes_section(notes: Sequence[Note]) -> Section:
-    """Everything that was found, by grade: what, where, and what to do."""
+    """List everything that was repaired, left out or noticed."""
     shown = findings_table(notes) or paragraph("Nothing was repaired, left out or noticed.")
     return Section("notes", "Findings", shown)
 

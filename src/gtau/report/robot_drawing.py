@@ -159,14 +159,14 @@ def _names(page: _Page) -> None:
 def _covered(
     shift: tuple[int, int, str], x: float, y: float, wide: float, marks: tuple[tuple[float, float], ...]
 ) -> tuple[bool, int]:
-    """Whether a name shifted from a joint leaves the page, and how many marks it covers."""
+    """Decide whether a name shifted from a joint leaves the page, and count the marks it covers."""
     left = x + shift[0] - (wide if shift[2] == "end" else 0.0)
     covered = sum(left - 4 < a < left + wide + 4 and -14 < b - y - shift[1] < 6 for a, b in marks)
     return left < 0 or left + wide > WIDTH, covered
 
 
 def _furniture(page: _Page) -> None:
-    """Axes of the base, the direction of gravity, and a bar of a round length."""
+    """Draw axes of the base, the direction of gravity, and a bar of a round length."""
     scene, bottom = page.scene, page.height - 14
     decade = 10.0 ** floor(log10(0.25 * scene.size))
     length = max(step * decade for step in (1, 2, 5) if step * decade <= 0.25 * scene.size)

@@ -107,7 +107,7 @@ def _line(axes: Axes, view: np.ndarray, start: np.ndarray, end: np.ndarray, **st
 
 
 def _stand(axes: Axes, point: np.ndarray, length: float) -> None:
-    """The foot of a joint on the base."""
+    """Draw the foot of a joint on the base."""
     x, y = point
     axes.plot([x, x], [y, y - length], **(BASE | {"linewidth": 1.2}))
     axes.plot([x - length / 2, x + length / 2], [y - length, y - length], **BASE)
@@ -171,12 +171,12 @@ def _names(
 
 
 def _within(points: np.ndarray, centre: np.ndarray, half: np.ndarray) -> int:
-    """How many of the points (N, 2) are in a box."""
+    """Count the points (N, 2) that are in a box."""
     return int((np.abs(points - centre) < half).all(axis=1).sum())
 
 
 def _triad(axes: Axes, origin: np.ndarray, ends: np.ndarray, color: str, zorder: float = 1) -> None:
-    """Three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
+    """Draw three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
     from matplotlib.patheffects import withStroke
 
     for end, name in zip(ends.T, "xyz", strict=True):
@@ -188,7 +188,7 @@ def _triad(axes: Axes, origin: np.ndarray, ends: np.ndarray, color: str, zorder:
 
 
 def _compass(axes: Axes, base: np.ndarray, name: str, gravity: bool) -> None:
-    """The axes of the base (2, 3), or of what bears this name, and which way gravity points."""
+    """Draw the axes of the base (2, 3), and which way gravity points."""
     _triad(axes, np.zeros(2), base, GREY)
     axes.text(0.0, -1.75, name, ha="center", va="center", color=GREY, fontsize=7.5)
     if gravity:
@@ -199,7 +199,7 @@ def _compass(axes: Axes, base: np.ndarray, name: str, gravity: bool) -> None:
 
 
 def _scale(axes: Axes, start: np.ndarray, size: float) -> None:
-    """A bar of a round length, about a fifth of the drawing."""
+    """Draw a bar of a round length, about a fifth of the drawing."""
     decade = 10.0 ** floor(log10(0.25 * size))
     length = max(step * decade for step in (1, 2, 5) if step * decade <= 0.25 * size)
     x, y = start
@@ -209,7 +209,7 @@ def _scale(axes: Axes, start: np.ndarray, size: float) -> None:
 
 
 def _legend(axes: Axes, robot: Robot, joints: list[Joint], linked: set[str]) -> None:
-    """The key to what is drawn; ``linked`` are the bodies that have lines."""
+    """Draw the key to what is drawn; ``linked`` are the bodies that have lines."""
     from matplotlib.lines import Line2D
 
     def mark(marker: str, **style: Any) -> Line2D:

@@ -19,7 +19,7 @@ TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
 def describe(robot: Robot) -> dict[str, Any]:
-    """Joints with their limits, loops, gravity, payload's body and base parameters of ``robot`` as a JSON document.
+    """Describe joints, limits, loops, gravity, payload's body and base parameters of ``robot`` as a JSON document.
 
     Lengths in m, angles in rad, gravity in m/s2 in base axes; a limit that is not known is null.
 
@@ -86,7 +86,7 @@ def describe(robot: Robot) -> dict[str, Any]:
 
 
 def robot_page(description: dict[str, Any]) -> str:
-    """The description as text."""
+    """Print the description."""
     loops, base = description["loops"], description["base_parameters"]
     lines = [
         f"{description['robot']}: {description['degrees_of_freedom']} degrees of freedom, "

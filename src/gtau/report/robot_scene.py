@@ -75,7 +75,7 @@ def scene_of(robot: Robot) -> Scene:
 
 
 def upright_rotation(gravity: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) after which gravity points along -z, with x where it was if that can be."""
+    """Compute the rotation (3, 3) after which gravity points along -z, with x where it was if that can be."""
     size = np.linalg.norm(gravity)
     up = -gravity / size if size else np.array([0.0, 0.0, 1.0])
     x = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
@@ -85,7 +85,7 @@ def upright_rotation(gravity: np.ndarray) -> np.ndarray:
 
 
 def view_plane(extent: np.ndarray) -> np.ndarray:
-    """The plane of the page, to the right and up, (2, 3), for a robot of that extent (3,)."""
+    """Choose the plane of the page, to the right and up, (2, 3), for a robot of that extent (3,)."""
     elevation, azimuth = 24.0, -58.0
     thin = int(np.argmin(extent))
     if extent[thin] < FLAT * extent.max():
@@ -95,7 +95,7 @@ def view_plane(extent: np.ndarray) -> np.ndarray:
 
 
 def link_lines(robot: Robot, joints: list[Joint], found: dict[str, Frame]) -> list[tuple[str, np.ndarray]]:
-    """Bodies and lines (2, 3) from every joint to what its link carries."""
+    """List bodies and lines (2, 3) from every joint to what its link carries."""
     lines = []
     for joint in joints:
         foot = foot_of(joint, found)
@@ -121,20 +121,20 @@ def zigzag(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
 
 
 def foot_of(joint: Joint, found: dict[str, Frame]) -> np.ndarray:
-    """Position of a joint on the link before it, (3,)."""
+    """Locate where a joint stands on the link before it, (3,)."""
     R, p = found[joint.antecedent]
     foot: np.ndarray = p + R @ joint.placement.position
     return foot
 
 
 def rail_of(joint: Joint, found: dict[str, Frame]) -> np.ndarray:
-    """The way of a prismatic joint within its limits, (2, 3)."""
+    """Return the path of a prismatic joint within its limits, (2, 3)."""
     R, p = found[joint.name]
     low, high = joint.limits.position or (joint.home, joint.home)
     return np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in (low, high)])
 
 
 def platform_attachments(robot: Robot) -> list[Attachment]:
-    """Where platforms are held."""
+    """Locate where platforms are held."""
     platforms = {platform.name for platform in robot.platforms}
     return [end for closure in robot.closures for end in (closure.a, closure.b) if end.body in platforms]

@@ -35,7 +35,7 @@ SERIES_A_JOINT = 3  # measured, predicted, residual
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> str:
-    """Torque errors of each joint on each run, away from reversals and over all samples."""
+    """Tabulate torque errors of each joint on each run, away from reversals and over all samples."""
     rows = []
     whole = any(error.relative_all is not None for run in runs for error in run.errors)
     for run in runs:
@@ -67,7 +67,7 @@ def errors_table(runs: Sequence[RunEvidence]) -> str:
 
 
 def joint_errors_table(evidence: Evidence) -> str:
-    """The largest torque error of each joint on the runs used, and on those kept for validation."""
+    """Tabulate the largest torque error of each joint on the runs used, and on those kept for validation."""
     groups = [(words, [run for run in evidence.runs if run.used == used]) for words, used in GROUPS]
     groups = [(words, [run for run in runs if run.errors]) for words, runs in groups]
     groups = [(words, runs) for words, runs in groups if runs]
@@ -90,7 +90,7 @@ def _largest(values: Sequence[float]) -> Cell:
 
 
 def torques_section(evidence: Evidence, arrays: Arrays) -> Section | None:
-    """Measured and predicted torques of every joint along every run, used and not used."""
+    """Show measured and predicted torques of every joint along every run, used and not used."""
     if not evidence.runs:
         return None
     series = sum(SERIES_A_JOINT * len(evidence.joints) for run in evidence.runs if run.prediction is not None)
@@ -179,7 +179,7 @@ def _torque_charts(evidence: Evidence, run: RunEvidence, group: str, buckets: in
 
 
 def residuals_section(evidence: Evidence) -> Section | None:
-    """Histogram, spectrum and autocorrelation of the residuals of each joint, over all runs used."""
+    """Show histogram, spectrum and autocorrelation of the residuals of each joint, over all runs used."""
     if not any(run.used and run.prediction is not None for run in evidence.runs):
         return None
     parts = [
@@ -238,14 +238,14 @@ def _autocorrelation(series: list[tuple[np.ndarray, np.ndarray]]) -> str | None:
 
 
 def _decades(values: np.ndarray) -> tuple[float, float]:
-    """A range of whole decades around positive values, at most six of them."""
+    """Choose a range of whole decades around positive values, at most six of them."""
     high = 10.0 ** np.ceil(np.log10(values.max()))
     low = 10.0 ** np.floor(np.log10(values.min()))
     return float(max(low, high * 1e-6)), float(high)
 
 
 def logs_section(runs: Sequence[Run], robot: Robot, bandwidth: float, cutoff: float | None) -> Section | None:
-    """Clock, repairs and spectra of the logs."""
+    """Show clock, repairs and spectra of the logs."""
     if not runs:
         return None
     rows = [
@@ -285,7 +285,7 @@ def logs_section(runs: Sequence[Run], robot: Robot, bandwidth: float, cutoff: fl
 
 
 def clock_notes(run: Run) -> list[str]:
-    """Repairs of a run as it was read."""
+    """List the repairs of a run as it was read."""
     return list(run.notes)
 
 
@@ -318,7 +318,7 @@ def _log_spectrum(
 
 
 def motion_section(evidence: Evidence, arrays: Arrays) -> Section:
-    """The robot drawn, the path of the body that carries the payload, and distances to singular poses."""
+    """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
     from gtau.report.robot_drawing import robot_drawing
 
     result = evidence.result
@@ -336,7 +336,7 @@ def motion_section(evidence: Evidence, arrays: Arrays) -> Section:
 
 
 def path_panels(paths: Sequence[tuple[str, np.ndarray]]) -> str:
-    """Paths (P, 3), m, of runs by name, in three projections of equal scale."""
+    """Draw paths (P, 3), m, of runs by name, in three projections of equal scale."""
     points = np.concatenate([path for _, path in paths])
     centre, half = (points.max(axis=0) + points.min(axis=0)) / 2, 0.55 * float(np.ptp(points, axis=0).max()) or 0.5
     panels = []
@@ -358,7 +358,7 @@ def path_panels(paths: Sequence[tuple[str, np.ndarray]]) -> str:
 def distances_part(
     nearest: Sequence[NearestPose], distances: Sequence[Distances], starts: Mapping[str, float], arrays: Arrays
 ) -> str:
-    """Where runs come nearest to singular poses, and the distances along them; ``starts`` (s) of the runs by name."""
+    """Show where runs come nearest to singular poses, and the distances along them; ``starts`` (s) by name."""
     if not nearest:
         return ""
     rows = [

@@ -72,7 +72,7 @@ STYLE: dict[Any, Any] = {
 
 
 def has_matplotlib() -> bool:
-    """Whether matplotlib is installed."""
+    """Decide whether matplotlib is installed."""
     return find_spec("matplotlib") is not None
 
 
@@ -83,7 +83,7 @@ def require_matplotlib() -> None:
 
 
 def skipped_figures() -> list[str]:
-    """A note on PNG figures that were not drawn; empty where matplotlib is installed."""
+    """Note the PNG figures that were not drawn; empty where matplotlib is installed."""
     if has_matplotlib():
         return []
     return [f"no PNG figures, as matplotlib is not installed; install it with: {install_command('plot')}"]
@@ -101,7 +101,7 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches, without a window and known to no pyplot; it shows itself in notebooks."""
+    """Make an empty figure, inches, without a window and known to no pyplot; it shows itself in notebooks."""
     require_matplotlib()
     return _shown_figure()(figsize=(width, height), layout="constrained")
 
@@ -124,24 +124,24 @@ def _shown_figure() -> type[Figure]:
 
 
 def light_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
-    """A faint grid without tick marks."""
+    """Draw a faint grid without tick marks."""
     axes.grid(True, axis=axis)
     axes.tick_params(length=0)
 
 
 def joint_label(joint: str) -> str:
-    """What a figure calls a joint: ``joint 11``, but ``elbow_joint`` as it is."""
+    """Label a joint in a figure: ``joint 11``, but ``elbow_joint`` as it is."""
     return joint if "joint" in joint.lower() else f"joint {joint}"
 
 
 def with_interval(value: float, half: float) -> str:
-    """A value and half its interval, to two digits of the latter."""
+    """Write a value and half its interval, to two digits of the latter."""
     digits = max(0, 1 - floor(log10(half))) if half > 0 else 4
     return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
 def value_label(axes: Axes, text: str, x: float, y: float, color: str) -> None:
-    """A value written above its marker."""
+    """Write a value above its marker."""
     axes.annotate(
         text,
         (x, y),

@@ -65,7 +65,7 @@ def _unknown_payload(result: Result, run: Run) -> tuple[str, ...]:
 
 
 def describe_validations(validations: Sequence[Validation]) -> dict[str, Any]:
-    """Torque errors as a JSON document: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent."""
+    """Describe torque errors as JSON: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent."""
     return {
         "runs": [
             {
@@ -79,7 +79,7 @@ def describe_validations(validations: Sequence[Validation]) -> dict[str, Any]:
 
 
 def validation_page(document: dict[str, Any]) -> str:
-    """The description as text."""
+    """Print the description."""
     lines = []
     for run in document["runs"]:
         lines += [
@@ -129,7 +129,7 @@ def write_torques(validations: Sequence[Validation], folder: Path) -> list[Path]
 
 
 def worst_stretch(prediction: Prediction, duration: float) -> tuple[float, float]:
-    """Where a run of ``duration`` s around the largest difference begins and ends, s; of a shorter one all of it.
+    """Find ``duration`` s of a run around the largest difference: begin and end, s; of a shorter run all of it.
 
     Differences are compared in units of each joint's own rms.
     """

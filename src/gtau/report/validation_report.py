@@ -18,7 +18,7 @@ from gtau.report.validation_page import CAUTION, Validation
 
 
 def evidence_of(result: Result, validations: Sequence[Validation], prior_gains: Mapping[str, float]) -> Evidence:
-    """The runs of a validation as evidence on a model."""
+    """Turn the runs of a validation into evidence on a model."""
     runs = tuple(RunEvidence(each.run, False, each.prediction, each.errors) for each in validations)
     return Evidence(result, runs, dict(prior_gains))
 
@@ -41,7 +41,7 @@ def validation_report(evidence: Evidence, of: Provenance, notes: Sequence[str] =
 
 
 def headline(evidence: Evidence) -> str:
-    """The torque errors over all runs in one sentence."""
+    """Summarise the torque errors over all runs in one sentence."""
     errors = [error for run in evidence.runs for error in run.errors]
     if not errors:
         return "No joint moves in these runs, so there is no torque error."

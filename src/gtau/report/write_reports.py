@@ -107,7 +107,7 @@ def write_design_report(design: Design, document: dict[str, Any], path: Path, fo
 
 
 def inputs_of(path: Path, experiment: Experiment, runs: bool = True) -> tuple[tuple[str, Path], ...]:
-    """An experiment file, the robot file and the logs that it names, those of the ``runs`` only where wanted."""
+    """List an experiment file, the robot file and the logs that it names, those of the ``runs`` only where wanted."""
     source = experiment.robot
     robot = Path(source if isinstance(source, str) else source.file)
     listed = (*(experiment.runs if runs else ()), *experiment.validation)

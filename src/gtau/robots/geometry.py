@@ -19,20 +19,20 @@ Frame = tuple[np.ndarray, np.ndarray]
 
 
 def rounded(number: float, unit: float = 1.0) -> float:
-    """The multiple of `unit` in place of a number that only rounding keeps from it."""
+    """Round a number that only rounding keeps from a multiple of `unit`."""
     multiple = round(number / unit) * unit
     return multiple if abs(number - multiple) < ROUNDING else float(number)
 
 
 def rounded_pose(xyz: Iterable[float], rpy: Iterable[float]) -> Pose:
-    """A pose whose lengths below 1e-10 m, and angles as near to a multiple of pi/2, are exact."""
+    """Make lengths below 1e-10 m, and angles as near to a multiple of pi/2, exact in a pose."""
     roll, pitch, yaw = (rounded(angle, pi / 2) for angle in rpy)
     x, y, z = (rounded(length) for length in xyz)
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
 def pose_of(rotation: np.ndarray, position: np.ndarray) -> Pose:
-    """The pose of an orientation (3, 3) and a position (3,)."""
+    """Make the pose of an orientation (3, 3) and a position (3,)."""
     # Whatever the yaw where the angles are degenerate, what is left over then gives matching pitch and roll.
     yaw = atan2(rotation[1, 0], rotation[0, 0])
     c, s = cos(yaw), sin(yaw)
@@ -42,7 +42,7 @@ def pose_of(rotation: np.ndarray, position: np.ndarray) -> Pose:
 
 
 def exact_angle(angle: float) -> float:
-    """The multiple of pi/2 that an angle in a file stands for, or the angle itself.
+    """Return the multiple of pi/2 that an angle in a file stands for, or the angle itself.
 
     Files give pi/2 with fewer digits (1.5708, 1.571, 1.57) or in single precision. An angle is taken for a multiple if
     it is within 1e-6 of it, or one in the last of its digits and 2e-3 rad: a calibrated angle differs by more.
@@ -54,7 +54,7 @@ def exact_angle(angle: float) -> float:
 
 
 def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, bool]:
-    """The pose that a file gives, and whether an angle in it was written short (see :func:`exact_angle`)."""
+    """Return the pose that a file gives, and whether an angle in it was written short (see :func:`exact_angle`)."""
     given = tuple(rpy)
     angles = tuple(map(exact_angle, given))
     short = any(abs(angle - exact) > ROUNDING for angle, exact in zip(given, angles, strict=True))
@@ -62,7 +62,7 @@ def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, bool
 
 
 def short_angles_note(names: Iterable[str]) -> tuple[str, ...]:
-    """A note on the joints whose angles a file writes short; none where there are no such."""
+    """Note the joints whose angles a file writes short; none where there are no such."""
     if not (listed := list(names)):
         return ()
     shown = ", ".join(f"'{name}'" for name in listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")
@@ -70,28 +70,28 @@ def short_angles_note(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def compose(first: Placement, second: Placement) -> Pose:
-    """The pose `second`, given in the frame `first`, in the frame where `first` is given."""
+    """Express the pose `second`, given in the frame `first`, in the frame where `first` is given."""
     if first == Pose() and isinstance(second, Pose):
         return second
     return pose_of(first.rotation @ second.rotation, first.position + first.rotation @ second.position)
 
 
 def turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Rotation (3, 3) by `angle` about the unit vector `axis` (3,) (Rodrigues)."""
+    """Compute the rotation (3, 3) by `angle` about the unit vector `axis` (3,) (Rodrigues)."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + sin(angle) * K + (1.0 - cos(angle)) * (K @ K)
 
 
 def euler_angles(rotation: np.ndarray) -> np.ndarray:
-    """Angles (3,) about x, then the y and z that turned with it, which make a rotation (3, 3)."""
+    """Compute the angles (3,) about x, then the y and z that turned with it, which make a rotation (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_euler("XYZ"))
 
 
 def characteristic_length(robot: Robot) -> float:
-    """Mean length (m) of the robot's placements that have one: the scale between m and rad."""
+    """Compute the mean length (m) of the robot's placements that have one: the scale between m and rad."""
     placements = [joint.placement for joint in robot.joints]
     placements += [end.placement for closure in robot.closures for end in (closure.a, closure.b)]
     lengths = [float(np.linalg.norm(placement.position)) for placement in placements]
@@ -118,6 +118,6 @@ def longest_placement(robot: Robot) -> float:
 
 
 def attached(end: Attachment, found: dict[str, Frame]) -> Frame:
-    """The frame of a closure's end in the base."""
+    """Express the frame of a closure's end in the base."""
     R, p = found[end.body]
     return R @ end.placement.rotation, p + R @ end.placement.position

@@ -114,7 +114,7 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
 
 
 def _after(joint: Joint, placement: Placement, position: float) -> Placement:
-    """Where a joint's link is at a position, its frame being at ``placement`` at zero."""
+    """Place a joint's link at a position, its frame being at ``placement`` at zero."""
     if not position:
         return placement
     axis = np.array(joint.axis)
@@ -130,7 +130,7 @@ def _heavy(joint: Joint) -> Joint:
 
 
 def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, float]:
-    """The positions of held joints, and of those that couplings then leave no choice."""
+    """Complete the positions of held joints by those that couplings then determine."""
     found = dict(positions)
     settled = False
     while not settled:
@@ -146,7 +146,7 @@ def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, flo
 
 
 def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Coupling]:
-    """The couplings of the joints that are not held."""
+    """List the couplings of the joints that are not held."""
     for coupling in robot.couplings:
         terms = {coupling.joint: 1.0} | {name: -ratio for name, ratio in coupling.ratios}
         free = [name for name in terms if name not in positions]
@@ -158,7 +158,7 @@ def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Couplin
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names in quotes, the first few of many."""
+    """List names in quotes, the first few of many."""
     return _first([f"'{name}'" for name in names])
 
 

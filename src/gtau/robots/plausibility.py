@@ -15,7 +15,7 @@ REACHED = 1e-9  # rad or m; a home on a limit is within it
 
 
 def oddities(robot: Robot) -> tuple[str, ...]:
-    """Notes on what is hardly meant: links of 350 m, limits of 130 rad, a home outside the limits.
+    """Note what is hardly meant: links of 350 m, limits of 130 rad, a home outside the limits.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def oddities(robot: Robot) -> tuple[str, ...]:
 
 
 def tool_note(robot: Robot) -> tuple[str, ...]:
-    """A note where the body that carries a payload is only assumed: no one named it, and several could be meant."""
+    """Note that the payload's body is only assumed, where the file names none and several are possible."""
     antecedents = {joint.antecedent for joint in robot.joints}
     ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
     if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):

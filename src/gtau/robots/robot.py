@@ -274,7 +274,7 @@ class Robot:
         return frozenset(coupled.union(self.actuated))
 
     def joint(self, name: str) -> Joint:
-        """The joint of that name; raises GtauError where there is none."""
+        """Return the joint of that name; raises GtauError where there is none."""
         for joint in self.joints:
             if joint.name == name:
                 return joint

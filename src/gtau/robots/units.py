@@ -10,7 +10,7 @@ DEGREES_ADVICE = "write deg(...) where these are degrees"
 
 
 def in_degrees(angle: float) -> bool:
-    """Whether an angle, rad, was meant in degrees: more than a turn, and a multiple of five."""
+    """Decide whether an angle, rad, was meant in degrees: more than a turn, and a multiple of five."""
     return abs(angle) > 2 * pi and abs(angle - 5 * round(angle / 5)) < 1e-9
 
 

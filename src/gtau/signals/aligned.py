@@ -31,7 +31,7 @@ class Aligned:
     note: Note | None
 
     def at(self, time: np.ndarray) -> np.ndarray:
-        """Commands (M, n) at other instants (M,), on lines between stamps; nan where they are missing."""
+        """Interpolate commands (M, n) linearly between stamps at other instants (M,); nan where they are missing."""
         known = np.isfinite(time)
         found = np.full((len(time), self.command.shape[1]), np.nan)
         if not known.any():
@@ -125,12 +125,12 @@ def align(
 
 
 def seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
-    """Times (M,) in s of one column, or of two with seconds and nanoseconds."""
+    """Convert one column, or two with seconds and nanoseconds, to times (M,) in s."""
     return stamps[:, 0] * scale if stamps.shape[1] == 1 else stamps[:, 0] + stamps[:, 1] * 1e-9
 
 
 def _distances(time: np.ndarray, stamps: np.ndarray) -> float:
-    """Usual distance in s from an instant to the closest stamp."""
+    """Compute the usual distance in s from an instant to the closest stamp."""
     found = []
     for span in spans(len(time)):
         part = block(time, *span)

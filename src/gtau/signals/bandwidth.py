@@ -85,7 +85,7 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
 
 
 def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (K,) above zero, up to ``TOP``, and the power density of the second differences (K, n)."""
+    """Compute frequencies (K,) above zero, up to ``TOP``, and the power density of the second differences (K, n)."""
     from scipy.signal.windows import tukey
 
     count = len(position) - 2
@@ -140,7 +140,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
 
 
 def _is_white(frequency: np.ndarray, position: np.ndarray, valley: int, end: int) -> bool:
-    """Whether what stands between a valley and the ``end`` is white noise of the position, low-passed.
+    """Decide whether the spectrum between a valley and the ``end`` is white noise of the position, low-passed.
 
     It is as strong as in the valley, and far below the motion's ``position`` density.
     """
@@ -152,7 +152,7 @@ def _is_white(frequency: np.ndarray, position: np.ndarray, valley: int, end: int
 
 
 def _in_bands(frequency: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (B,) of bands a third of an octave wide, and the mean density (B,) in each; at least one line."""
+    """Average the density in bands a third of an octave wide: centres (B,) and means (B,); at least one line each."""
     centre = frequency[0] * 2 ** (np.arange(int(BANDS * np.log2(frequency[-1] / frequency[0])) + 1) / BANDS)
     half = 2 ** (1 / 6)
     first = np.searchsorted(frequency, centre / half * (1 - 1e-9))

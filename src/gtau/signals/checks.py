@@ -178,7 +178,7 @@ def drop_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", 
 
 
 def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
-    """Whether each joint's angle jumps by a turn, (n,)."""
+    """Decide whether each joint's angle jumps by a turn, (n,)."""
     position, source = samples.position, samples.source
     wraps = np.zeros(len(source.joints), dtype=bool)
     for span in ahead(len(position)):
@@ -191,7 +191,7 @@ def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
 
 
 def unwrapped(samples: Samples, wraps: np.ndarray, first: np.ndarray | None = None) -> Samples:
-    """The samples without jumps of the joints that have ``wraps``, from a ``first`` position (n,) on if it is known."""
+    """Unwrap the joints that have ``wraps``, from a ``first`` position (n,) on if it is known."""
     if not wraps.any():
         return samples
     position = samples.position

@@ -15,7 +15,7 @@ MAX_CLIPPED = 0.1
 
 
 def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
-    """Columns of the commands, and levels where they stand although their joints move, as behind a limit of the drive.
+    """Find joints, and levels at which their commands stay although they move, as at a limit of the drive.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def _count_at(command: np.ndarray, j: int, level: float) -> int:
 
 
 def _count_beside(command: np.ndarray, j: int, level: float) -> int:
-    """Samples at the value next to an extreme one."""
+    """Count samples at the value next to an extreme one."""
     nearest, count = np.inf, 0
     for span in spans(len(command)):
         away = np.abs(block(command, *span)[:, j] - level)
@@ -66,7 +66,7 @@ def _count_beside(command: np.ndarray, j: int, level: float) -> int:
 
 
 def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
-    """Most samples in a row in which joint ``mover`` moves and column j of the commands stands at ``level``."""
+    """Count the most samples in a row in which joint j moves and its command stays at ``level``."""
     position, command, count = samples.position, samples.command, len(samples.time)
     steps = [np.sum(np.diff(block(position, *span)[:, mover]) ** 2) for span in ahead(count)]
     least = 0.05 * np.sqrt(sum(steps) / count)

@@ -83,17 +83,17 @@ class Clock:
         return 1 / self.period
 
     def time(self, first: int, stop: int) -> np.ndarray:
-        """Times of samples, s, by their numbers from the start."""
+        """Compute times of samples, s, by their numbers from the start."""
         return self.start + self.period * np.arange(first, stop)
 
     def instants(self, time: np.ndarray, first: int = 0) -> np.ndarray:
-        """When samples were taken by this clock (N,), s, from their times; ``first`` is the number of the first."""
+        """Compute the instants (N,), s, of samples by this clock from their times; ``first`` numbers the first."""
         if not self.regular:
             return time
         return store(self.start + self.period * self._numbers(first + a, first + b) for a, b in spans(len(time)))
 
     def _numbers(self, first: int, stop: int) -> np.ndarray:
-        """Numbers of samples in the clock, missing ones counted."""
+        """Number samples in the clock, missing ones counted."""
         samples, missing = self._sums
         number = np.arange(first, stop)
         return np.asarray(number + missing[np.searchsorted(samples, number, side="right")], dtype=float)
@@ -105,7 +105,7 @@ class Clock:
         return pairs[:, 0], self.shift + np.concatenate([[0], np.cumsum(pairs[:, 1])])
 
     def between(self, first: int, stop: int) -> Clock:
-        """The same clock for samples from ``first`` to before ``stop`` only."""
+        """Restrict the clock to samples from ``first`` to before ``stop``."""
         samples, missing = self._sums
         a, b = np.searchsorted(samples, [first, stop])
         return replace(self, gaps=self.gaps[a:b], shift=int(missing[a]))
@@ -158,7 +158,7 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
 
 
 def _by_stamps(time: np.ndarray, steps: np.ndarray) -> Clock:
-    """The clock of true stamps."""
+    """Make the clock of true stamps."""
     period = float((time[-1] - time[0]) / (len(time) - 1))
     shortest, longest, before, at = np.inf, 0.0, 0, 0
     for part in _overlapping(time):
@@ -187,7 +187,7 @@ def _mean_step(steps: np.ndarray) -> float:
 
 
 def _sampled_steps(time: np.ndarray) -> np.ndarray:
-    """Steps of the time column, of a long one in parts spread over it."""
+    """Compute steps of the time column, of a long one in parts spread over it."""
     parts = _parts(len(time))
     return np.concatenate([np.diff(block(time, *part)) for part in parts])
 
@@ -200,7 +200,7 @@ def _parts(samples: int) -> list[tuple[int, int]]:
 
 
 def _gaps(time: np.ndarray, position: np.ndarray | None, usual: float, packets: bool) -> tuple[tuple[int, int], ...]:
-    """Samples before which others are missing, and how many, if samples are regular and stamps late.
+    """Find samples before which others are missing, and how many, if samples are regular and stamps late.
 
     Where joints are fast enough, the positions count: a step twice as long as its neighbours has lost a sample, and one
     of length zero repeats it. Elsewhere the stamps do: a late one makes a long step and a short one after it, but a
@@ -235,7 +235,7 @@ def _gaps(time: np.ndarray, position: np.ndarray | None, usual: float, packets: 
 
 
 def _noise(position: np.ndarray) -> np.ndarray:
-    """Standard deviation (n,) of the positions' steps around those of their neighbours, and of their rounding."""
+    """Estimate the standard deviation (n,) of the positions' steps around their neighbours', and of their rounding."""
     parts = [np.diff(block(position, *part), axis=0) for part in _parts(len(position))]
     change = np.abs(np.concatenate([each - _usual_steps(each) for each in parts]))
     steps = np.abs(np.concatenate(parts))
@@ -245,14 +245,14 @@ def _noise(position: np.ndarray) -> np.ndarray:
 
 
 def _usual_steps(moved: np.ndarray) -> np.ndarray:
-    """Median (M, n) of the steps around each of the positions' steps."""
+    """Compute the median (M, n) of the steps around each of the positions' steps."""
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(moved, size=(NEIGHBOURS, 1), mode="nearest"))
 
 
 def _steps_by_motion(position: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Steps of a regular clock (M - 1,) between samples, by how far the joints moved; NaN where that is not clear."""
+    """Count steps of a regular clock (M - 1,) between samples by how far the joints moved; NaN where ambiguous."""
     moved = np.diff(position, axis=0)
     usual = _usual_steps(moved)
     speed = ((usual / noise) ** 2).sum(axis=1)
@@ -263,19 +263,19 @@ def _steps_by_motion(position: np.ndarray, noise: np.ndarray) -> np.ndarray:
 
 
 def _scatter(time: np.ndarray, usual: float) -> float:
-    """Standard deviation of the stamps around a regular clock, in steps, from the spread of the steps' differences."""
+    """Estimate the standard deviation of the stamps around a regular clock, in steps, from their differences."""
     steps = _sampled_steps(time) / usual
     return float(np.median(np.abs(steps - np.median(steps))) / 0.6745 / np.sqrt(2))
 
 
 def _packet(time: np.ndarray, usual: float) -> int:
-    """Samples in a packet, usually."""
+    """Count the samples of a usual packet."""
     edges = np.flatnonzero(_sampled_steps(time) > LATE * usual)
     return int(np.median(np.diff(edges))) if len(edges) > 2 else 1
 
 
 def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> tuple[float, float, float, bool]:
-    """Period and offset (s) of the line through the stamps by least squares, how late they are, and if by rounding."""
+    """Fit period and offset (s) of the stamps by least squares; say how late they are, and if by rounding."""
     numbered = Clock(usual, True, not gaps, 0.0, 0, 0.0, 0.0, 0, 0.0, gaps)
     sums, samples = np.zeros(4), len(time)
     for start, stop in spans(samples):
@@ -298,7 +298,7 @@ def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> 
 
 
 def _last_decimal(off: np.ndarray) -> float:
-    """Last decimal of a time column, s; a microsecond where it is finer, which no motion notices.
+    """Find the last decimal of a time column, s; a microsecond where it is finer, which no motion notices.
 
     A clock that counts from 1970 is right to 2e-7 s in a float.
     """
@@ -307,7 +307,7 @@ def _last_decimal(off: np.ndarray) -> float:
 
 
 def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
-    """How far positions are from cubics through their neighbours by a clock, usually, where joints are fast.
+    """Measure how far positions usually are from cubics through their neighbours by a clock, where joints are fast.
 
     The geometric mean over the joints, in m or rad; of a long log in parts spread over it.
     """
@@ -334,5 +334,5 @@ def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
 
 
 def _overlapping(time: np.ndarray) -> Iterator[np.ndarray]:
-    """Blocks that begin with the last sample of the one before."""
+    """Yield blocks that begin with the last sample of the one before."""
     return (block(time, max(start - 1, 0), stop) for start, stop in spans(len(time)))

@@ -263,16 +263,16 @@ class Units(Keys):
         return self
 
     def of_position(self, joint: str) -> str | None:
-        """Position unit of a joint; None where nothing is said."""
+        """Return the position unit of a joint; None where nothing is stated."""
         return _of(self.position, joint)
 
     def measures_angle(self, joint: str) -> bool | None:
-        """Whether a joint's position unit is an angle and not a length; None where nothing is said."""
+        """Decide whether a joint's position unit is an angle and not a length; None where nothing is stated."""
         unit = self.of_position(joint)
         return None if unit is None else is_angle(unit)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
-        """Factors to SI of the positions, of the commands and sensors, joint by joint, and of the time.
+        """Compute factors to SI of the positions and of the commands, joint by joint, and of the time.
 
         Raises
         ------
@@ -303,17 +303,17 @@ def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
 
 
 def as_signals(signals: Signals | Mapping[str, Any]) -> Signals:
-    """Column map from a mapping as in the experiment file; raises GtauError."""
+    """Read a column map from a mapping as in the experiment file; raises GtauError."""
     return signals if isinstance(signals, Signals) else validate(Signals, document_of("signals", signals))
 
 
 def as_units(units: Units | Mapping[str, Any] | None) -> Units:
-    """Units from a mapping as in the experiment file; raises GtauError."""
+    """Read units from a mapping as in the experiment file; raises GtauError."""
     return units if isinstance(units, Units) else validate(Units, document_of("units", units or {}))
 
 
 def document_of(name: str, data: Mapping[str, Any]) -> Document:
-    """A mapping as if it had been read from a file called ``name``, where keys and integers are texts."""
+    """Turn a mapping into what reading it from a file called ``name`` gives, keys and integers as texts."""
     return Document(Path(name), _as_written(data), {})
 
 

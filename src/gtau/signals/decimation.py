@@ -62,11 +62,11 @@ class Decimator:
         return 180 * self.factor if self.kind == "chebyshev" and self.factor > 1 else self.support
 
     def instants(self, n: int) -> np.ndarray:
-        """Samples (outputs,) of a log of `n` at which the outputs stand."""
+        """List the samples (outputs,) of a log of `n` at which the outputs stand."""
         return np.arange(self.support, n - self.support, self.factor)
 
     def outputs(self, n: int) -> int:
-        """Number of outputs of a log of `n` samples."""
+        """Count the outputs of a log of `n` samples."""
         return max(0, -(-(n - 2 * self.support) // self.factor))
 
     def blocks(self, n: int, size: int, outputs: range | None = None) -> Iterator[Block]:
@@ -79,11 +79,11 @@ class Decimator:
             yield Block(slice(begin, min(n, last + self.warm_up + 1)), slice(start, stop), first - begin)
 
     def reach(self, n: int, outputs: range) -> slice:
-        """Samples of a log of `n` that these ``outputs`` are made from."""
+        """Find the samples of a log of `n` from which these ``outputs`` are made."""
         return next((block.samples for block in self.blocks(n, max(len(outputs), 1), outputs)), slice(0, 0))
 
     def apply(self, columns: np.ndarray, block: Block | None = None) -> np.ndarray:
-        """Outputs of a block.
+        """Compute the outputs of a block.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class Decimator:
         return upfirdn(taps, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
 
     def keep(self, usable: np.ndarray) -> np.ndarray:
-        """Which outputs rest on usable samples.
+        """Mark the outputs that rest on usable samples only.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class Decimator:
 
 @lru_cache
 def _kernel(factor: int) -> np.ndarray:
-    """Taps of the FIR, preceded by zeros so that its length less one is a multiple of `factor`."""
+    """Compute the taps of the FIR, preceded by zeros so that its length less one is a multiple of `factor`."""
     from scipy.signal import firwin
 
     half = ceil(1.5 * factor)

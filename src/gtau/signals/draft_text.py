@@ -24,7 +24,7 @@ UNSURE = {
 
 
 def draft_text(draft: Draft, folder: Path) -> str:
-    """The experiment file of a draft that stands in ``folder``, each finding with its reason.
+    """Write the experiment file of a draft for ``folder``, each finding with its reason.
 
     What is only guessed is marked with ``CHECK``.
     """
@@ -106,7 +106,7 @@ def _line(text: str, comment: str) -> str:
 
 
 def _by_joint(key: str, columns: Mapping[str, str], comment: str) -> list[str]:
-    """Columns in braces, or on lines of their own where that would be too long."""
+    """Write columns in braces, or on lines of their own where that would be too long."""
     flow = _flow(columns)
     if len(flow) < WIDTH:
         return [_line(f"  {key}: {flow}", comment)]

@@ -85,7 +85,7 @@ class Folders(NamedTuple):
 
 
 def file_or_name(robot: str, folder: Path) -> str:
-    """The path of a robot file beside an experiment file in ``folder``, or a name of the catalog.
+    """Return the path of a robot file beside an experiment file in ``folder``, or a name of the catalog.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class LoggedRun(Keys):
         return Part(self.skip, self.begin, np.inf if self.to is None else self.to)
 
     def overlaps(self, other: LoggedRun) -> bool:
-        """Whether the same rows are in both."""
+        """Decide whether the same rows are in both."""
         mine, theirs = self.part, other.part
         return self.log == other.log and mine.begin < theirs.end and theirs.begin < mine.end
 
@@ -161,18 +161,18 @@ class LoggedRun(Keys):
         return placed
 
     def each(self) -> list[LoggedRun]:
-        """The runs, one for each match of the patterns."""
+        """List the runs, one for each match of the patterns."""
         pairs = zip(*(_logs_at(path) for path in self.log), strict=True)
         return [self.model_copy(update={"log": logs}) for logs in pairs]
 
 
 def _placed(folder: Path, path: Path) -> Path:
-    """A path in a folder, whose own name is no pattern."""
+    """Place a path in a folder whose own name is no pattern."""
     return folder / path if (folder / path).exists() else Path(escape(str(folder))) / path
 
 
 def _logs_at(path: Path) -> list[Path]:
-    """What a path or a pattern stands for; a pattern matches no YAML files, as the one it stands in is no log."""
+    """List what a path or a pattern stands for; patterns match no YAML files, as the one they stand in is no log."""
     return [each for each in matching(path) if each == path or each.suffix not in (".yaml", ".yml")]
 
 
@@ -360,7 +360,7 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
 
 
 def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
-    """Payload from a mapping as in the experiment file; raises GtauError."""
+    """Read a payload from a mapping as in the experiment file; raises GtauError."""
     if payload is None or isinstance(payload, Payload):
         return payload
     return validate(Payload, document_of("payload", payload))

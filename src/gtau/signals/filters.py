@@ -17,7 +17,7 @@ FORGOTTEN = 18.0  # periods of the cut-off after which a filter has forgotten wh
 
 
 def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float = np.inf) -> float | None:
-    """Cut-off of the position filter, Hz; None, no filter, where that is not below 0.8 of the Nyquist frequency.
+    """Choose the cut-off of the position filter, Hz; None, no filter, unless below 0.8 of the Nyquist frequency.
 
     Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where the ``end`` of the signal lies
     below that it is taken: motion and noise are as strong there, and Wiener's filter, which makes the error of the
@@ -38,7 +38,7 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float =
 
 
 def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
-    """Zero-phase Butterworth low-pass along the first axis: order 4, forward and backward.
+    """Filter along the first axis by a zero-phase Butterworth low-pass: order 4, forward and backward.
 
     The gain at frequency f is ``1 / (1 + (f / cutoff)^8)``: 1 - 1e-8 at a tenth of the cut-off.
     """
@@ -49,17 +49,17 @@ def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
 
 
 def filter_edge(rate: float, cutoff: float | None) -> int:
-    """Samples at either end of a log on which its unknown past or future acts by more than 1e-3."""
+    """Count samples at either end of a log on which its unknown past or future acts by more than 1e-3."""
     return STENCIL + (0 if cutoff is None else ceil(EDGE * rate / cutoff))
 
 
 def filter_margin(rate: float, cutoff: float | None) -> int:
-    """Samples to either side of one that act on its filtered position, speed and acceleration by more than 1e-18."""
+    """Count samples to either side of one that act on its filtered motion by more than 1e-18."""
     return STENCIL + (0 if cutoff is None else ceil(FORGOTTEN * rate / cutoff))
 
 
 def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """First and second derivative along the first axis by central differences of fourth order.
+    """Compute first and second derivative along the first axis by central differences of fourth order.
 
     A sine of angular frequency w keeps its phase; its derivatives are too small by ``(w / rate)^4 / 30``
     and ``(w / rate)^4 / 90``: 0.04 and 0.01 % at a twentieth of the sampling rate. The two samples at
@@ -75,7 +75,7 @@ def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
 def position_filter(
     position: np.ndarray, rate: float, cutoff: float | None, start: int = 0, stop: int | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Filtered positions, speeds and accelerations.
+    """Compute filtered positions, speeds and accelerations.
 
     Those of some samples are the same as those of the whole log, of which only what acts on them is read.
 

@@ -89,7 +89,7 @@ class Holds:
         return found if self.sensor is None else [*found, (slice(n, None), self.sensor.fresh(values[:, n:]))]
 
     def notes(self, count: int, rate: float) -> list[Note]:
-        """What to report of a log of ``count`` samples at ``rate`` Hz."""
+        """List what to report of a log of ``count`` samples at ``rate`` Hz."""
         found = []
         groups = zip((self.position, self.command, self.sensor), self.stale, GROUPS, strict=False)
         for each, stale, what in groups:
@@ -118,7 +118,7 @@ def holds_of(samples: Samples) -> Holds:
 
 
 def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
-    """How a group's ``columns`` of an array (N, n) are held, and its number of stale samples."""
+    """Find how a group's columns (N, n) are held, and count its stale samples."""
     n = len(range(array.shape[1])[columns])
     smallest = np.full(n, np.inf)
     for span in ahead(len(array)):
@@ -145,7 +145,7 @@ def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
 
 
 def _period(lengths: np.ndarray) -> int:
-    """Usual length of runs of equal samples, where most samples stand in runs of nearly that length; otherwise 1."""
+    """Find the usual length of runs of equal samples, where most runs are nearly as long; otherwise 1."""
     held = lengths * np.arange(len(lengths))
     if not held.any():
         return 1

@@ -109,7 +109,7 @@ def _refusals(path: Path) -> Iterator[None]:
 
 
 def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
-    """Numbers of a column, nan where there is none, and the first entry that is none, if any."""
+    """Read numbers of a column, nan where there is none, and the first entry that is none, if any."""
     import polars as pl
 
     numbers = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan

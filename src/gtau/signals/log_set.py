@@ -155,7 +155,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
 def _side_by_side(
     files: Sequence[LogFile], wanted: range, places: Sequence[Place]
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Rows of logs that were sampled together, with the part of the first that is then done."""
+    """Join rows of logs that were sampled together, with the part of the first that is then done."""
     streams = [file.blocks(wanted, place) for file, place in zip(files, places, strict=True)]
     held = [next(stream, None) for stream in streams]
     rows = [0] * len(files)

@@ -45,13 +45,13 @@ class Log:
     places: tuple[tuple[Place, ...], ...]
 
     def stamps_read(self) -> np.ndarray:
-        """Time column (N,) of the whole log in s, read again."""
+        """Read the time column (N,) of the whole log again, s."""
         blocks = find_logs(self.paths, self.signals, self.units).blocks()
         time = np.concatenate([values[:, -1] for values in blocks])
         return np.asarray(time[np.isfinite(time)])
 
     def excerpt(self, joints: Sequence[str], sensors: Sequence[str], samples: range) -> Excerpt:
-        """Some samples of the run, their joints and torque sensors in this order."""
+        """Take some samples of the run, its joints in this order."""
         found, clock = self.findings, self.findings.grid.clock
         reach = [float(clock.time(k, k + 1)[0]) for k in (samples.start, samples.stop - 1)]
         # A landmark more on either side: samples need their surroundings, and may stand beside the clock.
@@ -101,7 +101,7 @@ class Excerpt:
 
 @lru_cache(maxsize=4)  # parts are reduced again where friction depends on what was estimated
 def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
-    """Arrays of a whole run, of which only an excerpt is there.
+    """Return ``time`` (N,), ``position``, ``command`` and ``valid`` (N, n) of a run known by an excerpt only.
 
     ``time`` (N,), ``position`` (N, n), ``command`` and ``valid`` (N, c).
 
@@ -155,6 +155,6 @@ def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
 
 
 def stamps_of(paths: Sequence[Path]) -> Stamps:
-    """Sizes in bytes and times of change in ns of the files at ``paths``, and of those in folders."""
+    """Read sizes in bytes and times of change in ns of the files at ``paths``, and of those in folders."""
     files = [each for path in paths for each in (sorted(path.iterdir()) if path.is_dir() else [path]) if each.is_file()]
     return tuple((status.st_size, status.st_mtime_ns) for status in (each.stat() for each in files))

@@ -62,7 +62,7 @@ class Preparation:
     given: tuple[str, ...] = ()
 
     def at(self, rate: float) -> Preparation:
-        """The same preparation for runs with another sampling ``rate`` (Hz): the same filter and rate of rows."""
+        """Adapt the preparation to runs with another sampling ``rate`` (Hz): the same filter and rate of rows."""
         if not self.rate or abs(rate / self.rate - 1) < 0.1:
             return self
         factor = max(1, round(self.decimator.factor * rate / self.rate))
@@ -135,17 +135,17 @@ class PreparedRun:
         return self.run.time[self.kept.start : self.kept.stop]
 
     def needed(self, start: int, stop: int) -> range:
-        """Samples of the run that those from ``start`` to before ``stop`` are made from."""
+        """Find the samples of the run from which those from ``start`` to before ``stop`` are made."""
         at, margin = self.kept[start:stop], filter_margin(self.run.rate, self.preparation.cutoff)
         return range(max(0, at.start - margin), min(len(self.run.time), at.stop + margin))
 
     def valid(self, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Whether speeds and accelerations rest on good samples only, (M, c), for the samples of :meth:`samples`."""
+        """Mark where speeds and accelerations rest on good samples only, (M, n), for the samples of :meth:`samples`."""
         at = self.kept[start:stop]
         return _valid(self.run, self.preparation, at.start, at.stop)
 
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
-        """Samples from ``start`` to before ``stop`` of those that are used; what stands around them is seen to."""
+        """Prepare samples from ``start`` to before ``stop`` of those that are used, their neighbours included."""
         at = self.kept[start:stop]
         run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
         q, qd, qdd = position_filter(run.position, run.rate, preparation.cutoff, at.start, at.stop)
@@ -176,7 +176,7 @@ class InMemoryRun:
         return len(self.all.time)
 
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
-        """Samples from ``start`` to before ``stop``."""
+        """Return samples from ``start`` to before ``stop``."""
         stop = len(self) if stop is None else stop
         if stored(self.all.q) is None:
             return self.all[start:stop]
@@ -241,7 +241,7 @@ def _given_cutoff(given: float | Literal["none"], rate: float) -> float | None:
 
 
 def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
-    """Spectra of the joints of a run; raises GtauError where none moves."""
+    """Compute spectra of the joints of a run; raises GtauError where none moves."""
     found = spectra(run)
     if not any(each.moves for each in found):
         raise GtauError(
@@ -254,7 +254,7 @@ def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
 def _affordable(
     runs: Sequence[Run], found: Sequence[Sequence[JointSpectrum]], preparation: Preparation, most: int
 ) -> int:
-    """Largest decimation of the slowest run, up to ``most``, that keeps enough rows away from reversals and rests."""
+    """Find the largest decimation, up to ``most``, that leaves the slowest run enough rows."""
     n = len(runs[0].joints)
     lengths: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(n)]  # of usable stretches, and the run's rate
     for run, of_run in zip(runs, found, strict=True):
@@ -278,7 +278,7 @@ def _affordable(
 
 
 def _factors(most: int) -> Iterator[int]:
-    """Every factor up to 20, and then steps of some 5 %, up to ``most``."""
+    """List every factor up to 20, and then steps of some 5 %, up to ``most``."""
     factor = 2
     while factor <= most:
         yield factor
@@ -286,7 +286,7 @@ def _factors(most: int) -> Iterator[int]:
 
 
 def _usable_stretches(run: Run, preparation: Preparation) -> list[np.ndarray]:
-    """For each joint, lengths of stretches of valid samples in which it is fast enough; of a long run of some parts."""
+    """List for each joint the lengths of stretches of valid samples in which it is fast enough."""
     parts = list(spans(len(run.time), 1 << 15))
     parts = [parts[k] for k in sorted({round(k) for k in np.linspace(0, len(parts) - 1, STRETCHES)})]
     speeds = [np.abs(position_filter(run.position, run.rate, preparation.cutoff, *part)[1]) for part in parts]
@@ -373,7 +373,7 @@ def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarra
 
 
 def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray) -> Iterator[Note]:
-    """What a user should know of the motion and its noise; joints that are not ``rubbing`` (n,) may rest."""
+    """List what a user should know of the motion and its noise."""
     noisy = []
     for joint, each, rubs in zip(run.joints, found, rubbing, strict=True):
         if not each.moves and not rubs:
@@ -397,7 +397,7 @@ def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, r
 
 
 def _valid(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
-    """Where speeds and accelerations rest on good samples only (stop - start, c)."""
+    """Mark where speeds and accelerations rest on good samples only (stop - start, n)."""
     samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
     begin, end = max(0, start - STENCIL), min(samples, stop + STENCIL)
     bad = ~block(run.valid, begin, end)

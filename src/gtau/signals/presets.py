@@ -32,7 +32,7 @@ PRESETS: Mapping[str, Preset] = {
 
 
 def time_unit(preset: str | None) -> str:
-    """Unit of the time column where none is given."""
+    """Return the unit of the time column where none is given."""
     return "s" if preset is None else PRESETS[preset].time_unit
 
 

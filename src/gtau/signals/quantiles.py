@@ -27,13 +27,13 @@ class Quantiles:
             counts[low : low + len(found)] += found
 
     def quantile(self, share: float) -> np.ndarray:
-        """Values (columns,), to 0.4 %, below which a share of the numbers lies."""
+        """Compute values (columns,), to 0.4 %, below which a share of the numbers lies."""
         held = np.cumsum(self._counts, axis=1)
         found = np.argmax(held >= share * held[:, -1:], axis=1)
         return _least(found)
 
     def around_median(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Of each column the bins with the middle numbers, from a least number to before another, NaN left out.
+        """Find for each column the bins with the middle numbers, from a least number to before another, NaN left out.
 
         With how many numbers there are, and how many below.
         """
@@ -45,7 +45,7 @@ class Quantiles:
 
 
 def medians(parts: Callable[[], Iterable[np.ndarray]]) -> np.ndarray:
-    """Medians of the columns of numbers >= 0 in ``parts()`` (., columns) that go by twice; NaN is left out."""
+    """Compute medians of the columns of numbers >= 0 in ``parts()`` (., columns), in two passes; NaN is left out."""
     counts = None
     for part in parts():
         counts = Quantiles(part.shape[1]) if counts is None else counts
@@ -65,5 +65,5 @@ def medians(parts: Callable[[], Iterable[np.ndarray]]) -> np.ndarray:
 
 
 def _least(bins: np.ndarray) -> np.ndarray:
-    """The least number in each bin."""
+    """Find the least number in each bin."""
     return (bins.astype(np.int64) << COARSE).view(float)

@@ -147,7 +147,7 @@ def uniform(
 
 
 def _of_clock(clock: Clock, given: bool) -> list[Note]:
-    """What to report of a clock that is not simply the time column."""
+    """List what to report of a clock that is not simply the time column."""
     why = "as preparation.clock says" if given else "which makes the positions smoother"
     if not clock.regular:
         if not given:
@@ -176,7 +176,7 @@ def _landmarks(array: np.ndarray) -> np.ndarray:
 def resampled(
     samples: Samples, instants: np.ndarray, resampling: Resampling, start: int, stop: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
-    """Positions (M, n) and commands (M, c) at samples of the clock, what is valid, how many were missing, masked.
+    """Resample positions and commands (M, n) at the clock's samples; mark valid ones, count missing and masked.
 
     They are interpolated between fresh samples at ``instants``, of which there must be some before and after.
     """
@@ -212,7 +212,7 @@ def resampled(
 
 
 def _gaps(known: np.ndarray, grid: np.ndarray, longest: float) -> np.ndarray:
-    """Which instants of the ``grid`` stand in a step longer than ``longest`` between ``known`` ones, not at these."""
+    """Mark the instants of the ``grid`` within steps longer than ``longest`` between ``known`` ones."""
     step = np.diff(known)
     before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(step) - 1)
     period = (grid[-1] - grid[0]) / max(len(grid) - 1, 1)
@@ -221,7 +221,7 @@ def _gaps(known: np.ndarray, grid: np.ndarray, longest: float) -> np.ndarray:
 
 
 def unclipped(command: np.ndarray, clipped: Sequence[tuple[int, float]]) -> np.ndarray:
-    """Where commands (M, c) do not stand at a level at which they are clipped."""
+    """Mark where commands (M, n) are not clipped at a level."""
     good = np.ones(command.shape, dtype=bool)
     for j, level in clipped:
         good[:, j] &= command[:, j] != level

@@ -76,7 +76,7 @@ class Run:
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
 
     def only(self, samples: range) -> Run:
-        """The same run, of which another process gets no more than some samples; the others are zero there."""
+        """Restrict what another process gets of the run to some samples; the others are zero there."""
         run = _from(self.log, replace(self))
         object.__setattr__(run, "pickled", samples)
         return run
@@ -168,7 +168,7 @@ Known = tuple[str, tuple[str, ...], Literal["current", "torque"], Payload | None
 
 
 def _again(known: Known, excerpt: Excerpt) -> Run:
-    """A run read in this process; raises GtauError where its logs have changed since."""
+    """Read a run again in this process; raises GtauError where its logs have changed since."""
     name, joints, kind, payload, notes, sensors = known
     arrays: dict[str, Any] = read_excerpt(excerpt)
     return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, sensors=sensors, **arrays)
@@ -177,7 +177,7 @@ def _again(known: Known, excerpt: Excerpt) -> Run:
 def _put_back(
     known: Known, samples: int, first: int, times: Sequence[tuple[int, np.ndarray]], parts: Mapping[str, np.ndarray]
 ) -> Run:
-    """A run of which some samples were sent."""
+    """Restore a run of which some samples were sent."""
     name, joints, kind, payload, notes, sensors = known
     places = {"time": Placed(samples)}
     for start, time in times:

@@ -41,7 +41,7 @@ class Source:
         return (*commands, *(f"the torque sensor of joint '{joint}'" for joint in self.sensors))
 
     def places(self, rows: Sequence[int], count: int) -> str:
-        """Where ``count`` rows stand in the file, of which ``rows`` are the first."""
+        """Find where ``count`` rows stand in the file, of which ``rows`` are the first."""
         listed = ", ".join(str(int(row) + self.first_line) for row in rows[:5])
         return f"{self.line_word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
 
@@ -60,7 +60,7 @@ class Samples:
     command: np.ndarray
 
     def place(self, sample: int) -> str:
-        """Where a sample stands in the file."""
+        """Find where a sample stands in the file."""
         return self.source.places([self.rows[sample]], 1)
 
 
@@ -85,7 +85,7 @@ class Part:
         return f" from {self.begin:g} s" + ("" if self.end == np.inf else f" to {self.end:g} s")
 
     def of(self, blocks: Iterable[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
-        """Rows of the part, in blocks whose last column is the time, and the number of the first in each."""
+        """Yield rows of the part, in blocks whose last column is the time, and the number of the first in each."""
         row, first = self.skip, None
         for values in blocks:
             time = values[:, -1]
@@ -134,7 +134,7 @@ class Incomplete:
 
 
 def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -> tuple[Samples, Incomplete]:
-    """The samples of a log, or of a part of it, none of whose values is missing."""
+    """Collect the samples of a log, or of a part of it, none of whose values is missing."""
     n, count = len(source.joints), 0
     wide = 2 * n + len(source.sensors)  # columns before the time
     stores = Store(dtype=int), Store(), Store((n,)), Store((wide - n,))
@@ -166,7 +166,7 @@ def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -
 
 
 def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], part: Part = WHOLE) -> Samples:
-    """The samples none of whose values is missing; raises GtauError where there are too few."""
+    """Return the samples none of whose values is missing; raises GtauError where there are too few."""
     samples, lacking = gathered(source, blocks, part)
     if not lacking.count and part != WHOLE:
         raise GtauError(
@@ -204,17 +204,17 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], pa
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 row``, ``2 rows``."""
+    """Write ``1 row``, ``2 rows``."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest value of every column."""
+    """Find the smallest and largest value of every column."""
     columns = (np.ascontiguousarray(block(array, *span).T) for span in spans(len(array)))
     found = [(each.min(axis=1), each.max(axis=1)) for each in columns]
     return np.min([low for low, _ in found], axis=0), np.max([high for _, high in found], axis=0)
 
 
 def ahead(samples: int) -> Iterator[tuple[int, int]]:
-    """Spans for what needs the sample before too: each begins with the last one of the span before."""
+    """Extend spans for what needs the sample before too: each begins with the last one of the span before."""
     return ((max(start - 1, 0), stop) for start, stop in spans(samples))

@@ -16,7 +16,7 @@ from gtau.signals.sizes import sizes
 
 
 def spans(samples: int, size: int = 0) -> Iterator[tuple[int, int]]:
-    """First sample, and the one after the last, of blocks of ``size`` (if given) that together are ``samples``."""
+    """Yield the first sample, and the one after the last, of blocks of ``size`` that make up ``samples``."""
     size = size or sizes().block
     return ((start, min(start + size, samples)) for start in range(0, samples, size))
 
@@ -50,7 +50,7 @@ class Store:
             self._write()
 
     def array(self) -> np.ndarray:
-        """All rows; raises GtauError where the folder for temporary files is full."""
+        """Return all rows; raises GtauError where the folder for temporary files is full."""
         if self._file is None:
             return np.concatenate([np.zeros((0, *self._width), self._dtype), *self._held])
         self._write()
@@ -84,7 +84,7 @@ def _mapped(file: BinaryIO, shape: tuple[int, ...], dtype: type) -> np.ndarray:
 
 
 def store(blocks: Iterable[np.ndarray], width: tuple[int, ...] = (), dtype: type = float) -> np.ndarray:
-    """The blocks one after the other as one array; see :class:`Store`."""
+    """Store the blocks one after the other as one array; see :class:`Store`."""
     rows = Store(width, dtype)
     for each in blocks:
         rows.append(each)
@@ -125,7 +125,7 @@ class Placed:
             self._file.write(np.ascontiguousarray(rows, self._dtype).tobytes())
 
     def array(self) -> np.ndarray:
-        """All rows; raises GtauError where the folder for temporary files is full."""
+        """Return all rows; raises GtauError where the folder for temporary files is full."""
         if self._file is None:
             return self._held
         with _room():
@@ -134,7 +134,7 @@ class Placed:
 
 
 def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Copies of the rows of an array at increasing ``places``, however long it is."""
+    """Copy the rows of an array at increasing ``places``, however long it is."""
     rows = Store(array.shape[1:], array.dtype.type)
     for start, stop in spans(len(array)):
         first, last = np.searchsorted(places, [start, stop])
@@ -143,7 +143,7 @@ def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def block(array: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """A copy of some rows of an array; those of a stored one need no memory afterwards."""
+    """Copy some rows of an array; those of a stored one need no memory afterwards."""
     copy = array[start:stop].copy()
     file = stored(array)
     if file is not None and hasattr(mmap, "MADV_DONTNEED"):
@@ -152,7 +152,7 @@ def block(array: np.ndarray, start: int, stop: int) -> np.ndarray:
 
 
 def stored(array: np.ndarray) -> mmap.mmap | None:
-    """The file that an array lies in, if it does not lie in memory."""
+    """Return the file that an array lies in, if it does not lie in memory."""
     owner: object = array
     while isinstance(owner, np.ndarray):
         owner = owner.base

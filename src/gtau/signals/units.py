@@ -43,12 +43,12 @@ def si_factor(text: str, kind: Kind) -> float:
 
 @lru_cache(maxsize=64)
 def is_angle(text: str) -> bool:
-    """Whether a unit of positions is an angle and not a length."""
+    """Decide whether a unit of positions is an angle and not a length."""
     return _found(text, "position")[0] == "angle"
 
 
 def _found(text: str, kind: Kind) -> tuple[str, float]:
-    """The quantity that a unit measures, and its factor to SI."""
+    """Find the quantity that a unit measures, and its factor to SI."""
     for quantity in QUANTITIES[kind]:
         if text in COMMON[quantity]:
             return quantity, COMMON[quantity][text]

@@ -98,7 +98,7 @@ class Alternative:
 
 
 def support(size: float, std: float, plausible: float) -> tuple[float, float]:
-    """Logarithm of the Bayes factor of an alternative over none, and the second moment of its size under it.
+    """Compute the log Bayes factor of an alternative over none, and the second moment of its size under it.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def _together(
     windows: Sequence[LinearisedWindow],
     known: tuple[np.ndarray, np.ndarray],
 ) -> list[Alternative]:
-    """All candidates of a hypothesis at once, where they explain much: each alone may explain little."""
+    """Fit all candidates of a hypothesis at once, since they may explain much together and little alone."""
     e, J, columns = stack(windows)
     e, J = np.concatenate([e, known[0]]), np.concatenate([J, known[1]])
     columns = np.pad(columns, ((0, len(known[0])), (0, 0)))
@@ -231,7 +231,7 @@ def _together(
 
 
 def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarray:
-    """What all alternatives together add to the covariance of (theta, gains, delays), (k, k)."""
+    """Compute what all alternatives together add to the covariance of (theta, gains, delays), (k, k)."""
     total = np.zeros((size, size))
     for each in alternatives:
         total += each.mean_square * np.outer(each.slopes, each.slopes)

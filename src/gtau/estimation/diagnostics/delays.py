@@ -16,7 +16,7 @@ from gtau.estimation.thresholds import DELAY_MOTION, DELAY_STD
 
 
 def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """The share of motion in the mean square of each joint's rate of current, and its standard error, (n,) each.
+    """Compute the share of motion in the mean square of each joint's current rate, and its standard error, (n,) each.
 
     The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated). The error is
     that of a ratio, from its scatter over the units.

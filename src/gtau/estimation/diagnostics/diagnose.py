@@ -84,7 +84,7 @@ def diagnose(
 
 
 def _given_verdicts(fit: Fit, findings: Findings) -> tuple[Verdict, ...]:
-    """Verdicts on gains that are given, or 1 for torques: contradictory where the model does not explain the joint."""
+    """Judge gains that are given, or 1 for torques: contradictory where the model does not explain the joint."""
     misfit = (fit.solution.sigma / fit.system.problem.balance(fit.solution.theta))[: len(fit.gains)]
     kind = fit.dataset.runs[0].kind
     found = [GIVEN] * len(misfit)
@@ -103,7 +103,7 @@ def _given_verdicts(fit: Fit, findings: Findings) -> tuple[Verdict, ...]:
 
 
 def _small_refutations(fit: Fit, findings: Findings, accuracy: float) -> list[Note]:
-    """What the data refute of the description where no gain moves by more than the accuracy."""
+    """List what the data refute of the description where no gain moves by more than the accuracy."""
     if not fit.free_gains:
         return []
     return [

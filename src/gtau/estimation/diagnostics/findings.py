@@ -106,7 +106,7 @@ RUNS_ADVICE = (
 
 
 def _certain(fit: Fit, hypothesis: str, subject: str, size: float, std: float, moves: np.ndarray) -> Alternative:
-    """An alternative that was found significant by a test of its own; ``moves`` (n,) are those of the gains."""
+    """Make an alternative that a test of its own found significant; ``moves`` (n,) are those of the gains."""
     slopes = np.zeros(len(fit.solution.stacked))
     slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
     return Alternative(

@@ -76,7 +76,7 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
 
 
 def _windows(problem: Problem, solution: Solution, members: np.ndarray) -> Iterator[LinearisedWindow]:
-    """The jackknife blocks, each joint offered the current of its model once more in each group (groups, U)."""
+    """Build the jackknife blocks, each joint offered its model's current again in each group (groups, U)."""
     state = solution.iterate
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     for block, mine in zip(problem.blocks, members.T, strict=True):

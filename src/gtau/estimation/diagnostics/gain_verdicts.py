@@ -47,7 +47,7 @@ def gain_verdicts(
 
 
 def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
-    """Half the relative widths of the gains' 95 % intervals, (n,)."""
+    """Compute half the relative widths of the gains' 95 % intervals, (n,)."""
     from scipy.special import ndtri, stdtrit
 
     gains = fit.system.problem.gain_rows

@@ -9,7 +9,7 @@ from gtau.estimation.regression.problem import Problem
 
 
 def lack_of_fit(problem: Problem, solution: Solution) -> float:
-    """Standard deviations by the jackknife over those for independent residuals, the median over the parameters.
+    """Divide standard deviations by the jackknife by those for independent residuals; median over the parameters.
 
     Near 1 where the residuals are white; well above where they are autocorrelated, as the model lacks something.
     """

@@ -120,7 +120,7 @@ def leg_differences(
 
 
 def _by_meaning(leg: tuple[str, ...], base: BaseParameters, names: Sequence[str]) -> dict[str, int]:
-    """Positions in ``names`` of a leg's parameters, by what they regroup, joints counted from the leg's first."""
+    """Locate a leg's parameters in ``names`` by what they regroup, joints counted from the leg's first."""
     found = {}
     for position, name in enumerate(names):
         words = base.regroupings[name].split()
@@ -135,7 +135,7 @@ def _in_leg(word: str, leg: tuple[str, ...]) -> str:
 
 
 def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance: np.ndarray) -> list[Note]:
-    """Whether legs of the same geometry differ in what they are built of (the paper's check after section 3.1).
+    """Test whether legs of the same geometry have different parameters (the paper's check after section 3.1).
 
     Their frictions always differ, and the table shows them.
     """

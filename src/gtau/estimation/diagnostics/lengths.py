@@ -81,7 +81,7 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
 
 
 def _left(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
-    """Squares of the residuals that a fit of another ``model`` leaves, and its gains (n,), to first order."""
+    """Fit another ``model`` to first order: squares of the residuals that it leaves, and its gains (n,)."""
     windows = central_windows(fit.dataset)
     e, J, _ = stack(linearise(fit, None, windows, model))
     errors, known = known_rows(fit, windows)
@@ -92,7 +92,7 @@ def _left(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
 
 
 def _longer(robot: Robot, step: float) -> Iterator[tuple[str, Robot]]:
-    """The robot with each of its lengths longer by a share ``step``, those that are the same together."""
+    """Lengthen each length of the robot by a share ``step``, those that are equal together."""
     places = [(joint.name, joint.placement) for joint in robot.joints]
     sides = [(end.body, end.placement) for end in robot.ends]
     lengths: dict[float, list[str]] = {}
@@ -129,7 +129,7 @@ def _moved(ties: tuple[Tie, ...], length: float, step: float) -> tuple[Tie, ...]
 
 
 def _scaled(placement: Placement, length: float, step: float) -> Placement:
-    """The placement with its lengths of this size longer by a share ``step``."""
+    """Lengthen the lengths of this size in a placement by a share ``step``."""
     if isinstance(placement, Mdh):
         values = {name: getattr(placement, name) for name in ("d", "r", "b")}
         return replace(

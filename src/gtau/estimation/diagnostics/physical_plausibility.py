@@ -12,7 +12,7 @@ TERM = re.compile(r"([+-])\s*(?:[\d.e+-]+ )?([a-z]+\d?)_")
 
 
 def cannot_be_negative(regrouping: str) -> bool:
-    """Whether a base parameter is a sum of masses, moments of inertia or friction, from its regrouping as text."""
+    """Decide from its regrouping whether a base parameter is a sum of masses, moments of inertia or friction."""
     terms = TERM.findall(f"+ {regrouping}")
     return bool(terms) and all(sign == "+" and kind in NONNEGATIVE for sign, kind in terms)
 

@@ -19,7 +19,7 @@ from gtau.signals.run import Run
 
 
 def other_clock(gravity: float, runs: Sequence[Run]) -> tuple[str, str]:
-    """Why and what to do where the residuals ask for a gravity of the same direction, ``gravity`` times as large.
+    """Explain, with advice, residuals that ask for gravity of the same direction, ``gravity`` times as large.
 
     Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
     torques against those of gravity, whose length on Earth is known to 0.3 %.
@@ -63,7 +63,7 @@ def require_felt_payload(system: System) -> None:
 
 
 def _residual(problem: Problem, joint: int, columns: list[int]) -> float:
-    """Relative residual of a joint's current, fitted by ``columns`` of its own equations."""
+    """Compute the relative residual of a joint's current, fitted by ``columns`` of its own equations."""
     R, v = problem.triangles[joint], problem.n_theta + 1
     solved = np.linalg.lstsq(R[:, columns], R[:, v], rcond=1e-10)[0]
     return float(np.linalg.norm(R[:, v] - R[:, columns] @ solved) / np.linalg.norm(R[:, v]))

@@ -50,7 +50,7 @@ class PositionRipple:
 
     @staticmethod
     def none(fit: Fit) -> PositionRipple:
-        """Nothing that repeats."""
+        """Return a ripple of nothing."""
         return PositionRipple(np.zeros(len(fit.solution.gains)), np.zeros(len(fit.solution.stacked)))
 
     @property
@@ -106,7 +106,7 @@ def position_ripple(fit: Fit) -> PositionRipple:
 def _fit(
     halves: Sequence[Sequence[LinearisedWindow]], heights: np.ndarray, known: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the estimates (k,), and each run's torques at the knots (runs, c, KNOTS), found together.
+    """Fit steps of the estimates (k,) and each run's torques at the knots (runs, n, KNOTS) together.
 
     Each half has one piece a run. A torque acts in one joint of one run only, so it is eliminated there; it is drawn
     to zero with the weight ``1 / heights`` (c,), as it can stand in for a parameter.
@@ -125,14 +125,14 @@ def _fit(
 
 
 def _left(pieces: Sequence[LinearisedWindow], known: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the estimates without further torques (k,), and the squares of the errors that they leave, (c,)."""
+    """Fit steps of the estimates alone (k,), and the squares of the errors that they leave, (n,)."""
     e, J, _ = stack(pieces)
     step = least_squares_step(np.concatenate([J, known[1]]), np.concatenate([e, known[0]]))
     return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))
 
 
 def ripple_notes(found: PositionRipple, fit: Fit) -> list[Note]:
-    """What repeats at the same positions, and what that does to the gains."""
+    """Describe the torque that repeats at the same positions, and what it does to the gains."""
     if not found.found:
         return []
     joints = fit.system.problem.joints

@@ -22,7 +22,7 @@ BELIEVED = (Outcome.GIVEN, Outcome.GOOD, Outcome.WEAK)
 def check_priors(
     verdicts: Sequence[Verdict], robot: Robot, gains: np.ndarray, priors: Mapping[str, float]
 ) -> tuple[Verdict, ...]:
-    """Verdicts where gains (n,) that have a prior (by joint, N m/A or N/A) are more than a factor of two off it."""
+    """Judge gains (n,) with a prior (by joint, N m/A or N/A) that are more than a factor of two off it."""
     found = list(verdicts)
     for j, joint in enumerate(robot.actuated):
         ratio = abs(gains[j] / priors[joint]) if joint in priors else 1.0
@@ -37,7 +37,7 @@ def check_priors(
 
 
 def _units(ratio: float) -> str:
-    """What to check where a gain is ``ratio`` times its prior."""
+    """Advise what to check where a gain is ``ratio`` times its prior."""
     if 1000 / THOUSAND < ratio < 1000 * THOUSAND:
         return "check the payload's mass, which looks like g for kg, and the unit of the currents, A said to be mA"
     if 0.001 / THOUSAND < ratio < 0.001 * THOUSAND:
@@ -46,7 +46,7 @@ def _units(ratio: float) -> str:
 
 
 def check_limits(verdicts: Sequence[Verdict], robot: Robot, torques: np.ndarray) -> tuple[Verdict, ...]:
-    """Verdicts where a joint's torque (n,), rms in N m or N, is more than twice its limit of effort."""
+    """Judge joints whose torque (n,), rms in N m or N, is more than twice their effort limit."""
     found = list(verdicts)
     for j, joint in enumerate(robot.actuated):
         limit = robot.joint(joint).limits.effort
@@ -63,7 +63,7 @@ def check_limits(verdicts: Sequence[Verdict], robot: Robot, torques: np.ndarray)
 
 
 def check_payloads(verdicts: Sequence[Verdict], payloads: Mapping[str, Verdict]) -> tuple[Verdict, ...]:
-    """Verdicts on the gains where that on a known payload, which they rest on, is contradictory."""
+    """Judge gains that rest on a known payload whose own verdict is contradictory."""
     wrong = [name for name, each in payloads.items() if each.outcome == Outcome.CONTRADICTORY]
     if not wrong:
         return tuple(verdicts)
@@ -74,7 +74,7 @@ def check_payloads(verdicts: Sequence[Verdict], payloads: Mapping[str, Verdict])
 
 
 def share_doubts(verdicts: Sequence[Verdict], joints: Sequence[str]) -> tuple[Verdict, ...]:
-    """Verdicts where no gain is good beside a contradictory one: all joints share the parameters of one model."""
+    """Judge the others where no gain is good beside a contradictory one: all joints share one model's parameters."""
     wrong = [joint for joint, each in zip(joints, verdicts, strict=True) if each.outcome == Outcome.CONTRADICTORY]
     if not wrong:
         return tuple(verdicts)

@@ -33,7 +33,7 @@ class ScoreTests:
         return np.asarray(self.size / np.maximum(self.std, 1e-300))
 
     def of(self, columns: slice) -> ScoreTests:
-        """The tests of some columns."""
+        """Select the tests of some columns."""
         return ScoreTests(self.size[columns], self.std[columns], self.share[columns], self.slopes[columns])
 
 

@@ -14,7 +14,7 @@ from gtau.estimation.thresholds import SWAPPED
 
 
 def unexplained(dataset: Dataset) -> np.ndarray:
-    """Share of each joint's current (columns) that the regressor of each joint (rows) leaves unexplained, (n, n).
+    """Compute the share of each joint's current (columns) that each joint's regressor (rows) leaves unexplained.
 
     Each joint is fitted by itself, with other parameters for each payload.
     """

@@ -46,7 +46,7 @@ GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 
 
 def parameter_verdict(value: float | None, std: float | None) -> Verdict:
-    """Verdict on a parameter from its value and standard deviation."""
+    """Judge a parameter by its value and standard deviation."""
     if value is None:
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
@@ -67,7 +67,7 @@ def parameter_verdict(value: float | None, std: float | None) -> Verdict:
 
 
 def known_verdict(kind: str, declared: float, found: float, std: float, block: str) -> Verdict:
-    """Verdict on a payload of which the parameter ``kind`` has been found from all else that is known."""
+    """Judge a known parameter ``kind`` of a payload by its estimate from all else that is known."""
     if abs(found - declared) <= APART * std:
         return GOOD
     if kind == "m":
@@ -87,7 +87,7 @@ def known_verdict(kind: str, declared: float, found: float, std: float, block: s
 
 
 def worst(verdicts: Mapping[str, Verdict] | Sequence[Verdict]) -> Outcome:
-    """The worst outcome of several."""
+    """Return the worst outcome of several."""
     found = list(verdicts.values()) if isinstance(verdicts, Mapping) else list(verdicts)
     order = list(Outcome)
     return max((verdict.outcome for verdict in found), key=order.index, default=Outcome.GOOD)

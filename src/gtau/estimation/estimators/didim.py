@@ -31,7 +31,7 @@ SWITCHING = 1.0  # and of every parameter: Coulomb friction of a passive joint s
 def along_simulated_motion(
     dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
 ) -> tuple[Dataset, System]:
-    """The data along simulated motion, and their problem, settled with the estimates of ``solve``.
+    """Iterate between simulated motion and the estimates of ``solve`` until they settle; return data and problem.
 
     Raises
     ------

@@ -50,7 +50,7 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
 
 
 def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
-    """Terms that the Bayesian information criterion asks for, joint by joint and sensor by sensor, and its value.
+    """Select friction terms joint by joint by the Bayesian information criterion.
 
     Each joint's current, or sensor's torque, is fitted by its own regressor alone, with every subset of its terms in
     ``problem``; the subset of least ``r log(sigma^2) + k log(r)`` is taken. As the criterion believes in

@@ -32,7 +32,7 @@ MAD = 1.4826  # median absolute deviation to standard deviation
 def reweighted(
     dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
 ) -> tuple[Dataset, System]:
-    """The data and their problem with Huber's weights on the rows, settled with the estimates of ``solve``."""
+    """Iterate between Huber's weights on the rows and the estimates of ``solve`` until they settle."""
     loaded = any(term.startswith("fl_") for term in system.friction.terms)
     sigma, gains = None, None
     for _ in range(PASSES):
@@ -53,7 +53,7 @@ def reweighted(
 
 
 def _sizes(factors: Sequence[Factors]) -> Iterator[np.ndarray]:
-    """Sizes of the residuals of all runs, in blocks (., n)."""
+    """Compute the sizes of the residuals of all runs, in blocks (., n)."""
     for each in factors:
         if each.residuals is not None:
             yield from (np.abs(block(each.residuals, *span)) for span in spans(len(each.residuals)))

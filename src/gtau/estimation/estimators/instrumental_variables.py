@@ -54,7 +54,7 @@ class Pair:
     whole: tuple[np.ndarray, np.ndarray]
 
     def of(self, parameters: Sequence[str]) -> Pair:
-        """The same with some parameters only, the others taken for zero."""
+        """Keep some parameters only, the others taken for zero."""
         gone = [name for name in self.measured.parameters if name not in set(parameters)]
         kept = [k for k, name in enumerate(self.measured.parameters) if name in set(parameters)]
         columns = [*kept, *range(self.measured.n_theta, self.measured.n_theta + 4)]
@@ -65,7 +65,7 @@ class Pair:
 def instrumental(
     dataset: Dataset, system: System, solution: Solution, free_gains: bool, progress: Progress
 ) -> tuple[Pair, Solution]:
-    """Estimates by instrumental variables, and the equations with their instruments.
+    """Estimate by instrumental variables, and return the equations with their instruments.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     state = Iterate(np.zeros(n_theta), 1 / start.gains, start.delays)
 
     def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Errors (., n p), their Jacobian (., n p, k) and that of the instruments, weighted."""
+        """Compute errors (., n p), their Jacobian (., n p, k) and that of the instruments, weighted."""
         e = residuals(blocks, state, n_theta) * weights[:, None]
         J, Z = (jacobian(each, state, problem, free) * weights[:, None, None] for each in (blocks, instruments))
         axes = (*e.shape[:-2], -1)
@@ -143,7 +143,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 
 
 def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
-    """The problem along the motion measured, and along the one simulated."""
+    """Build the problem along the motion measured, and along the one simulated."""
     simulated = resimulated_runs(dataset, system, solution)
     loaded = any(term.startswith("fl_") for term in system.friction.terms)
     loads = [system.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
@@ -173,7 +173,7 @@ def _reduced(
     decimator: Decimator,
     load: np.ndarray | None,
 ) -> tuple[Factors, Factors]:
-    """Factors of a run along the motion measured and along the one simulated, with the same rows behind each row.
+    """Reduce a run along the motion measured and along the one simulated, with the same rows behind each row.
 
     The sign of a noisy speed is not that of the speed plus noise, so columns of Coulomb friction are those simulated.
     The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by columns.

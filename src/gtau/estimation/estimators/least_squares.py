@@ -24,12 +24,12 @@ from gtau.estimation.regression.system import System
 
 
 def ols(problem: Problem, gains: np.ndarray) -> Solution:
-    """Ordinary least squares with given ``gains`` (c,): every joint's torque error counts alike (eq. 24)."""
+    """Solve ordinary least squares with given ``gains`` (n,): every torque error counts alike (eq. 24)."""
     return _with_given(problem, gains, lambda state, errors: np.abs(1 / state.b), "ordinary")
 
 
 def wls(problem: Problem, gains: np.ndarray) -> Solution:
-    """Weighted least squares with given ``gains`` (c,): joints weighted by their own error level (eq. 28)."""
+    """Solve weighted least squares with given ``gains`` (n,): joints weighted by their own error level (eq. 28)."""
     own, silent = problem.own_sigma, problem.silent
 
     def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ def _with_given(
 
 
 def scarcity(problem: Problem) -> str:
-    """Equations and unknowns, and what gives more of the former."""
+    """Count equations and unknowns, and advise what gives more of the former."""
     rows, unknowns = int(problem.total_rows.sum()), problem.n_theta + 2 * len(problem.joints)
     return f"after filtering there are {rows} equations for {unknowns} unknowns; log longer runs, at a higher rate, "
 

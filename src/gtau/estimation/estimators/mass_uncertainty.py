@@ -14,7 +14,7 @@ from gtau.signals.experiment import Payload
 
 
 def mass_uncertainty(dataset: Dataset, system: System, solution: Solution, solve: Solve) -> np.ndarray:
-    """Covariance of (theta, gains, delays) that the uncertainty of the known masses adds, one payload at a time."""
+    """Compute the covariance of (theta, gains, delays) that the uncertainty of the known masses adds."""
     extra = np.zeros_like(solution.covariance)
     masses = {run.payload.name: run.payload for run in dataset.runs if run.payload and run.payload.mass_std}
     for payload in masses.values():
@@ -30,5 +30,5 @@ def mass_uncertainty(dataset: Dataset, system: System, solution: Solution, solve
 
 
 def with_payload(dataset: Dataset, name: str, other: Payload) -> Sequence[Payload | None]:
-    """The runs' payloads, with ``other`` in the place of that called ``name``."""
+    """Replace the payload called ``name`` by ``other`` in the runs."""
     return [other if run.payload and run.payload.name == name else run.payload for run in dataset.runs]

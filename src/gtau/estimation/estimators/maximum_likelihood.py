@@ -28,7 +28,7 @@ from gtau.estimation.thresholds import MISFIT
 
 
 def ml(problem: Problem) -> Solution:
-    """Maximum likelihood of parameters, drive gains and delays, started from 2SLS.
+    """Maximise the likelihood of parameters, drive gains and delays, started from 2SLS.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def ml(problem: Problem) -> Solution:
 
 
 def ml_or_wls(given: Given) -> Solve:
-    """Maximum likelihood, or weighted least squares where the gains are given."""
+    """Maximise the likelihood, or solve weighted least squares where the gains are given."""
     return ml if given.gains is None else with_given(wls, given)
 
 

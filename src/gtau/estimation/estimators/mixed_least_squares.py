@@ -19,7 +19,7 @@ from gtau.estimation.regression.triangle import triangle
 
 
 def mixed(problem: Problem) -> Solution:
-    """Mixed LS-TLS: the regressor exact, the currents noisy, rows scaled by each joint's current residual.
+    """Solve mixed LS-TLS: exact regressor, noisy currents, rows scaled by each joint's current residual.
 
     The exact columns are eliminated by a QR factorisation; the gains are the direction in which the
     current columns are left smallest, relative to their noise.

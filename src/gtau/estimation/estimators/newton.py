@@ -30,19 +30,19 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def residuals(blocks: np.ndarray, state: Iterate, n_theta: int) -> np.ndarray:
-    """Residuals (..., c, p) of blocks (..., c, p, n_theta + 4)."""
+    """Compute residuals (..., n, p) of blocks (..., n, p, n_theta + 4)."""
     shifts = np.stack([delayed(d) for d in state.delays])
     currents = np.einsum("...jpk,jk->...jp", blocks[..., n_theta + 1 :], shifts)
     return np.asarray(currents - state.b[:, None] * modelled(blocks, state.theta))
 
 
 def modelled(blocks: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Torques (..., c, p) that parameters (n_theta,) give blocks (..., c, p, n_theta + 4)."""
+    """Compute the torques (..., n, p) that parameters (n_theta,) give blocks (..., n, p, n_theta + 4)."""
     return np.asarray(np.einsum("...jpk,k->...jp", blocks[..., : len(theta)], theta) + blocks[..., len(theta)])
 
 
 def jacobian(blocks: np.ndarray, state: Iterate, problem: Problem, free_gains: bool) -> np.ndarray:
-    """Derivatives of the residuals by (theta, b, d) or (theta, d), (..., c, p, parameters); 0 by known gains."""
+    """Differentiate the residuals with respect to (theta, b, d) or (theta, d), (..., n, p, parameters)."""
     n_theta = problem.n_theta
     W, currents = blocks[..., :n_theta], blocks[..., n_theta + 1 :]
     n = len(state.b)
@@ -56,14 +56,14 @@ def jacobian(blocks: np.ndarray, state: Iterate, problem: Problem, free_gains: b
 
 
 def moved(state: Iterate, step: np.ndarray, n_theta: int, free_gains: bool) -> Iterate:
-    """The state after a step in the unknowns of :func:`jacobian`."""
+    """Move the state by a step in the unknowns of :func:`jacobian`."""
     n = len(state.b)
     b = state.b + step[n_theta : n_theta + n] if free_gains else state.b
     return Iterate(state.theta + step[:n_theta], b, state.delays + step[-n:])
 
 
 def stacked(problem: Problem) -> np.ndarray:
-    """The channels' triangles in one array, (c, p, n_theta + 4), filled up with zero rows."""
+    """Stack the joints' triangles, (n, p, n_theta + 4), filled up with zero rows."""
     triangles = np.zeros((len(problem.channels), max(map(len, problem.triangles)), problem.n_theta + 4))
     for j, R in enumerate(problem.triangles):
         triangles[j, : len(R)] = R
@@ -121,7 +121,7 @@ def solve(
 
 
 def curvature_of_delays(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray) -> np.ndarray:
-    """What ``e e'' `` adds to the curvature of the cost in each joint's delay, (..., n).
+    """Compute what ``e e'' `` adds to the curvature of the cost in each joint's delay, (..., n).
 
     Where motions are slow and the current's noise white, ``v'`` is mostly noise; Gauss and Newton then see a curvature
     that is not there, and their steps in the delays are a hundred times too short.
@@ -132,7 +132,7 @@ def curvature_of_delays(blocks: np.ndarray, state: Iterate, problem: Problem, we
 
 
 def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-    """``B`` (k, .) with ``B B^T`` the inverse of ``rows^T rows``, its last diagonal entries raised by ``curvature``.
+    """Compute ``B`` (k, .) with ``B B^T = (rows^T rows)^-1``, its last diagonal entries raised by ``curvature``.
 
     Directions without any effect are left out, and those in which the curvature is hardly there count as a little
     curved.
@@ -148,7 +148,7 @@ def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
 
 
 def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """``gauss + second`` (k, k), of which the delays' curvature leaves ``FLATTEST`` of that of Gauss and Newton."""
+    """Add ``gauss + second`` (k, k), where delays keep at least ``FLATTEST`` of the Gauss-Newton curvature."""
     try:
         np.linalg.cholesky((1 - FLATTEST) * gauss + second)
         return np.asarray(gauss + second)
@@ -212,7 +212,7 @@ def finish(
 
 
 def to_gains(state: Iterate, n_theta: int, free_gains: bool) -> np.ndarray:
-    """Derivatives of (theta, g, d) by the unknowns of :func:`jacobian`, (n_theta + 2 c, .)."""
+    """Differentiate (theta, g, d) with respect to the unknowns of :func:`jacobian`, (n_theta + 2 n, .)."""
     n = len(state.b)
     size = _size(n, n_theta, free_gains)
     T = np.zeros((n_theta + 2 * n, size))
@@ -224,7 +224,7 @@ def to_gains(state: Iterate, n_theta: int, free_gains: bool) -> np.ndarray:
 
 
 def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Newton's steps (U, k) from the estimates of all units to those without each.
+    """Take Newton's steps (U, k) from the estimates of all units to those without each.
 
     ``blocks`` are each unit's share in the matrix of the normal equations (k, k), whose sum is the unit matrix, and its
     equations' left-hand side (k,), whose sum is zero.

@@ -78,7 +78,7 @@ class Consistency:
 def consistent(
     dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior], free_gains: bool
 ) -> Consistency:
-    """Physically consistent standard parameters, alone (gains given) or together with the gains.
+    """Find physically consistent standard parameters, alone (gains given) or together with the gains.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def _linear(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.nd
 
 
 def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, np.ndarray]:
-    """Unknowns x, and steps of 1/g and of the delays, that solve one convex programme."""
+    """Solve one convex programme for unknowns x, and steps of 1/g and of the delays."""
     n_theta, c = unknowns.S.shape
     R, y = R[:-1, :-1], R[:-1, -1]  # the last row is what no unknown can explain
     rest = R.shape[1] - n_theta
@@ -192,7 +192,7 @@ def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, n
 def _gain_std(
     problem: Problem, state: Iterate, weights: np.ndarray, unknowns: StandardUnknowns, stated: np.ndarray
 ) -> np.ndarray:
-    """Standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
+    """Compute standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
     n = len(problem.joints)
     factors = [triangle(_linear(unit, state, problem, weights, True)) for unit in problem.blocks]
     left = (triangle(R, stated) for R in leave_one_out(factors))

@@ -20,7 +20,7 @@ MARGIN = 1e-6
 
 
 def _basis() -> np.ndarray:
-    """Pseudo-inertias of unit parameters, in the order of INERTIAL, (10, 4, 4)."""
+    """Build the pseudo-inertias of unit parameters, in the order of INERTIAL, (10, 4, 4)."""
     basis = np.zeros((10, 4, 4))
     for k, name in enumerate(INERTIAL):
         axes = ["xyz".index(letter) for letter in name if letter in "xyz"]
@@ -40,7 +40,7 @@ BASIS = _basis()
 
 
 def pseudo_inertia(values: np.ndarray) -> np.ndarray:
-    """Pseudo-inertia (4, 4) of the inertial parameters (10,), in the order of INERTIAL, SI units."""
+    """Build the pseudo-inertia (4, 4) of inertial parameters (10,), in the order of INERTIAL, SI units."""
     return np.einsum("k,kij->ij", values, BASIS)
 
 

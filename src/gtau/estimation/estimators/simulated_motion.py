@@ -39,7 +39,7 @@ MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
 def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tuple[InMemoryRun, ...]:
-    """All runs along the motion that the loop, simulated with what was found, gives them; see :func:`resimulated`."""
+    """Replace the motion of all runs by that of the simulated loop; see :func:`resimulated`."""
     if dataset.robot.floating:
         raise GtauError(
             f"motion is simulated from the currents of motors, and the base '{dataset.robot.floating}' has none; use "
@@ -60,7 +60,7 @@ def resimulated(
     preparation: Preparation,
     smooth: float = SMOOTH,
 ) -> InMemoryRun:
-    """A run along the motion that the loop simulated gives it; rows in the reference's ends are left out too.
+    """Replace a run's motion by that of the simulated loop; rows in the reference's ends are left out too.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def _disturbance(
     here: Labels,
     before: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``M^-1 h`` (M, n) along some samples of a motion, three of (M, n), and the last configuration.
+    """Compute ``M^-1 h`` (M, n) along some samples of a motion, three of (M, n), and the last configuration.
 
     Coulomb friction opposes the speeds of ``direction`` (M, n), those of the reference, so that a joint needs no
     stiction; rows where the two differ in sign are next to a reversal, and masked. ``before`` is the configuration
@@ -167,7 +167,7 @@ class Loop:
         self._states: list[np.ndarray] = []
 
     def errors(self, disturbance: np.ndarray) -> list[np.ndarray]:
-        """Three of (M, n) from a disturbance (M, n)."""
+        """Compute the three errors (M, n) from a disturbance (M, n)."""
         from scipy.signal import lfilter, lfilter_zi
 
         states = self._states or [lfilter_zi(b, a)[:, None] * disturbance[:1] for b, a in self._filters]

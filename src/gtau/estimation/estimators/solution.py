@@ -56,7 +56,7 @@ class Solution:
 
     @cached_property
     def jackknife(self) -> np.ndarray:
-        """Covariance by the delete-one jackknife, which allows for errors correlated in time."""
+        """Compute the covariance (k, k) from the steps (U, k) that leaving out each unit makes."""
         return jackknife(self.replicates()) + self.of_prior
 
     @property

@@ -45,7 +45,7 @@ class StandardUnknowns:
 def standard_unknowns(
     dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]
 ) -> StandardUnknowns:
-    """The standard parameters behind the problem's, and what is known of them."""
+    """List the standard parameters behind the problem's, and what is known of them."""
     robot, problem = dataset.robot, system.whole
     names = list(dataset.model.parameter_names)
     position = {name: k for k, name in enumerate(names)}
@@ -108,7 +108,7 @@ def _within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarra
 
 
 def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:
-    """Mass that the largest rms torque would hold against gravity, kg."""
+    """Compute the mass that the largest rms torque would hold against gravity, kg."""
     lever = [length if robot.joint(joint).kind == "revolute" else 1.0 for joint in problem.joints]
     torques = (np.abs(solution.gains) * problem.signal)[: len(lever)]
     return float(np.max(torques / np.array(lever)) / STANDARD_GRAVITY)

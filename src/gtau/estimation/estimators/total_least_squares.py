@@ -38,7 +38,7 @@ def tls(problem: Problem) -> Solution:
 
 
 def _own_sigma_W(problem: Problem, j: int) -> float:
-    """sigma_W of joint j from the TLS of its own equations (eq. 38)."""
+    """Compute sigma_W of joint j from the TLS of its own equations (eq. 38)."""
     R = problem.triangles[j]
     current = R[:, problem.n_theta + 1 :] @ delayed(problem.own_delays[j])
     s = np.linalg.svd(np.column_stack([R[:, problem.own_columns[j]], current]), compute_uv=False)
@@ -46,7 +46,7 @@ def _own_sigma_W(problem: Problem, j: int) -> float:
 
 
 def _inverse_of_compatible(s: np.ndarray, V: np.ndarray) -> np.ndarray:
-    """``(W^T W)^-1`` of eq. (39) for the compatible system's first c-1 columns, without forming W^T W.
+    """Compute ``(W^T W)^-1`` of eq. (39) for the compatible system's first c-1 columns, without forming W^T W.
 
     With V partitioned as ``[[V1, a], [b^T, d]]``, orthogonality gives ``V1^-T = V1 - a b^T / d``.
     """

@@ -22,7 +22,7 @@ from gtau.estimation.regression.triangle import triangle
 
 
 def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
-    """Two-stage least squares (2SLS).
+    """Solve two-stage least squares (2SLS).
 
     The currents are first projected on their own joint's regressor columns, which frees them of noise
     uncorrelated with the motion; the known payload then stands alone on the right-hand side.

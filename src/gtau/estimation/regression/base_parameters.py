@@ -57,7 +57,7 @@ class BaseParameters:
 
 
 def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
-    """``names`` in the order of eq. (23): platforms first, then parameter by parameter over like legs.
+    """Order ``names`` as eq. (23): platforms first, then parameter by parameter over like legs.
 
     Joints on the way to a motor stand before the others, so that no coupling bar takes up what belongs to a motor.
     """
@@ -121,7 +121,7 @@ def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] 
 def _settled_triangle(
     idm: InverseDynamics, columns: Sequence[int], rng: np.random.Generator, sensors: Sequence[str]
 ) -> np.ndarray:
-    """Triangular factor of the regressor's ``columns`` at random states, so many that more leave its rank the same."""
+    """Factor the regressor's ``columns`` at so many random states that more leave its rank the same."""
     full, n, n_st = idm.full, len(idm.actuated), len(idm.parameter_names)
     seen = {idm.actuated.index(joint): seen_by_sensor(idm.parameter_names, joint) for joint in sensors}
     samples = max(SAMPLES, -(-ROWS * n_st // n))
@@ -143,7 +143,7 @@ def _settled_triangle(
 
 
 def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]]:
-    """Columns of ``A`` that do not depend on those before them.
+    """Select the columns of ``A`` that do not depend on those before them.
 
     Parameters
     ----------

@@ -80,14 +80,14 @@ The builtin ``map`` is the one that computes here and now; others may compute el
 
 @single_threaded_blas
 def reduce_shard(part: Shard) -> Factors:
-    """Factors of the stretches of a part, in any process; parts of a run are put together by :func:`joined`."""
+    """Reduce the stretches of a part to factors, in any process; :func:`joined` puts the parts of a run together."""
     model = model_of(part.robot)
     return reduce_run(model, part.columns, part.prepared, part.decimator, part.load, part.weigh, part.stretches)
 
 
 @lru_cache(maxsize=8)
 def model_of(robot: Robot) -> InverseDynamics:
-    """The model of a robot, made once."""
+    """Make the model of a robot, once."""
     return InverseDynamics(robot)
 
 
@@ -127,7 +127,7 @@ class Dataset:
     def system(
         self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None
     ) -> System:
-        """The estimation problem with this friction; if need be without delays, or with other known payload values."""
+        """Assemble the estimation problem with this friction, without delays if so wanted, or with other payloads."""
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
         slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
         return assemble_system(
@@ -145,7 +145,7 @@ class Dataset:
     def parts(
         self, loads: Sequence[np.ndarray] | None = None, weigh: Sequence[HuberWeights] | None = None
     ) -> list[list[Shard]]:
-        """What is to be reduced, the parts of every run."""
+        """List what is to be reduced, the parts of every run."""
         return [
             [
                 Shard(
@@ -168,7 +168,7 @@ class Dataset:
         progress: Progress = silent,
         weigh: Sequence[HuberWeights] | None = None,
     ) -> Dataset:
-        """The same runs reduced to factors, with the torques of ``loads`` (one a run) in load-dependent friction.
+        """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
         ``weigh`` (one a run) gives the rows weights; see :func:`reduce_run`.
         """
@@ -198,7 +198,7 @@ def cut(samples: int, shard: int = SHARD) -> list[range]:
 
 
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:
-    """A preparation chosen for other runs, with filters for the sampling rate of these."""
+    """Adapt a preparation chosen for other runs to the sampling rate of these."""
     return preparation.at(min(run.rate for run in runs))
 
 

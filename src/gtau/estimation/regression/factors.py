@@ -73,12 +73,12 @@ def equations(regressor: Regressor, joints: Sequence[int], part: Rows) -> np.nda
 
 
 def outputs_of(stretches: range, outputs: int) -> range:
-    """Which of a run's decimated rows are those of some stretches."""
+    """Find which of a run's decimated rows are those of some stretches."""
     return range(*(-(-s * outputs // STRETCHES) for s in (stretches.start, stretches.stop)))
 
 
 def joined(parts: Sequence[Factors]) -> Factors:
-    """The factors of a run from those of its stretches, in order."""
+    """Join the factors of a run's stretches, in order."""
     return Factors(
         R=np.concatenate([part.R for part in parts]),
         rows=np.concatenate([part.rows for part in parts]),

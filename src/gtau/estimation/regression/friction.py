@@ -45,12 +45,12 @@ PAPER = Friction()
 
 
 def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Columns of the terms, (2, n, N), from speeds and transmitted torques (n, N)."""
+    """Build the columns of the terms, (2, n, N), from speeds and transmitted torques (n, N)."""
     return np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
 
 
 def all_terms(joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Every term of every joint."""
+    """List every term of every joint."""
     return tuple(f"{term}_{joint}" for joint in joints for term in TERMS)
 
 
@@ -60,5 +60,5 @@ def temperature_terms(joints: Sequence[str]) -> tuple[str, ...]:
 
 
 def transmitted(names: Sequence[str]) -> np.ndarray:
-    """1 for the base parameters whose torque a joint transmits, 0 for friction and offsets, (n_b,)."""
+    """Mark the base parameters whose torque a joint transmits by 1, friction and offsets by 0, (n_b,)."""
     return np.array([name.split("_", 1)[0] not in ("fv", "fs", "off") for name in names], dtype=float)

@@ -10,7 +10,7 @@ SAME = 9  # decimals, of lengths in m and of directions
 
 
 def legs(robot: Robot) -> list[tuple[str, ...]]:
-    """The joints of every chain or tree that starts at the ground, or at a base that floats, in order."""
+    """List the joints of every chain or tree that starts at the ground, or at a base that floats, in order."""
     root: dict[str, str] = {}
     found: dict[str, list[str]] = {}
     for joint in robot.joints:
@@ -20,7 +20,7 @@ def legs(robot: Robot) -> list[tuple[str, ...]]:
 
 
 def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
-    """Legs grouped by their geometry, each seen in the frame of its own first link.
+    """Group legs by their geometry, each seen in the frame of its own first link.
 
     Legs are alike whose joints have the same kinds, axes, parameters and placements, and are tied by the same closures
     and springs at the same places. Where a leg stands, its home and its limits do not count.

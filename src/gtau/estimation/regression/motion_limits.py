@@ -27,7 +27,7 @@ UNITS = {"revolute": ("rad", "deg"), "prismatic": ("m", "mm")}
 
 
 def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
-    """The run, with a note on every joint that leaves its limits.
+    """Note every joint that leaves its limits in a run.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
 
 
 def clock_advice(run: Run) -> str:
-    """What to correct where a run has a wrong time."""
+    """Advise what to correct where a run has a wrong time."""
     if run.log is not None and isinstance(run.log.signals.time, SampleRate):
         return f"correct the sampling rate, 'rate: {run.log.signals.time.rate:g}' under signals.time"
     return "correct the unit of the time (units: {time: ...})"

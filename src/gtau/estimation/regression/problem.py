@@ -173,7 +173,7 @@ class Problem:
         return 1e-10 * self.signal
 
     def without(self, names: Sequence[str]) -> Problem:
-        """The same problem with the parameters ``names`` set to zero."""
+        """Set the parameters ``names`` of a problem to zero."""
         keep = [k for k, name in enumerate(self.parameters) if name not in set(names)]
         columns = [*keep, *range(self.n_theta, self.n_theta + 4)]
         less = replace(
@@ -199,5 +199,5 @@ def _told_apart(R: np.ndarray, n_theta: int) -> list[int]:
 
 
 def delayed(d: float) -> np.ndarray:
-    """Weights of v, v', v'' that make ``v(t - d)``, (3,)."""
+    """Compute the weights of v, v', v'' that make ``v(t - d)``, (3,)."""
     return np.array([1.0, -d, d * d / 2])

@@ -90,7 +90,7 @@ def stream_rows(
 def _along(
     idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block], last: int
 ) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
-    """The blocks, each with its samples and configurations; these are made for longer stretches, which is faster.
+    """Stream the blocks with samples and configurations; these are made for longer stretches, which is faster.
 
     Samples from ``last`` on are not looked at.
     """

@@ -64,7 +64,7 @@ class System:
     warmth: np.ndarray | None = None
 
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
-        """What acts in ``run``: values of the base columns with its payload and its own mean friction, (n_b,)."""
+        """Return the base columns' values in ``run``, with its payload and its own friction, (n_b,)."""
         values = dict(zip(self.problem.parameters, theta, strict=True))
         last = len(self.maps) - 1
         chi = np.array([values.get(name, 0.0) for name in self.base.names])
@@ -79,13 +79,13 @@ class System:
         return chi + self._payload(run, values)
 
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
-        """What the joints of ``run`` transmit: values of the base columns, without friction, with payload, (n_b,)."""
+        """Return the base columns' values in ``run`` that joints transmit: with payload, without friction, (n_b,)."""
         values = dict(zip(self.problem.parameters, theta, strict=True))
         chi = np.array([values.get(name, 0.0) for name in self.base.names]) * transmitted(self.base.names)
         return chi + self._payload(run, values)
 
     def _payload(self, run: int, values: Mapping[str, float]) -> np.ndarray:
-        """Values that the payload of ``run`` adds to the base columns, (n_b,)."""
+        """Return the values that the payload of ``run`` adds to the base columns, (n_b,)."""
         of_run = [carried for carried in self.payloads if carried.run == run]
         return sum(
             (
@@ -97,7 +97,7 @@ class System:
 
 
 def known_values(payload: Payload) -> dict[str, float]:
-    """Known inertial parameters of a payload, by kind; empty for an unknown payload."""
+    """Return the known inertial parameters of a payload, by kind; empty for an unknown payload."""
     mass = {} if payload.mass is None else {"m": payload.mass}
     return {**mass, **payload.parameters}
 

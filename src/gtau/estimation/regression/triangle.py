@@ -8,7 +8,7 @@ ROWS = 1024  # reduced at once: few enough to stay in the cache
 
 
 def triangle(*blocks: np.ndarray) -> np.ndarray:
-    """Triangular factor R (min(r, c), c) of the stacked ``blocks`` (., c): ``R^T R = A^T A``.
+    """Compute the triangular factor R (min(r, c), c) of the stacked ``blocks`` (., c): ``R^T R = A^T A``.
 
     Of triangular factors it is the factor of all the rows behind them.
     """
@@ -21,7 +21,7 @@ def triangle(*blocks: np.ndarray) -> np.ndarray:
 
 
 def leave_one_out(factors: list[np.ndarray]) -> list[np.ndarray]:
-    """Merged triangular factor of all but each one of ``factors``, each (., c), from running merges."""
+    """Merge all but each one of the triangular ``factors``, each (., c), by running merges."""
     empty = np.zeros((0, factors[0].shape[1]))
 
     def running(parts: list[np.ndarray]) -> list[np.ndarray]:

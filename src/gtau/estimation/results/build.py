@@ -173,7 +173,7 @@ def build_result(
 
 
 def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
-    """Singular values of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,), columns scaled to unit length."""
+    """Compute singular values of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,), columns of unit length."""
     weights = 1 / np.maximum(sigma, problem.smallest_sigma)
     known = np.zeros((len(problem.known), problem.n_theta + len(problem.joints) + 1))
     known[:, : problem.n_theta], known[:, -1] = -problem.known[:, :-1], problem.known[:, -1]
@@ -190,7 +190,7 @@ def payload_estimates(
     masses: Mapping[str, Verdict],
     freedom: np.ndarray | None,
 ) -> tuple[PayloadEstimate, ...]:
-    """The payload of every loaded run, known and unknown parameters together.
+    """Collect the payload of every loaded run, known and unknown parameters together.
 
     ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
     known payloads, by name; ``freedom`` as in :func:`make_result`.
@@ -220,7 +220,7 @@ def payload_estimates(
 
 
 def _known(std: float, verdict: Verdict) -> float | None:
-    """A standard deviation, None where the value is not identifiable or given."""
+    """Return a standard deviation, None where the value is not identifiable or given."""
     return None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std) or None
 
 
@@ -250,7 +250,7 @@ def _freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
 
 
 def _terms(system: System, robot: Robot, temperatures: ReferenceTemperatures | None) -> list[tuple[str, str]]:
-    """Further friction terms of the joints and their units."""
+    """List further friction terms and their units."""
     kinds = (*TERMS, *TEMPERATURE_TERMS)
     split = [(name, *name.split("_", 1)) for name in system.friction.terms if name.split("_", 1)[0] in kinds]
     per = "" if temperatures is None else f"/{temperatures.per}"
@@ -302,7 +302,7 @@ def _sensors(
 
 
 def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
-    """Standard deviation between runs of each friction parameter that may drift."""
+    """Compute the standard deviation between runs of each friction parameter that may drift."""
     deviations: dict[str, list[float]] = {}
     for name, value in zip(system.problem.parameters, theta, strict=True):
         if "@" in name:

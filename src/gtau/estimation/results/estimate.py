@@ -40,13 +40,13 @@ class Estimate:
     scale: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """Value, standard deviation and unit."""
+        """Print value, standard deviation and unit."""
         if self.value is None:
             return "not identifiable"
         return f"{self.value:.5g}{'' if self.std is None else f' +- {self.std:.2g}'} {self.unit}"
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval by the t distribution, in ``unit``; None without value or standard deviation.
+        """Compute the confidence interval by the t distribution, in ``unit``; None without value or standard deviation.
 
         Raises
         ------
@@ -213,7 +213,7 @@ class Prediction:
         )
 
     def to_frame(self) -> pl.DataFrame:
-        """The prediction as a Polars table, one row an instant and joint; ``.to_pandas()`` makes it one of pandas."""
+        """Return the prediction as a Polars table, one row an instant and joint; ``.to_pandas()`` converts it."""
         import polars as pl
 
         samples, n = self.measured.shape

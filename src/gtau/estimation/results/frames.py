@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def result_frame(result: IdentifiedModel) -> pl.DataFrame:
-    """All estimates of a result, one row each.
+    """Tabulate all estimates of a result, one row each.
 
     Columns: ``group`` (drive gain, delay, parameter, friction, or the payload's name and run), ``name``, ``value``,
     ``std``, ``low`` and ``high`` of the 95 % interval, ``unit``, ``verdict``, whether a parameter is ``essential``

@@ -54,7 +54,7 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
 
 
 def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
-    """How well the weak gains are known, and what makes the worst of them uncertain; ``accuracy`` in per cent."""
+    """Say how well the weak gains are known, and what makes the worst of them uncertain."""
     if not gains:
         return []
     widths = [(gain.half_width or 0.0, gain) for gain in gains]

@@ -140,7 +140,7 @@ class IdentifiedModel:
         return {name: estimate.value or 0.0 for name, estimate in self.parameters.items()}
 
     def payload(self, name: str) -> dict[str, float]:
-        """Identified parameters of a payload by kind, the mean over its runs; empty for an unknown name."""
+        """Return a payload's identified parameters by kind, the mean over its runs; empty for an unknown name."""
         found: dict[str, list[float]] = {}
         for each in self.payloads:
             if each.name == name:

@@ -41,7 +41,7 @@ SCHEMA = "gtau-model/1"
 
 
 def to_document(result: IdentifiedModel) -> dict[str, Any]:
-    """The JSON document of a result; ``rel_std`` in per cent, null where a value is known."""
+    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
     preparation = result.preparation
     return {
         "schema": SCHEMA,
@@ -88,7 +88,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
 
 
 def torque_error(error: TorqueError) -> dict[str, Any]:
-    """A torque error as a JSON document: ``relative`` in per cent."""
+    """Describe a torque error as a JSON document: ``relative`` in per cent."""
     return asdict(error) | {"relative": error.relative, "relative_all": error.relative_all}
 
 
@@ -124,7 +124,7 @@ def _read_standard(document: Mapping[str, Any]) -> Consistency:
 
 
 def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:
-    """Payloads as they stand in ``model.json`` and in what ``gtau payload --json`` prints."""
+    """Describe payloads as in ``model.json`` and in what ``gtau payload --json`` prints."""
     return [
         {
             "name": each.name,
@@ -162,7 +162,7 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
 
 
 def model_text(result: IdentifiedModel) -> str:
-    """Text of the file of a result."""
+    """Write the text of a result's file."""
     return json.dumps(to_document(result), indent=1, allow_nan=False) + "\n"
 
 

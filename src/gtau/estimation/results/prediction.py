@@ -21,7 +21,7 @@ from gtau.signals.run import Run, arrange
 
 
 def predict(result: IdentifiedModel, run: Run) -> Prediction:
-    """Predicted and measured torques at the decimated instants of a run; see :meth:`gtau.Result.predict`."""
+    """Predict torques at the decimated instants of a run, beside the measured ones; see :meth:`gtau.Result.predict`."""
     if not isinstance(run, Run):
         raise GtauError(
             f"a run is wanted, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
@@ -88,7 +88,7 @@ def _of_temperature(result: IdentifiedModel, run: Run, regressor: Regressor, par
 def torques(
     result: IdentifiedModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None
 ) -> np.ndarray:
-    """Torques (N, n) of the identified model at any states; see :meth:`gtau.Result.torques`."""
+    """Compute torques (N, n) of the identified model at any states; see :meth:`gtau.Result.torques`."""
     model, base = result.model, result.base
     chi = loaded_parameters(result, payload, "the robot")
     regressor = model.columns(base.standard)
@@ -100,7 +100,7 @@ def torques(
 
 
 def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier: str) -> np.ndarray:
-    """Base parameters (n_b,) with a ``payload``: of what it leaves out, the values that were identified.
+    """Add a ``payload`` to base parameters (n_b,): what it leaves out takes the identified values.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier:
 
 
 def _friction_terms(result: IdentifiedModel) -> np.ndarray:
-    """Values (terms, n) of the friction beyond the paper's."""
+    """Evaluate the friction beyond the paper's, (terms, n)."""
     joints = result.model.actuated
     return np.array([[_value(result.friction, f"{term}_{joint}") for joint in joints] for term in TERMS])
 
@@ -137,7 +137,7 @@ def _value(estimates: Mapping[str, Estimate], name: str) -> float:
 
 
 def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[TorqueError, ...]:
-    """Rms of error and signal of each joint that moves: over the kept rows, and over all valid ones."""
+    """Compute rms of error and signal of each joint that moves: over the kept rows, and over all valid ones."""
 
     def rms(values: np.ndarray) -> float:
         return float(np.sqrt(np.mean(values**2)))

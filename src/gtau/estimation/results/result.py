@@ -43,7 +43,7 @@ class Result(IdentifiedModel):
         qdd: np.ndarray,
         payload: Payload | Mapping[str, Any] | None = None,
     ) -> np.ndarray:
-        """Torques of the identified model at any states, all its friction included, at the reference temperatures.
+        """Compute torques of the identified model at any states, all its friction included.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class Result(IdentifiedModel):
         qdd: np.ndarray,
         payload: Payload | Mapping[str, Any] | None = None,
     ) -> np.ndarray:
-        """Currents (N, n) in A that give the torques of :meth:`torques`: ``v = tau / g_tau``.
+        """Compute the currents (N, n), A, that give the torques of :meth:`torques`: ``v = tau / g_tau``.
 
         Delays are not applied: the current reference leads the motion by ``delays``. From logs of torques, whose gains
         are 1, they are these torques, and so are the rows of a floating base.
@@ -80,7 +80,7 @@ class Result(IdentifiedModel):
         return self.torques(q, qd, qdd, payload) / self.gains
 
     def predict(self, run: Run) -> Prediction:
-        """Torques that the model predicts along ``run``, beside the measured ``v g_tau``.
+        """Predict torques along ``run``, beside the measured ``v g_tau``.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Result(IdentifiedModel):
         return predict(self, run)
 
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
-        """Torque errors of each joint on a run of :func:`gtau.read_run`: away from reversals, and over all samples."""
+        """Compute torque errors of each joint on a run: away from reversals, and over all samples."""
         return torque_errors(self, self.predict(run))
 
     @property
@@ -104,7 +104,7 @@ class Result(IdentifiedModel):
         display.views().write(self, Path(path))
 
     def to_frame(self) -> pl.DataFrame:
-        """All estimates as a Polars table, one row each; ``to_frame().to_pandas()`` is the same for pandas."""
+        """Return all estimates as a Polars table, one row each; ``to_frame().to_pandas()`` converts it."""
         return result_frame(self)
 
     def _repr_html_(self) -> str:

@@ -43,12 +43,12 @@ class NearestPose:
 
 
 def distances_of(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Distances:
-    """The distances ``values`` (K, 2) with the times of the run's decimated samples."""
+    """Combine the distances ``values`` (K, 2) with the times of the run's decimated samples."""
     return Distances(prepared.run.name, rows_at(prepared.time, decimator.instants(len(prepared))), values)
 
 
 def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Iterator[NearestPose]:
-    """Where a run comes nearest to singularities of each type that the robot can have."""
+    """Find where a run comes nearest to singularities of each type that the robot can have."""
     instants = decimator.instants(len(prepared.time))
     for kind, distances in zip(TYPES, values.T, strict=True):
         if distances.size and not np.isnan(distances).all():

@@ -32,7 +32,7 @@ OF_TORQUES = " (the logs hold torques, whose gain is 1)"
 
 
 def summary(result: IdentifiedModel) -> str:
-    """Drive gains, payloads, essential parameters, fit and notes, as text."""
+    """Print drive gains, payloads, essential parameters, fit and notes."""
     preparation = result.preparation
     low_pass = "none" if preparation.cutoff is None else f"{preparation.cutoff:.3g} Hz"
     lines = [
@@ -96,7 +96,7 @@ def summary(result: IdentifiedModel) -> str:
 
 
 def short_summary(result: IdentifiedModel) -> str:
-    """What can be believed, drive gains, payloads and fit, and the notes that matter most: one screen of text."""
+    """Print what can be believed, drive gains, payloads, fit and the notes that matter most: one screen of text."""
     lines = ["=" * WIDTH, *_paragraph(headline(result)), "=" * WIDTH, *gain_lines(result)]
     for payload in result.payloads:
         lines += [*payload_lines(payload, only=("m",))] if "m" in set(payload.parameters) - payload.known else []
@@ -136,7 +136,7 @@ def _paragraph(text: str) -> list[str]:
 
 
 def gain_lines(result: IdentifiedModel) -> list[str]:
-    """Drive gains as lines of a table: value, 95 % interval with its random and model part, delay and verdict."""
+    """Print drive gains as lines of a table: value, 95 % interval with its two parts, delay and verdict."""
     if all(gain.std is None for gain in result.drive_gains.values()):
         return [
             f"{'Drive gains (given)':<24}{'value':>10}   unit",
@@ -188,7 +188,7 @@ def _fit_row(each: TorqueError) -> str:
 
 
 def _percent(part: float) -> str:
-    """A share in at most seven characters."""
+    """Print a share in at most seven characters."""
     return f">{NOT_SHOWN:g} %" if part > NOT_SHOWN else f"{part:.2f} %" if part < 100 else f"{part:.0f} %"
 
 
@@ -197,7 +197,7 @@ def _relative(gain: Estimate, std: float | None) -> float | None:
 
 
 def payload_lines(payload: PayloadEstimate, only: Sequence[str] = ()) -> list[str]:
-    """One payload as lines of a table; with ``only`` some kinds of parameters."""
+    """Print one payload as lines of a table; with ``only`` some kinds of parameters."""
     head = f"Payload '{payload.name}' of {payload.run}"
     lines = [head, f"{'':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
     for kind, each in payload.parameters.items():
@@ -209,7 +209,7 @@ def payload_lines(payload: PayloadEstimate, only: Sequence[str] = ()) -> list[st
 
 
 def singularity_lines(nearest: Sequence[NearestPose]) -> list[str]:
-    """Where the runs come nearest to singularities of each type, one line a type."""
+    """Print where the runs come nearest to singularities of each type, one line a type."""
     lines = ["-" * WIDTH, f"{'Singularities':<26}{'nearest':>12}   (1 at best, 0 at one)"] if nearest else []
     for kind, name in TYPES.items():
         if chosen := [each for each in nearest if each.type == kind]:
@@ -219,7 +219,7 @@ def singularity_lines(nearest: Sequence[NearestPose]) -> list[str]:
 
 
 def _consistency_lines(found: Consistency) -> list[str]:
-    """What rigid bodies make of the estimates: the moves worth a line, and what it costs."""
+    """Print what physical consistency changes: the moves worth a line, and its cost."""
     moved = [move for move in found.moves if move.deviations >= MOVED]
     lines = [f"{'Physically consistent':<26}{'free':>12}{'consistent':>12}{'moved, std':>12}"]
     gains = [f"gain_{joint}" for joint in found.gains]
@@ -237,7 +237,7 @@ def _consistency_lines(found: Consistency) -> list[str]:
 
 
 def _overall(found: Consistency) -> float:
-    """By how much the residuals of all joints together grow, per cent."""
+    """Compute by how much the residuals of all joints together grow, per cent."""
     return float(100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) - 1))
 
 
@@ -254,7 +254,7 @@ def _mark(estimate: Estimate) -> str:
 
 
 def _growth(loss: float) -> str:
-    """By how much torque errors grow, ``loss`` in per cent."""
+    """Describe by how much torque errors grow, ``loss`` in per cent."""
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
 
 

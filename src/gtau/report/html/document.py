@@ -78,7 +78,7 @@ def render(page: Page) -> str:
 
 
 def style() -> str:
-    """The style sheet: light colours, dark ones where the system or the switch asks for them, light ones on paper."""
+    """Write the style sheet: light colours, dark ones where the system or the switch asks for them, light on paper."""
     light, dark = asset("light.css"), asset("dark.css")
     return (
         f":root {{ color-scheme: light dark; {light} }}\n"
@@ -92,5 +92,5 @@ def style() -> str:
 
 
 def asset(name: str) -> str:
-    """Text of a file that ships with this package."""
+    """Read a text file that ships with this package."""
     return files("gtau.report.html").joinpath("assets", name).read_text(encoding="utf-8")

@@ -42,7 +42,7 @@ class Panel:
     marks: list[str] = field(default_factory=list)
 
     def place(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Where values stand on the page; what lies outside the ranges is moved to their ends."""
+        """Map values to the page; what lies outside the ranges is moved to their ends."""
         found = []
         for values, (low, high), logarithmic in ((x, self.x, self.log_x), (y, self.y, self.log_y)):
             values = np.clip(np.asarray(values, dtype=float), low, high)
@@ -54,7 +54,7 @@ class Panel:
         return LEFT + found[0] * (width - LEFT - RIGHT), height - BOTTOM - found[1] * (height - TOP - BOTTOM)
 
     def line(self, x: np.ndarray, y: np.ndarray, colour: str = "predicted", dash: str = "", width: float = 1.3) -> None:
-        """A line through points (K,); it is broken where a value is NaN."""
+        """Draw a line through points (K,); it is broken where a value is NaN."""
         finite = np.isfinite(x) & np.isfinite(y)
         across, up = self.place(np.where(finite, x, self.x[0]), np.where(finite, y, self.y[0]))
         words, pen = [], "M"
@@ -70,7 +70,7 @@ class Panel:
         )
 
     def bars(self, edges: np.ndarray, heights: np.ndarray, colour: str = "predicted") -> None:
-        """Bars (K,) between edges (K + 1,) from the bottom up."""
+        """Draw bars (K,) between edges (K + 1,) from the bottom up."""
         across, up = self.place(edges, np.append(heights, self.y[0]))
         floor_ = self.size[1] - BOTTOM
         self.marks += [
@@ -80,7 +80,7 @@ class Panel:
         ]
 
     def points(self, x: np.ndarray, y: np.ndarray, colour: str = "predicted", labels: Sequence[str] = ()) -> None:
-        """Discs at points (K,), with the labels that show when they are pointed at."""
+        """Draw discs at points (K,), with the labels that show when they are pointed at."""
         across, up = self.place(x, y)
         for k, (a, b) in enumerate(zip(across, up, strict=True)):
             title = f"<title>{escape(labels[k])}</title>" if k < len(labels) else ""
@@ -89,7 +89,7 @@ class Panel:
             )
 
     def rule(self, x: float | None = None, y: float | None = None, label: str = "", row: int = 0) -> None:
-        """A straight line across the panel at one x or one y, with a label, those of one x in their own rows."""
+        """Draw a straight line across the panel at one x or one y, with a label, those of one x in their own rows."""
         width, height = self.size
         if x is not None:
             (a,) = self.place(np.array([x]), self.y[0])[0]
@@ -102,7 +102,7 @@ class Panel:
             self._label(width - RIGHT, b - 3, label, "end")
 
     def band(self, low: float, high: float) -> None:
-        """A shaded band between two values of y."""
+        """Shade a band between two values of y."""
         (b, a) = self.place(self.x[0], np.array([low, high]))[1]
         width = self.size[0] - LEFT - RIGHT
         self.marks.append(f'<rect class="band" x="{LEFT}" y="{a:.1f}" width="{width}" height="{b - a:.1f}"/>')
@@ -114,7 +114,7 @@ class Panel:
             )
 
     def svg(self, title: str) -> str:
-        """The markup; ``title`` is read aloud and shown when the panel is pointed at."""
+        """Write the markup; ``title`` is read aloud and shown when the panel is pointed at."""
         width, height = self.size
         grid = []
         for value in _axis(self.x, self.log_x, 5):
@@ -141,7 +141,7 @@ class Panel:
 
 
 def _tick(value: float, logarithmic: bool) -> str:
-    """What an axis writes at a value; powers of ten as such where they are many."""
+    """Write a value at an axis; powers of ten as such where they are many."""
     exponent = round(log10(value)) if logarithmic and value > 0 else 0
     if abs(exponent) >= 3 and abs(value / 10.0**exponent - 1) < 1e-9:
         return f"1e{exponent}".replace("-", "\N{MINUS SIGN}")
@@ -159,7 +159,7 @@ def _axis(span: tuple[float, float], logarithmic: bool, most: int) -> list[float
 
 
 def panel_figure(title: str, drawing: str, css: str = "") -> str:
-    """A drawing below its title."""
+    """Place a drawing below its title."""
     return f'<figure class="panel {css}"><h4>{escape(title)}</h4>{drawing}</figure>'
 
 
@@ -178,7 +178,7 @@ class Interval:
 
 
 def interval_rows(rows: Sequence[Interval], zero: float | None = None) -> tuple[list[str], str]:
-    """Bars of the rows on one scale, each as an SVG of full width, and one with the axis below them.
+    """Draw bars of the rows on one scale, each as an SVG of full width, and one with the axis below them.
 
     Discs are the values, thin lines the intervals, thick ones their random part, and diamonds what they are compared
     with; ``zero`` is marked by a line.

@@ -38,29 +38,29 @@ class Column:
 
 
 def escape(text: object) -> str:
-    """Text as markup."""
+    """Escape a text as markup."""
     return html.escape(str(text))
 
 
 def text(value: object, css: str = "") -> Cell:
-    """A cell of plain text."""
+    """Make a cell of plain text."""
     return Cell(f'<span class="{css}">{escape(value)}</span>' if css else escape(value))
 
 
 def number(value: float | None, digits: int = 5, missing: str = "–") -> Cell:
-    """A cell with a number to so many significant digits."""
+    """Make a cell with a number to so many significant digits."""
     if value is None:
         return Cell(missing, True)
     return Cell(escape(plain(value, digits)), True, float(value))
 
 
 def plain(value: float, digits: int = 5) -> str:
-    """A number to so many significant digits, as people write it."""
+    """Write a number to so many significant digits, as people write it."""
     return f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e").replace("-", "\N{MINUS SIGN}")
 
 
 def badge(outcome: str) -> Cell:
-    """An outcome with its mark and colour."""
+    """Show an outcome with its mark and colour."""
     return Cell(f'<span class="badge {GRADES.get(outcome, "weak")}">{escape(outcome)}</span>')
 
 
@@ -71,7 +71,7 @@ def table(
     cancelled: Iterable[int] = (),
     css: str = "",
 ) -> str:
-    """A table; with an id for ``sortable`` its heads sort, and a search field stands above it.
+    """Make a table; with an id for ``sortable`` its heads sort, and a search field stands above it.
 
     ``cancelled`` are the numbers of rows that are drawn faint.
     """
@@ -106,7 +106,7 @@ def table(
 
 
 def facts(pairs: Mapping[str, object]) -> str:
-    """Names with their values, as a grid of small cards."""
+    """Show names with their values, as a grid of small cards."""
     cards = "".join(
         f'<div><span class="name">{escape(name)}</span><span class="value">{escape(value)}</span></div>'
         for name, value in pairs.items()
@@ -115,13 +115,13 @@ def facts(pairs: Mapping[str, object]) -> str:
 
 
 def bullets(sentences: Iterable[str]) -> str:
-    """Sentences as a list; each begins with a capital letter and ends with a full stop."""
+    """List sentences; each begins with a capital letter and ends with a full stop."""
     items = "".join(f"<li>{escape(sentence(each))}</li>" for each in sentences)
     return f'<ul class="plain">{items}</ul>' if items else ""
 
 
 def sentence(words: str) -> str:
-    """Words that begin with a capital letter, unless a name comes first, and end with a full stop."""
+    """Make words begin with a capital letter, unless a name comes first, and end with a full stop."""
     words = words.strip()
     if words and words.split()[0].isalpha():
         words = words[0].upper() + words[1:]
@@ -129,17 +129,17 @@ def sentence(words: str) -> str:
 
 
 def paragraph(words: str, css: str = "") -> str:
-    """A paragraph of plain text."""
+    """Make a paragraph of plain text."""
     return f"<p{_css(css)}>{escape(words)}</p>"
 
 
 def verdict(grade: str, headline: str, sentences: Iterable[str]) -> str:
-    """The verdict in words, in the colour of its grade: good, weak or bad."""
+    """Show the verdict in words, in the colour of its grade: good, weak or bad."""
     return f'<div class="verdict {grade}">{paragraph(headline)}{bullets(sentences)}</div>'
 
 
 def folded(summary: str, content: str, shown: bool = False) -> str:
-    """Content that unfolds below its summary."""
+    """Fold content below its summary."""
     return f"<details{' open' if shown else ''}><summary>{escape(summary)}</summary>{content}</details>"
 
 

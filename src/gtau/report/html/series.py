@@ -24,14 +24,14 @@ class Arrays:
     drawn: bool = False
 
     def put(self, values: np.ndarray) -> str:
-        """Pack an array (K,) as float32; the key it can be found by."""
+        """Pack an array (K,) as float32; return the key it can be found by."""
         text = b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
         key = self.keys.setdefault(text, f"a{len(self.keys)}")
         self.packed[key] = text
         return key
 
     def script(self) -> str:
-        """Markup that holds the arrays for the script of the page."""
+        """Write the markup that holds the arrays for the script of the page."""
         packed = json.dumps(self.packed, separators=(",", ":"))
         return f'<script type="application/json" class="arrays">{packed}</script>'
 
@@ -48,7 +48,7 @@ class Line:
 
 
 def buckets_for(series: int) -> int:
-    """Buckets that so many series of a page may have, for the page to stay small."""
+    """Divide the buckets of a page among so many series, for the page to stay small."""
     return int(np.clip(BUDGET // max(2 * series, 1), 100, BUCKETS))
 
 
@@ -91,7 +91,7 @@ def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.nda
 
 
 def stretches(time: np.ndarray, masked: np.ndarray, shortest: float) -> np.ndarray:
-    """Beginnings and ends, s, of the stretches where ``masked`` (K,) holds; those less than ``shortest`` apart join."""
+    """List beginnings and ends, s, of the stretches where ``masked`` (K,) holds; join those close together."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], masked, [False]]).astype(np.int8)))
     starts, stops = time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]
     found: list[list[float]] = []
@@ -115,7 +115,7 @@ def chart(
     last: bool = True,
     from_zero: bool = False,
 ) -> str:
-    """A chart of lines over ``time`` (K,).
+    """Draw a chart of lines over ``time`` (K,).
 
     Charts of one ``group`` zoom together; only the ``last`` of them writes what the horizontal axis is. ``masked`` are
     stretches that are shaded, see :func:`stretches`.
@@ -149,7 +149,7 @@ def chart(
 
 
 def zoom_tools(group: str) -> str:
-    """Buttons that zoom and move the charts of a group."""
+    """Make buttons that zoom and move the charts of a group."""
     buttons = (("whole", "Whole run"), ("in", "Zoom in"), ("out", "Zoom out"), ("back", "←"), ("on", "→"))
     shown = "".join(
         f'<button type="button" data-zoom="{name}" data-group="{escape(group)}">{label}</button>'
@@ -160,7 +160,7 @@ def zoom_tools(group: str) -> str:
 
 
 def key(entries: Iterable[tuple[str, str]]) -> str:
-    """A key: labels with their colours (a variable of the style sheet, or ``shade``)."""
+    """Draw a key: labels with their colours (a variable of the style sheet, or ``shade``)."""
     shown = "".join(
         f"<span><i{' class=shade' if colour == 'shade' else f' style=background:var(--{colour})'}></i>"
         f"{escape(label)}</span>"

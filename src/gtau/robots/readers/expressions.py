@@ -34,7 +34,7 @@ LinearisedWindow = tuple[float, float]
 
 
 def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
-    """Value of an expression.
+    """Evaluate an expression.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
 
 
 def linear(text: str, names: Mapping[str, float] | None = None) -> LinearisedWindow:
-    """Coefficient and constant of an expression linear in the joint coordinate, such as ``q - a``.
+    """Find coefficient and constant of an expression linear in the joint coordinate, such as ``q - a``.
 
     Parameters and errors are those of `evaluate`; here the text may hold ``q``.
 

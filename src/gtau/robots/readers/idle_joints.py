@@ -62,7 +62,7 @@ def without_idle_pins(robot: Robot) -> Robot:
 
 
 def _before_slides(robot: Robot, end: Attachment) -> tuple[Attachment, list[np.ndarray]]:
-    """A closure's end seen from the body before the slides that carry nothing else, and their directions (3,) there."""
+    """Express a closure's end in the body before the slides that carry nothing else, with their directions (3,)."""
     directions: list[np.ndarray] = []
     while (slide := _lone(robot, end.body)) is not None and slide.kind == "prismatic":
         turned = slide.placement.rotation
@@ -72,13 +72,13 @@ def _before_slides(robot: Robot, end: Attachment) -> tuple[Attachment, list[np.n
 
 
 def _pin(robot: Robot, end: Attachment) -> Joint | None:
-    """The passive revolute joint that moves a closure's end and nothing else."""
+    """Find the passive revolute joint that moves a closure's end and nothing else."""
     pin = _lone(robot, end.body)
     return pin if pin is not None and pin.kind == "revolute" and not pin.actuated else None
 
 
 def _lone(robot: Robot, body: str) -> Joint | None:
-    """The joint of a body that carries one thing only, a closure's end or another joint."""
+    """Find the joint of a body that carries one thing only, a closure's end or another joint."""
     if all(joint.name != body for joint in robot.joints):
         return None
     uses = [joint.antecedent for joint in robot.joints]
@@ -88,13 +88,13 @@ def _lone(robot: Robot, body: str) -> Joint | None:
 
 
 def _line(pin: Joint, end: Attachment) -> tuple[np.ndarray, np.ndarray]:
-    """Direction (3,) and a point (3,) of the pin's axis in the frame of the closure's end."""
+    """Compute direction (3,) and a point (3,) of the pin's axis in the frame of the closure's end."""
     to_end = end.placement.rotation.T
     return to_end @ np.array(pin.axis), to_end @ -end.placement.position
 
 
 def _aimed(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
-    """The robot with the axes of a ball chosen anew: that of ``pin``, its last, ``along`` a direction (3,) of its link.
+    """Choose the axes of a ball anew: that of ``pin``, its last, ``along`` a direction (3,) of its link.
 
     The robot itself where the pin is not the last of a ball, or its axis is along already.
     """

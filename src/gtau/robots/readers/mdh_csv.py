@@ -70,7 +70,7 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def _constants(lines: list[tuple[int, list[str]]]) -> tuple[dict[str, float], list[str]]:
-    """Takes the constants and the header off `lines`."""
+    """Take the constants and the header off `lines`."""
     constants: dict[str, float] = {}
     while lines:
         number, cells = lines.pop(0)

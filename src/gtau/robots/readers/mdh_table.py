@@ -30,7 +30,7 @@ class MdhRow:
 
 
 def moving_parameter(name: str, sigma: float) -> str | None:
-    """The parameter that a joint's coordinate is added to: theta, r, or None for a fixed frame.
+    """Return the parameter that a joint's coordinate is added to: theta, r, or None for a fixed frame.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def moving_parameter(name: str, sigma: float) -> str | None:
 
 
 def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: Sequence[float]) -> MdhRow:
-    """A row from numbers: mu, sigma, and (gamma, b, alpha, d, theta, r), angles in rad, lengths in m.
+    """Make a row from numbers: mu, sigma, and (gamma, b, alpha, d, theta, r), angles in rad, lengths in m.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: S
 
 
 def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
-    """The joints of a table and where each of its frames is fixed; a fixed frame belongs to the link that carries it.
+    """Make the joints of a table, and place its fixed frames in the links that carry them.
 
     Raises
     ------

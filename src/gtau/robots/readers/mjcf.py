@@ -196,7 +196,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
 
 
 def _carriers(model: mujoco.MjModel) -> set[int]:
-    """The bodies that carry joints, their own not counted."""
+    """Find the bodies that carry joints, their own not counted."""
     found = set()
     for body in range(1, model.nbody):
         if model.body_jntnum[body]:
@@ -206,7 +206,7 @@ def _carriers(model: mujoco.MjModel) -> set[int]:
 
 
 def _simulated_alone(model: mujoco.MjModel) -> Iterator[str]:
-    """Notes on what acts in the simulator and is not modelled."""
+    """Note what acts in the simulator and is not modelled."""
     if model.opt.density or model.opt.viscosity:
         yield "drag of the fluid around the robot (density, viscosity) acts in the simulator and is not modelled"
     if floating := [name_in(model, "body", k) for k in range(1, model.nbody) if model.body_gravcomp[k]]:
@@ -220,7 +220,7 @@ def _simulated_alone(model: mujoco.MjModel) -> Iterator[str]:
 def _joints(
     model: mujoco.MjModel, number: int, at: Attachment, qpos: np.ndarray, last: bool
 ) -> tuple[list[Joint], Attachment]:
-    """A joint of a body whose frame, not yet moved by it, is at `at`; and where the frame is after it."""
+    """Make the joint of a body whose frame, not yet moved by it, is at `at`; and where the frame is after it."""
     import mujoco
 
     name, start = name_in(model, "joint", number), int(model.jnt_qposadr[number])

@@ -26,7 +26,7 @@ NESTED = ("worldbody", "body", "frame", "replicate", "composite", "flexcomp")
 
 
 def _with_included(root: Element, path: Path, outer: tuple[Path, ...]) -> list[Element]:
-    """The outermost elements of a file and of those that it includes."""
+    """Collect the outermost elements of a file and of those that it includes."""
     found = [root]
     for include in root.iter("include"):
         other = path.parent / include.get("file", "")

@@ -23,7 +23,7 @@ Kind = Literal["revolute", "prismatic"]
 def equalities(
     model: mujoco.MjModel, carried: dict[int, Attachment]
 ) -> tuple[list[Closure], list[Coupling], dict[str, float]]:
-    """Closures, couplings, and the positions of joints that an equality holds."""
+    """Read closures, couplings, and the positions of joints that an equality holds."""
     import mujoco
 
     closures, couplings, held = [], [], {}
@@ -81,7 +81,7 @@ def _attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attac
 
 
 def fixed_tendons(file: MjcfFile) -> dict[str, dict[str, float]]:
-    """The joints of the fixed tendons and what a tendon's length gains by a unit of each."""
+    """Read the joints of the fixed tendons and what a tendon's length gains by a unit of each."""
     return {
         tendon.get("name", ""): {
             joint.get("joint", ""): numbers(joint.get("coef", ""), 1, "coef of a fixed tendon")[0]
@@ -93,7 +93,7 @@ def fixed_tendons(file: MjcfFile) -> dict[str, dict[str, float]]:
 
 
 def tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, float]], tied: TiedTendons) -> Coupling:
-    """The coupling of joints that two fixed tendons whose lengths are tied make, or one of constant length."""
+    """Make the coupling of joints by two fixed tendons whose lengths are tied, or by one of constant length."""
     constant, factor, *higher = tied.polynomial
     known = tied.tendon in tendons and (not tied.other or tied.other in tendons)
     if not known or (tied.other and any(higher)):
@@ -113,7 +113,7 @@ def tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, fl
 def actuated_joints(
     file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], notes: list[str]
 ) -> tuple[set[str], set[str]]:
-    """Names of the joints that actuators drive, and of those that they pull by fixed tendons; adds notes."""
+    """Name the joints that actuators drive, and those that they pull by fixed tendons; add notes."""
     import mujoco
 
     model, others = file.model, []
@@ -160,13 +160,13 @@ def tendon_motors(
 
 
 def pose_in(position: np.ndarray, quaternion: np.ndarray) -> Pose:
-    """The pose of a position (3,) and a unit quaternion (4,), w first."""
+    """Make the pose of a position (3,) and a unit quaternion (4,), w first."""
     from scipy.spatial.transform import Rotation
 
     return pose_of(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
 
 
 def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
-    """The name of an element, or its kind and number where it has none."""
+    """Return the name of an element, or its kind and number where it has none."""
     element: Any = getattr(model, kind)(number)
     return element.name or f"{kind} {number + 1}"

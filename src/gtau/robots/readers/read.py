@@ -21,7 +21,7 @@ ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
 
 
 def catalog_names() -> tuple[str, ...]:
-    """Names of the robots that come with the package."""
+    """List the robots that come with the package."""
     return tuple(sorted(file.stem for file in CATALOG.glob("*.yaml")))
 
 
@@ -64,7 +64,7 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
 
 
 def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:
-    """The robot with its base turned in a world in which its gravity points down."""
+    """Turn the base of a robot in a world in which its gravity points down."""
     x, y, z = Pose(rpy=rpy).rotation.T @ [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
     return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
 

@@ -100,7 +100,7 @@ def _without_comments(text: str) -> str:
 
 
 def _entries(text: str) -> dict[str, str]:
-    """Values by lower-case key, since versions of the program differ in case; lists are without their braces."""
+    """Read values by lower-case key, since versions of the program differ in case; lists are without their braces."""
     found: dict[str, str] = {}
     for key, braces, plain in re.findall(
         r"^[ \t]*(\w+)[ \t]*=[ \t]*(?:\{([^{}]*)\}|([^{}\n]*))", text, flags=re.MULTILINE
@@ -121,7 +121,7 @@ def _integer(entries: Mapping[str, str], key: str) -> int:
 
 
 def _constants(entries: Mapping[str, str]) -> dict[str, float]:
-    """Values of symbols that stand on lines of their own."""
+    """Read values of symbols that stand on lines of their own."""
     constants = {}
     for key, text in entries.items():
         if key not in (*LISTS, "nl", "nj", "nf", "type", "is_mobile", "is_floating") and re.fullmatch(

@@ -97,7 +97,7 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
 
 
 def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
-    """The tree of a URDF file, with the joints named in ``types`` read as SPHERICAL, CARDAN or FIXED instead.
+    """Read the tree of a URDF file, with the joints named in ``types`` read as SPHERICAL, CARDAN or FIXED instead.
 
     A spherical joint becomes three revolute ones, about x, y and z, a cardan joint two, about x and y; the links in
     between are massless, and the last one bears the joint's name.
@@ -173,7 +173,7 @@ def _check_floating(ordered: list[_Edge]) -> None:
 
 
 def _depth_first(links: list[str], edges: list[_Edge]) -> list[_Edge]:
-    """The joints from the root outwards, in the order of the file; refuses what is not a tree."""
+    """Order the joints from the root outwards, in the order of the file; refuse what is not a tree."""
     for kind, names in (("link", links), ("joint", [edge.name for edge in edges])):
         if repeated := _repeated(names):
             raise GtauError(f"two {kind}s are called '{repeated}'; give each its own name.")
@@ -215,7 +215,7 @@ def _repeated(names: list[str]) -> str | None:
 
 
 def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
-    """The joints that move, each placed in the frame of the last one before it that moves, and where frames are."""
+    """Place each moving joint in the frame of the last one before it that moves, and locate the frames."""
     joints: list[Joint] = []
     frames: dict[str, Attachment] = {}
     for edge in ordered:
@@ -234,7 +234,7 @@ def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint
 
 
 def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list[Joint]:
-    """A spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
+    """Make a spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
     chain = [f"{name}_{axis}" for axis in axes[:-1]] + [name]
     return [
         Joint(
@@ -336,7 +336,7 @@ def _limits(edge: _Edge) -> Limits:
 
 
 def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
-    """A note on position limits that leave no way, which are not taken over."""
+    """Note position limits that leave no range, which are not taken over."""
     dropped = []
     for edge in ordered:
         limit = edge.element.find("limit")

@@ -18,7 +18,7 @@ PREFIX = re.compile(rb"(</?|\s)(?!xmlns:)([A-Za-z_][\w.-]*):(?=[\w.-]+(?:[\s/>]|
 
 
 def read_xml(path: Path) -> Element:
-    """The root element of an XML file.
+    """Read the root element of an XML file.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def line_of(element: Element) -> int:
 
 
 def numbers(text: str, count: int, what: str) -> list[float]:
-    """The finite numbers that an attribute or element holds; refuses any other count."""
+    """Read the finite numbers of an attribute or element; refuse any other count."""
     try:
         values = [float(word) for word in text.split()]
     except ValueError:
@@ -90,7 +90,7 @@ def numbers(text: str, count: int, what: str) -> list[float]:
 
 
 def attribute(element: Element, key: str, what: str) -> str:
-    """An attribute that must be there."""
+    """Read an attribute that must be there."""
     value = element.get(key)
     if not value:
         raise GtauError(f'{what} has no {key}; write {key}="...".')

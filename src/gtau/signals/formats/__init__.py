@@ -37,5 +37,5 @@ def open_table(path: Path) -> Table:
 
 
 def is_log_folder(path: Path) -> bool:
-    """Whether a folder is one log: a rosbag2, or Parquet files."""
+    """Decide whether a folder is one log: a rosbag2, or Parquet files."""
     return (path / "metadata.yaml").is_file() or any(path.glob("*.parquet"))

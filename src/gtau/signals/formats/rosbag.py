@@ -97,7 +97,7 @@ def _of_message(getter: Getter) -> Callable[[Any, int], float]:
 
 
 def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
-    """Names of the numbers in a message, and what gets each of them from the next ones."""
+    """Name the numbers in a message, and find what gets each of them from the next ones."""
     if kind == JOINT_STATE:
         yield "header/stamp", lambda message: _seconds(message.header.stamp)
         for field in ("position", "velocity", "effort"):

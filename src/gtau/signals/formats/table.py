@@ -104,7 +104,7 @@ def table_of_arrays(
 
 
 def common_length(path: Path, lengths: Mapping[str, int]) -> int:
-    """Rows of columns that must have as many; raises GtauError."""
+    """Count the rows of columns that must have as many; raises GtauError."""
     if len(set(lengths.values())) > 1:
         (one, rows), *others = lengths.items()
         other = next(name for name, count in others if count != rows)

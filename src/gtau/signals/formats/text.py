@@ -74,7 +74,7 @@ def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.Dat
 
 
 def _whole_lines(path: Path, begin: int) -> Iterator[tuple[int, bytes, float]]:
-    """Lines from the byte ``begin`` on, many at once and each of them whole.
+    """Read lines from the byte ``begin`` on, many at once and each of them whole.
 
     With the byte at which they begin, and the part of the file that is then read.
     """

@@ -114,7 +114,7 @@ def _first_lines(path: Path) -> list[_Line]:
 
 
 def _start(lines: list[_Line]) -> int | None:
-    """The first of ``ROWS_ALIKE`` rows, or of those that there are."""
+    """Find the first of ``ROWS_ALIKE`` rows, or of those that there are."""
     for i, line in enumerate(lines):
         block = lines[i : i + ROWS_ALIKE]
         if all(each.numeric and len(each.fields) == len(line.fields) for each in block):
@@ -123,7 +123,7 @@ def _start(lines: list[_Line]) -> int | None:
 
 
 def _header(lines: list[_Line], first: _Line) -> _Line | None:
-    """The line that names the columns: the topmost of those just before the rows that have as many fields."""
+    """Find the line that names the columns: the topmost of those just before the rows that have as many fields."""
     header, nearest = None, None
     for line in reversed(lines[: first.number - 1]):
         names = any(line.fields) and not line.numeric
@@ -140,7 +140,7 @@ def _header(lines: list[_Line], first: _Line) -> _Line | None:
 
 
 def _names(fields: tuple[str, ...], width: int) -> tuple[str, ...]:
-    """Names of the columns; TwinCAT Scope calls a column of times ``Name``, and the channels after it by theirs."""
+    """Name the columns; TwinCAT Scope calls a column of times ``Name``, and the channels after it by theirs."""
     fields = fields + ("",) * (width - len(fields))
     if fields[0] != "Name":
         return fields
@@ -156,7 +156,7 @@ def split(text: str, separator: str) -> list[str]:
 
 
 def is_number(text: str) -> bool:
-    """Whether a field is a finite number or infinite, with a decimal point or comma."""
+    """Decide whether a field is a finite number or infinite, with a decimal point or comma."""
     try:
         return float(text.replace(",", ".")) == float(text.replace(",", "."))
     except ValueError:

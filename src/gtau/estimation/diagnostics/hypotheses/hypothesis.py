@@ -66,7 +66,7 @@ class Hypothesis:
 
 
 def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Viscous coefficients and Coulomb torques of the actuated joints, (n,) each, SI units; 0 where not estimated."""
+    """Return viscous coefficients and Coulomb torques of the actuated joints, (n,) each; 0 where not estimated."""
     values = dict(zip(fit.system.problem.parameters, fit.solution.theta, strict=True))
 
     def of(kind: str) -> np.ndarray:
@@ -77,10 +77,10 @@ def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rms_torques(fit: Fit) -> np.ndarray:
-    """Rms torques of the joints, (n,), N m or N."""
+    """Compute rms torques of the joints, (n,), N m or N."""
     return np.asarray(np.abs(fit.gains) * fit.system.problem.balance(fit.solution.theta)[: len(fit.gains)])
 
 
 def rms_speeds(fit: Fit) -> np.ndarray:
-    """Largest rms speed of each joint in a run, (n,), rad/s or m/s."""
+    """Find the largest rms speed of each joint in a run, (n,), rad/s or m/s."""
     return np.sqrt(np.max([np.diag(run.speeds) for run in fit.dataset.prepared], axis=0))

@@ -14,7 +14,7 @@ from gtau.signals.preparation import InMemoryRun
 
 @lru_cache(maxsize=2)  # hypotheses are tried window by window
 def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
-    """Configurations, velocities and accelerations of a ``model`` along a window.
+    """Compute configurations, velocities and accelerations of a ``model`` along a window.
 
     Raises
     ------
@@ -27,7 +27,7 @@ def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
 def shifted_motion(
     model: InverseDynamics, window: InMemoryRun, shift: np.ndarray | None, start: np.ndarray | None
 ) -> Motion:
-    """The motion with positions shifted by ``shift`` (n,), from a configuration ``start`` (n_c,) near the first one."""
+    """Shift a motion by ``shift`` (n,), from a configuration ``start`` (n_c,) near the first one."""
     of = window.samples()
     labels = Labels(window.run.name, of.time)
     q, qd, qdd = (np.ascontiguousarray(each.T) for each in (of.q if shift is None else of.q + shift, of.qd, of.qdd))
