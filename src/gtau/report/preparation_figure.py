@@ -10,12 +10,14 @@ import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.report.style import BLACK, GREY, LINES, joint_label, light_grid, new_figure, save_figure, styled
+from gtau.signals.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 LOWEST = 1e-9  # of a spectrum's peak: what lies lower is arithmetic
+LEGEND = 95  # letters in a line of the legend
 
 
 def preparation_figure(log: LogCheck) -> Figure:
@@ -33,9 +35,11 @@ def preparation_figure(log: LogCheck) -> Figure:
         acceleration.set_title("Power of the accelerations; the signal ends where noise takes over (dots)")
         acceleration.set_xlabel("frequency, Hz")
         if stamps is not None:
-            _steps(clock[0], stamps, 1 / log.run.rate)
+            _steps(clock[0], stamps, log.run)
         _used(used, log)
-        figure.legend(handles=speed.get_lines()[: len(joints)], loc="outside upper center", ncols=min(len(joints), 6))
+        width = max(len(joint_label(joint)) for joint in joints) + 9  # letters, and the line beside them
+        columns = min(len(joints), max(LEGEND // width, 1))
+        figure.legend(handles=speed.get_lines()[: len(joints)], loc="outside upper center", ncols=columns)
     return figure
 
 
@@ -47,7 +51,12 @@ def _spectra(axes: Axes, log: LogCheck, what: str) -> None:
         peak = density.max()
         if peak > 0:
             look = {**LINES[j % len(LINES)], **({} if each.moves else {"alpha": 0.35})}
-            axes.loglog(each.frequency, np.maximum(density / peak, LOWEST), label=joint_label(joint), **look)
+            axes.loglog(
+                each.frequency,
+                np.where(density > LOWEST * peak, density / peak, np.nan),
+                label=joint_label(joint),
+                **look,
+            )
             if each.moves and what == "acceleration":
                 end = np.argmin(np.abs(each.frequency - each.end))
                 axes.plot(each.frequency[end], density[end] / peak, "o", color=LINES[j % len(LINES)]["color"])
@@ -59,16 +68,20 @@ def _spectra(axes: Axes, log: LogCheck, what: str) -> None:
         axes.axvline(frequency, color=BLACK, linewidth=0.9, linestyle=style)
         if what == "speed":
             axes.annotate(f" {name} {frequency:.3g} Hz", (frequency, 1.0), xycoords=("data", "axes fraction"),
-                          rotation=90, va="top", ha="right", fontsize=7.5)  # fmt: skip
+                          rotation=90, va="top", ha="right", fontsize=7.5,
+                          bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5})  # fmt: skip
     for axis in (axes.xaxis, axes.yaxis):  # the style parses no mathematics, which powers of ten would need
         axis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set_ylabel("share of the peak")
     light_grid(axes)
 
 
-def _steps(axes: Axes, stamps: np.ndarray, period: float) -> None:
+def _steps(axes: Axes, stamps: np.ndarray, run: Run) -> None:
     """Draw steps of the time column over time, in samples of the grid."""
-    time, steps = stamps[1:] - stamps[0], np.diff(stamps) / period
+    begin, end = float(run.time[0]), float(run.time[-1])
+    period = 1 / run.rate
+    stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]
+    time, steps = stamps[1:], np.diff(stamps) / period
     if len(steps) > 20000:  # of a long log the extremes of each stretch
         size = len(steps) // 5000
         whole = steps[: len(steps) // size * size].reshape(-1, size)
@@ -78,7 +91,8 @@ def _steps(axes: Axes, stamps: np.ndarray, period: float) -> None:
         )
     axes.plot(time, steps, ".", color=GREY, markersize=2)
     axes.set_ylabel("step, samples")
-    axes.set_xlim(0, time[-1])
+    axes.set_xlim(begin, end)
+    axes.set_ylim(0, max(2.0, 1.1 * float(steps.max(initial=0.0))))
     axes.set_title("Steps of the time column")
     light_grid(axes)
 
@@ -92,6 +106,7 @@ def _used(axes: Axes, log: LogCheck) -> None:
         axes.broken_barh(list(zip(starts, stops - starts, strict=True)), (j - 0.35, 0.7), color=look["color"])
     axes.set_yticks(range(len(log.run.joints)), [joint_label(joint) for joint in log.run.joints], fontsize=7.5)
     axes.set_ylim(len(log.run.joints) - 0.5, -0.5)
+    axes.set_xlim(float(log.run.time[0]), float(log.run.time[-1]))
     axes.set_xlabel("time, s")
     axes.set_title("Rows used, without reversals, rests, gaps and clipped commands")
 

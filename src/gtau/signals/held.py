@@ -11,8 +11,8 @@ from gtau.signals.samples import Samples, ahead
 from gtau.signals.storage import block
 
 # After stale samples a signal has come as far as meanwhile: it is not slower over them than around them by this factor.
-# From rest it starts more slowly, and before and after a reversal it is faster.
-AS_BEFORE = 2.0
+# At constant acceleration the factor is 6 after rest and 4 around a reversal.
+AS_BEFORE = 3.0
 SPORADIC = 4  # equal samples in a row, at most, that are stale ones; more of them are a rest or a slow rounded motion,
 FROZEN = 20  # unless up to so many stand where nearly every sample is new:
 AROUND, NEW = 4, 1.5  # so many changes to either side come after so many samples on average
