@@ -66,7 +66,7 @@ def test_rules_of_thumb() -> None:
     assert cutoff_frequency(7.0, 100.0, 1000.0) == 70.0
     assert cutoff_frequency(7.0, 25.0, 1000.0) == 25.0
     assert cutoff_frequency(7.0, 7.0, 1000.0) == 17.5  # not within the motion
-    assert cutoff_frequency(1.0, 2.5, 1000.0, seconds=5.0) == pytest.approx(8.0)  # its ends are then 0.75 s of 5 s
+    assert cutoff_frequency(1.0, 2.5, 1000.0, seconds=5.0) == pytest.approx(10.0)  # its ends are then 0.6 s of 5 s
     assert cutoff_frequency(4.0, 36.0, 95.0) is None
     assert cutoff_frequency(13.7, 25.0, 100.0) is None  # not a little below the Nyquist frequency
     assert [decimation_factor(1000, f) for f in (0.1, 12, 100, 400)] == [20, 16, 2, 1]

@@ -12,7 +12,7 @@ STENCIL = 2  # samples that a central difference reaches to either side
 # Periods of the cut-off after which a filter has forgotten its beginning to 1e-3: its slowest poles decay as
 # exp(-2.4 cutoff t). With two periods errors of the Panda rise from 2.0 to 2.2 % (geometric mean).
 EDGE = 3.0
-LARGEST_ENDS = 0.15  # share of the samples that may be lost at both ends
+LARGEST_ENDS = 0.12  # share of the samples that may be lost at both ends
 FORGOTTEN = 18.0  # periods of the cut-off after which a filter has forgotten where it began, to 1e-18
 
 
@@ -22,7 +22,7 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float =
     Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where the ``end`` of the signal lies
     below that it is taken: motion and noise are as strong there, and Wiener's filter, which makes the error of the
     accelerations least, halves both, as this one does at its cut-off. But 2.5 times the bandwidth at least, where the
-    gain at the bandwidth is 1 - 7e-4. Nor lower than where the filter's ends take 15 % of runs that last so many
+    gain at the bandwidth is 1 - 7e-4. Nor lower than where the filter's ends take 12 % of runs that last so many
     ``seconds`` on average: on two runs of 5 s of an xMate7, 2.5 Hz instead of 10 Hz raise the torque errors on a third
     from 17 to 28 % (geometric mean).
 
