@@ -77,12 +77,14 @@ def measured(entry: zoo.Entry, data: Path) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("robots", nargs="*", choices=[*PLANTS, []])
+    parser.add_argument("robots", nargs="*", help=f"some of {', '.join(PLANTS)}")
     parser.add_argument("--seeds", type=int, default=20, help="experiments of each robot")
     parser.add_argument("--real", action="store_true", help="the measured logs too")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--store", type=Path, default=Path("false_alarms.jsonl"))
     options = parser.parse_args()
+    if unknown := set(options.robots) - set(PLANTS):
+        parser.error(f"there is no robot {', '.join(unknown)}; choose from {', '.join(PLANTS)}")
     done = [json.loads(line) for line in options.store.read_text().splitlines()] if options.store.exists() else []
     stands = {(each["robot"], each["seed"]) for each in done}
     todo = [(robot, seed) for seed in range(options.seeds) for robot in options.robots]
@@ -99,8 +101,8 @@ def main() -> None:
             if (robot, seed) not in stands:
                 add(robot, seed, simulated(robot, seed))
         for entry in zoo.ENTRIES if options.real else ():
-            if (entry.name, 0) not in stands:
-                add(entry.name, 0, measured(entry, options.data))
+            if (f"{entry.name}, measured", 0) not in stands:
+                add(f"{entry.name}, measured", 0, measured(entry, options.data))
     for robot in sorted({each["robot"] for each in done}):
         mine = [each for each in done if each["robot"] == robot]
         print(f"{robot}: {sum(bool(each['alarms']) for each in mine)} of {len(mine)}")

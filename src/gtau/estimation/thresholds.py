@@ -10,7 +10,7 @@ parameters is held against 4 n + 15 alternatives of its description at 6 standar
 (level 5e-7 each, of Student's distribution with 39 degrees of freedom, so below 3e-5 together), n differences from 2SLS
 at 10 (1e-12), n residuals at 25 % of the current (six times the largest of a healthy robot), p signs at 4 (3e-4 each,
 and only of parameters near zero), p differences from instrumental variables at 4 that must also exceed the parameter's
-own standard deviation (none did), likeness of legs at 1e-3, and one autocorrelation at 1.8 (none of 190 experiments).
+own standard deviation (none did), likeness of legs at 1e-3, and one autocorrelation at 1.8 (none of 320 experiments).
 benchmarks/false_alarms.py counts what they do together; docs/coverage.md has the result.
 """
 
@@ -89,7 +89,7 @@ LACKING = Threshold(
 INFLATED = Threshold(
     1.8,
     "the same, from which the summary says so",
-    "up to 1.7 (150 simulated experiments of 24 s in all, benchmarks/false_alarms.py), 1.2 (clean)",
+    "up to 1.7 (320 simulated experiments of 24 s, benchmarks/false_alarms.py), 1.2 (clean)",
     "1.9, 2.2 (UR10e pairs, whose friction is richer than the model)",
     "benchmarks/false_alarms.py, clean, UR10e pairs",
 )
