@@ -8,16 +8,17 @@ from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.estimation.grades import Grade
 from gtau.report import provenance
 from gtau.report.evidence import payload_words
+from gtau.report.findings_section import notes_section
 from gtau.report.geometry_section import geometry_section
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Cell, Column, folded, number, table, text, verdict
-from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, key, zoom_tools
+from gtau.report.html.series import COLOURS, Arrays, Line, buckets_for, chart, envelope, key, zoom_tools
 from gtau.report.identification_report import page
 from gtau.report.log_page import gate_words
+from gtau.report.log_section import logs_section
+from gtau.report.motion_section import distances_part
 from gtau.report.provenance import Provenance
-from gtau.report.result_sections import notes_section
 from gtau.report.robot_drawing import robot_drawing
-from gtau.report.run_sections import COLOURS, distances_part, logs_section
 from gtau.report.style import joint_label
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit

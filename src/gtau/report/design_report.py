@@ -11,11 +11,10 @@ from gtau.excitation.forecast import sampled_motions
 from gtau.report import provenance
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Cell, Column, bullets, escape, facts, number, paragraph, table, text, verdict
-from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, key, zoom_tools
+from gtau.report.html.series import COLOURS, Arrays, Line, buckets_for, chart, envelope, key, zoom_tools
 from gtau.report.identification_report import page
 from gtau.report.provenance import Provenance
 from gtau.report.robot_drawing import robot_drawing
-from gtau.report.run_sections import COLOURS
 from gtau.report.style import joint_label
 
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))

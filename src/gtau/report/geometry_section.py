@@ -5,8 +5,7 @@ from __future__ import annotations
 from gtau.estimation.diagnostics.geometry_findings import MOST_UNCERTAIN, GeometryTest, late, percent
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Column, folded, number, paragraph, sentence, table, text, verdict
-from gtau.report.html.series import Arrays, Line, chart, key, zoom_tools
-from gtau.report.run_sections import COLOURS
+from gtau.report.html.series import COLOURS, Arrays, Line, chart, key, zoom_tools
 
 GRADES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
 TABLE = 12  # constants that the table shows

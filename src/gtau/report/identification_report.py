@@ -6,21 +6,22 @@ from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.results.remarks import findings
 from gtau.report import provenance
 from gtau.report.evidence import Evidence
+from gtau.report.findings_section import notes_section
+from gtau.report.gain_sections import gains_section, payloads_section, verdict_section
 from gtau.report.geometry_section import geometry_section
 from gtau.report.html.document import Page, Section, render
 from gtau.report.html.series import Arrays
-from gtau.report.provenance import Provenance
-from gtau.report.result_sections import (
+from gtau.report.log_section import logs_section
+from gtau.report.motion_section import motion_section
+from gtau.report.parameter_sections import (
     alternatives_section,
     correlation_section,
-    gains_section,
-    notes_section,
     parameters_section,
-    payloads_section,
     singular_values_section,
-    verdict_section,
 )
-from gtau.report.run_sections import logs_section, motion_section, residuals_section, torques_section
+from gtau.report.provenance import Provenance
+from gtau.report.residual_section import residuals_section
+from gtau.report.torque_sections import torques_section
 
 
 def identification_report(evidence: Evidence, of: Provenance) -> str:

@@ -15,12 +15,13 @@ from gtau.estimation.results.estimate import Named, PayloadEstimate, Prediction
 from gtau.estimation.results.result import Result
 from gtau.report.comparison_report import comparison_table, headline
 from gtau.report.evidence import Evidence, gather, settings_of
+from gtau.report.findings_section import findings_table
+from gtau.report.gain_sections import gains_section, interval_cell, payloads_section, verdict_section
 from gtau.report.html.document import asset, style
 from gtau.report.html.elements import Cell, Column, escape, number, table, text, verdict
 from gtau.report.html.series import Arrays, Line, chart, envelope, key, stretches, zoom_tools
 from gtau.report.plots import Plots
 from gtau.report.provenance import Provenance
-from gtau.report.result_sections import findings_table, gains_section, interval_cell, payloads_section, verdict_section
 from gtau.report.style import joint_label
 
 BUCKETS = 1000  # of a chart in a notebook

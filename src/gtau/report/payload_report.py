@@ -8,13 +8,13 @@ from gtau.estimation.results.estimate import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.report import provenance
 from gtau.report.evidence import Evidence
+from gtau.report.gain_sections import gains_section, payloads_section
 from gtau.report.html.document import Section
 from gtau.report.html.drawings import Interval, interval_rows
 from gtau.report.html.elements import escape, paragraph, verdict
 from gtau.report.html.series import Arrays
 from gtau.report.identification_report import page
 from gtau.report.provenance import Provenance
-from gtau.report.result_sections import gains_section, payloads_section
 from gtau.report.robot_drawing import robot_drawing
 
 

@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from gtau.estimation.results.result import Result
 from gtau.report import provenance
 from gtau.report.evidence import Evidence, RunEvidence
+from gtau.report.gain_sections import gains_section
 from gtau.report.html.document import Section
 from gtau.report.html.elements import verdict
 from gtau.report.html.series import Arrays
 from gtau.report.identification_report import page
+from gtau.report.log_section import logs_section
+from gtau.report.motion_section import motion_section
 from gtau.report.provenance import Provenance
-from gtau.report.result_sections import gains_section
-from gtau.report.run_sections import logs_section, motion_section, torques_section
+from gtau.report.torque_sections import torques_section
 from gtau.report.validation_page import CAUTION, Validation
 
 

@@ -221,3 +221,10 @@ def interval_rows(rows: Sequence[Interval], zero: float | None = None) -> tuple[
         for tick in ticks(low, high, 5)
     )
     return found, f'<svg role="img" aria-hidden="true"><line class="axis" x1="0" x2="100%" y1="0" y2="0"/>{axis}</svg>'
+
+
+def decades(values: np.ndarray) -> tuple[float, float]:
+    """Choose a range of whole decades around positive values, at most six of them."""
+    high = 10.0 ** np.ceil(np.log10(values.max()))
+    low = 10.0 ** np.floor(np.log10(values.min()))
+    return float(max(low, high * 1e-6)), float(high)

@@ -13,6 +13,7 @@ from gtau.report.html.elements import escape
 
 BUCKETS = 2000  # of a run, each drawn by its extremes: more than the pixels of a wide screen
 BUDGET = 450_000  # numbers in all series of a page: 2.4 MB once packed
+COLOURS = 8  # of lines in the style sheet
 
 
 @dataclass
