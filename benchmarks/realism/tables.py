@@ -97,19 +97,19 @@ def goals(made: Sequence[dict], real: Sequence[dict]) -> str:
     logs = _where(made, lambda departure, name: name != NONE and not departure.wrong)
     wrong = _where(made, lambda departure, _: departure.wrong and not departure.invisible)
     seen = _where(made, lambda departure, name: name != NONE and not departure.invisible)
-    lines = ["| goal | | measured |", "| --- | --- | --- |"]
+    lines = ["| what | goal | measured |", "| --- | --- | --- |"]
     if len(clean.z):
         lines += [
             f"| nothing departs: intervals of the random part hold | 93 to 97 % | {share(clean.random_holds)}, "
             f"{count(clean.random_holds)} |",
             f"| the same, of both parts | | {share(clean.holds)}, rms z {rms(clean.z):.2f} |",
-            f"| the same, contradictory | none | {clean.contradictory} |",
+            f"| the same, contradictory gains | none | {clean.contradictory} |",
         ]
     if len(logs.z):
         lines += [
             f"| logs or drives depart: intervals hold | at least 90 % | {share(logs.holds)}, {count(logs.holds)}, "
             f"rms z {rms(logs.z):.2f} |",
-            f"| the same, contradictory | | {logs.contradictory} |",
+            f"| the same, contradictory gains | none | {logs.contradictory} |",
         ]
     if len(wrong.z):
         lines.append(f"| a description is wrong: intervals hold | | {share(wrong.holds)}, {count(wrong.holds)} |")
