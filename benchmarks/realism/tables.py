@@ -94,7 +94,7 @@ def _where(records: Sequence[dict], keep) -> Gains:
 
 def goals(made: Sequence[dict], real: Sequence[dict]) -> str:
     clean = _where(made, lambda _, name: name == NONE)
-    logs = _where(made, lambda departure, name: name != NONE and not departure.wrong)
+    logs = _where(made, lambda departure, name: name != NONE and not departure.wrong and not departure.invisible)
     wrong = _where(made, lambda departure, _: departure.wrong and not departure.invisible)
     seen = _where(made, lambda departure, name: name != NONE and not departure.invisible)
     lines = ["| what | goal | measured |", "| --- | --- | --- |"]
@@ -107,15 +107,15 @@ def goals(made: Sequence[dict], real: Sequence[dict]) -> str:
         ]
     if len(logs.z):
         lines += [
-            f"| logs or drives depart: intervals hold | at least 90 % | {share(logs.holds)}, {count(logs.holds)}, "
-            f"rms z {rms(logs.z):.2f} |",
+            f"| logs or drives depart, but what no data show: intervals hold | at least 90 % | {share(logs.holds)}, "
+            f"{count(logs.holds)}, rms z {rms(logs.z):.2f} |",
             f"| the same, contradictory gains | none | {logs.contradictory} |",
         ]
     if len(wrong.z):
         lines.append(f"| a description is wrong: intervals hold | | {share(wrong.holds)}, {count(wrong.holds)} |")
     if len(seen.z):
         lines.append(
-            f"| good and off by more than 3 %, all but what no data show | under 2 % | {share(seen.silent)}, "
+            f"| good and off by more than 3 %, but what no data show | under 2 % | {share(seen.silent)}, "
             f"{count(seen.silent)} |"
         )
     if real:
