@@ -180,9 +180,10 @@ def test_the_unknowns_give_the_problem_s_parameters(data: Dataset) -> None:
 def test_the_price_of_the_reduction_is_said(runs: list[Run]) -> None:
     result = identify(FIVE_BAR, runs)
     loss = result.statistics["reduction_loss"]
-    assert 0 <= loss < 6
-    said = " ".join(result.summary().split())
-    assert f"{loss:.2g} %" in said.split("base parameters are left out")[1].split("Those listed")[0]
+    assert -1 < loss < 6  # with fewer parameters the same squares may make a smaller standard deviation
+    said = " ".join(result.summary().split()).split("base parameters are left out")[1].split("Those listed")[0]
+    assert (f"grow by {loss:.2g} %" in said) == (loss >= 0.01)
+    assert ("do not grow" in said) == (loss < 0.01)
 
 
 # The command
