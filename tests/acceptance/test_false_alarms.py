@@ -16,7 +16,7 @@ from gtau.estimation.regression.base_parameters import BaseParameters, base_para
 from gtau.estimation.thresholds import INFLATED
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 from gtau.simulation.plausible_parameters import random_parameters
 from gtau.simulation.trajectories import envelope, point_to_point, sines

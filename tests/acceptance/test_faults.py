@@ -21,7 +21,7 @@ from gtau.estimation.thresholds import INFLATED
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Mdh, Robot
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run, read_run
 from gtau.simulation.orthoglide_truth import DRIVE_GAINS
 

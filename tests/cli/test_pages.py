@@ -16,7 +16,8 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.data_sheets import Drive
-from gtau.signals.experiment import Experiment, Payload, Prior
+from gtau.signals.experiment import Experiment, Prior
+from gtau.signals.payload import Payload
 from gtau.simulation.simulation_file import (
     Fourier,
     Friction,

@@ -16,7 +16,7 @@ import pytest
 from five_bar_logs import Plant, path, write_experiment
 
 import gtau
-from gtau.signals.experiment import as_payload
+from gtau.signals.payload import as_payload
 
 ROOT = Path(__file__).parents[2]
 

@@ -20,7 +20,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds import ALTERNATIVE_PRIOR
 from gtau.model.home import load_robot
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")

@@ -24,7 +24,7 @@ from gtau.estimation.regression.system import require_scale
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.preparation import prepare
 from gtau.signals.run import Run
 

@@ -16,7 +16,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds import DOMINANT
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 
 ARM = Robot(

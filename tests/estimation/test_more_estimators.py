@@ -25,7 +25,8 @@ from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
-from gtau.signals.experiment import Payload, Prior
+from gtau.signals.experiment import Prior
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

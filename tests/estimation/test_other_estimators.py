@@ -25,7 +25,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.model.home import load_robot
 from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.preparation import Preparation, choose_preparation
 from gtau.signals.run import Run
 

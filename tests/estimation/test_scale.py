@@ -32,7 +32,8 @@ from gtau.estimation.results.remarks import remarks
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
-from gtau.signals.experiment import Payload, Prior
+from gtau.signals.experiment import Prior
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 
 ARM = Robot(

@@ -28,7 +28,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.preparation import Preparation, choose_preparation, prepare
 from gtau.signals.run import Run
 from gtau.simulation import plant

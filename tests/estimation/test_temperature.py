@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.remarks import without_temperature
 from gtau.estimation.results.result import Result
 from gtau.signals.columns import as_signals
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 from gtau.signals.temperature import Temperature
 

@@ -20,7 +20,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds import INFLATED
 from gtau.model.home import load_robot
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

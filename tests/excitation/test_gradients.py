@@ -21,7 +21,7 @@ from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 
 DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
 

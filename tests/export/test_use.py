@@ -16,7 +16,7 @@ import gtau
 from gtau.cli.commands import app
 from gtau.export.along_log import carrying, torques_along_log, write_table
 from gtau.model.home import load_robot
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 
 PLANT = Plant(noise=0.005)
 

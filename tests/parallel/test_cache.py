@@ -17,7 +17,7 @@ from gtau.estimation.regression.factors import FACTORS_VERSION, Factors, HuberWe
 from gtau.parallel.cache import cache_folder, caching_map, factors_key
 from gtau.parallel.content_hash import content_key
 from gtau.parallel.executor import ShardMap, in_order, serial_map
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 
 

@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.parallel import content_hash as content
 from gtau.parallel.content_hash import content_key
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.sizes import Sizes
 
 BLOCK = Sizes().block

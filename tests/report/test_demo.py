@@ -21,7 +21,8 @@ from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.experiment import Payload, read_experiment
+from gtau.signals.experiment import read_experiment
+from gtau.signals.payload import Payload
 from gtau.simulation.experiment_files import experiment_text
 from gtau.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
 from gtau.simulation.simulation_file import read_simulation

@@ -28,7 +28,8 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.bandwidth import JointSpectrum, spectra
 from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import Experiment, LoggedRun, check_robot, read_experiment
+from gtau.signals.experiment import Experiment, check_robot, read_experiment
+from gtau.signals.logged_run import LoggedRun
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, moving_spectra
 from gtau.signals.run import Run, arrange

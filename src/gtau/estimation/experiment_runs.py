@@ -13,7 +13,8 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.signals.experiment import Experiment, LoggedRun, check_robot, read_experiment
+from gtau.signals.experiment import Experiment, check_robot, read_experiment
+from gtau.signals.logged_run import LoggedRun
 from gtau.signals.pose import read_poses
 from gtau.signals.run import Run, read_run
 

@@ -13,7 +13,7 @@ from gtau.excitation.closure_gradients import Slopes
 from gtau.excitation.evaluation import Point
 from gtau.excitation.task import DesignProblem
 from gtau.excitation.trajectory import approach_duration, quintic
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 SINGULAR = "condition number of the closures"

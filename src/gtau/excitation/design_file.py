@@ -24,7 +24,8 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Pose, Robot
-from gtau.signals.experiment import Payload, file_or_name
+from gtau.signals.logged_run import file_or_name
+from gtau.signals.payload import Payload
 
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 Interval = tuple[FiniteFloat, FiniteFloat]

@@ -21,7 +21,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import assemble_system
 from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 
 VAGUE = 1e3  # prior deviations of what is estimated, in units of its scale: so wide that they decide nothing
 

@@ -21,7 +21,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
 from gtau.model.loops import Motion, advance, differentiate
 from gtau.signals.decimation import Decimator, decimation_factor
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.preparation import Preparation
 
 SPEED_FRACTION = Preparation.speed_fraction

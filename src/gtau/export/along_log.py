@@ -13,7 +13,7 @@ from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.robots.units import torque_unit
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run, read_run
 
 if TYPE_CHECKING:

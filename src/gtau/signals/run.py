@@ -12,11 +12,11 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.signals.checks import check
 from gtau.signals.columns import Signals, Units, as_signals, as_units
-from gtau.signals.experiment import Payload, as_payload
 from gtau.signals.frames import as_log
 from gtau.signals.log_set import find_logs
 from gtau.signals.log_slice import Excerpt, Log, read_excerpt, stamps_of
 from gtau.signals.notes import Note
+from gtau.signals.payload import Payload, as_payload
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.storage import Placed, block, spans, store

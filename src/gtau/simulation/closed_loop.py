@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from gtau.documents.files import write_atomically
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 from gtau.simulation.controllers import FILTER, Controller
 from gtau.simulation.drive import Hardware, rounded

@@ -16,7 +16,8 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
 from gtau.robots.floating import refuse_floating
-from gtau.signals.experiment import Payload, check_robot, read_experiment
+from gtau.signals.experiment import check_robot, read_experiment
+from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import Simulated, simulate
 from gtau.simulation.controllers import Controller, Reference, computed_torque, pid_with_velocity, sample, simple_pid
 from gtau.simulation.experiment_files import apparatus

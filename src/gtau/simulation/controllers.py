@@ -15,7 +15,7 @@ from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
 from gtau.estimation.regression.system import known_values
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.simulation.trajectories import Trajectory
 
 BANDWIDTH = 100.0  # rad/s

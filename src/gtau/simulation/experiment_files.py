@@ -16,7 +16,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import Engine, Simulated, simulate, write_log
 from gtau.simulation.controllers import pid_with_velocity, sample
 from gtau.simulation.drive import Hardware, hardware

@@ -13,7 +13,8 @@ from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.columns import Positive
-from gtau.signals.experiment import Payload, file_or_name
+from gtau.signals.logged_run import file_or_name
+from gtau.signals.payload import Payload
 from gtau.simulation.controllers import BANDWIDTH
 from gtau.simulation.drive import Drive, Sensors
 from gtau.simulation.plant import WIDTH

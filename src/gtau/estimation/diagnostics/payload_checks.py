@@ -13,7 +13,7 @@ from gtau.estimation.estimators.mass_uncertainty import with_payload
 from gtau.estimation.regression.system import known_values, require_scale
 from gtau.estimation.thresholds import PAYLOAD_MOVES
 from gtau.robots.units import unit_of
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 
 
 @dataclass(frozen=True)

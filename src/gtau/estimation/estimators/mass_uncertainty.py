@@ -10,7 +10,7 @@ from gtau.estimation.estimators.estimator import Solve
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.system import System
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 
 
 def mass_uncertainty(dataset: Dataset, system: System, solution: Solution, solve: Solve) -> np.ndarray:

@@ -24,8 +24,9 @@ from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import Payload, Prior
+from gtau.signals.experiment import Prior
 from gtau.signals.notes import Kind, Note
+from gtau.signals.payload import Payload
 from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, prepare
 from gtau.signals.run import Run, arrange
 

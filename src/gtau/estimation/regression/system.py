@@ -16,7 +16,8 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.torque_sensors import of_drive, sensor_name
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.experiment import Payload, Prior
+from gtau.signals.experiment import Prior
+from gtau.signals.payload import Payload
 
 FEWEST_ROWS = 50  # of a joint, in all runs together
 

@@ -15,7 +15,7 @@ from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.inverse_dynamics import Regressor
 from gtau.robots.units import torque_unit
-from gtau.signals.experiment import Payload
+from gtau.signals.payload import Payload
 from gtau.signals.preparation import prepare
 from gtau.signals.run import Run, arrange
 

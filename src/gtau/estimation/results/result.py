@@ -16,7 +16,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_file import load, save
 from gtau.estimation.results.prediction import predict, torque_errors, torques
 from gtau.estimation.results.summary import short_summary, summary
-from gtau.signals.experiment import Payload, as_payload
+from gtau.signals.payload import Payload, as_payload
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
