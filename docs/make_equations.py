@@ -88,7 +88,7 @@ def citations(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _places(node: ast.AST, prefix: str) -> Iterator[tuple[str, ast.Module | ast.ClassDef | ast.FunctionDef]]:
-    """Module, classes and functions, the inner ones after the outer."""
+    """Iterate over the module, its classes and functions, the inner ones after the outer."""
     if isinstance(node, ast.Module):
         yield "", node
     for child in ast.iter_child_nodes(node):

@@ -26,7 +26,7 @@ _pressed = threading.Event()
 
 
 def pressed() -> bool:
-    """Whether Ctrl-C has been pressed; what fails afterwards fails for that, as compilers make another error of it."""
+    """Return whether Ctrl-C has been pressed; what fails afterwards fails because of it."""
     return _pressed.is_set()
 
 
@@ -51,7 +51,7 @@ def _insist() -> None:
 
 
 def _end() -> None:
-    """End the program at once, and the processes it began."""
+    """End the program at once, and the processes that it started."""
     report(UNFINISHED)
     if "multiprocessing" in sys.modules:
         from multiprocessing import active_children
@@ -90,7 +90,7 @@ def _without_interruptions(unraisable: Any) -> None:
 
 @contextmanager
 def stop_request(hint: str) -> Iterator[Callable[[], bool]]:
-    """Within, the first Ctrl-C prints ``hint`` and is a request that the yielded function reports; the second ends all.
+    """Print ``hint`` at the first Ctrl-C, a request that the yielded function reports; the second ends the program.
 
     For a search that has something to show for what it has done so far.
     """

@@ -163,7 +163,7 @@ def _read(
     model: InverseDynamics,
     progress: Progress,
 ) -> tuple[list[Run | None], list[Note]]:
-    """The runs, None for those that cannot be used, and why they cannot."""
+    """Read the runs, None for those that cannot be used, and note why."""
     runs: list[Run | None] = []
     notes = []
     for k, each in enumerate(listed):
@@ -183,13 +183,13 @@ def _read(
 
 
 def refusal(error: GtauError, kind: Kind = Kind.REFUSED, source: str = "") -> Note:
-    """What an identification refuses, as a note; its sentence names the log itself where no ``source`` is given."""
+    """Note why an identification refuses a log; the sentence names the log itself where no ``source`` is given."""
     what, _, action = str(error).rstrip(".").rpartition("; ")
     return Note(kind, what or action, action if what else "", source="" if source in what else source)
 
 
 def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
-    """A note on every joint with fewer rows in all logs together than an identification needs."""
+    """Note every joint that has fewer rows in all logs together than an identification needs."""
     notes = []
     for each in zip(*(log.joints for log in logs), strict=True):
         rows = sum(round(joint.usable * log.rows) for joint, log in zip(each, logs, strict=True))
@@ -202,7 +202,7 @@ def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
 
 
 def _together(dataset: Dataset, prior_gains: Mapping[str, float]) -> list[Note]:
-    """What only all runs together show: the scale of the gains, the payload's effect, parameters not separable."""
+    """Note what only all runs together show: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system(Friction())
     notes = [*lag_notes(dataset, system), *not_separated(system.unexcited)]
     if dataset.runs[0].kind == "torque":

@@ -53,14 +53,14 @@ def grade_of(note: Note) -> Grade:
 
 
 def by_grade(notes: Iterable[Note]) -> dict[Grade, list[Note]]:
-    """Notes by grade, the worst first, each once and in order; no grade without notes."""
+    """Group notes by grade, the worst first, each once and in order; no grade without notes."""
     listed = list(dict.fromkeys(notes))
     found = {grade: [note for note in listed if grade_of(note) == grade] for grade in Grade}
     return {grade: members for grade, members in found.items() if members}
 
 
 def to_document(note: Note) -> dict[str, Any]:
-    """A graded note as a JSON document: what, where (log or robot, joint, time in s, share of the samples), action."""
+    """Write a graded note as JSON: what, where (log or robot, joint, time in s, share of the samples), action."""
     return {
         "grade": grade_of(note).value,
         "kind": note.kind.value,
@@ -74,7 +74,7 @@ def to_document(note: Note) -> dict[str, Any]:
 
 
 def from_document(document: Mapping[str, Any]) -> Note:
-    """The note that :func:`to_document` described."""
+    """Restore a note from the document that :func:`to_document` made."""
     return Note(
         Kind(document["kind"]),
         document["what"],

@@ -192,7 +192,7 @@ def require_joint(
 
 
 def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Prior]:
-    """The priors that join the currents in an estimator; to others they matter for consistent parameters alone."""
+    """Return the priors that join the currents in an estimator; others use them only for consistent parameters."""
     return priors if estimator.joint else {}
 
 

@@ -32,7 +32,7 @@ class Threshold(float):
         return made
 
     def __getnewargs__(self) -> tuple[float, str, str, str, str]:  # type: ignore[override]
-        """Arguments with which a copy or a pickle makes it again."""
+        """Return the arguments with which copy and pickle rebuild the threshold."""
         return float(self), self.statistic, self.healthy, self.faulty, self.evidence
 
 

@@ -69,7 +69,7 @@ class Clearance:
         return Nearest(best, normal, a, b)
 
     def holds(self, c: np.ndarray) -> bool:
-        """Whether all bodies are apart at configurations (n_c, N)."""
+        """Decide whether all bodies keep their distance at configurations (n_c, N)."""
         return all(self.nearest(c, pair).distance.min(initial=np.inf) >= self.least for pair in self.pairs)
 
     def slopes(self, c: np.ndarray, pair: tuple[str, str], nearest: Nearest) -> np.ndarray:
@@ -81,7 +81,7 @@ class Clearance:
         return total
 
     def _poses(self, body: str, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Orientations (3, 3, N) and positions (3, N) of a body in the base."""
+        """Compute the orientations (3, 3, N) and positions (3, N) of a body in the base."""
         if body == GROUND:
             return np.repeat(np.eye(3)[:, :, None], c.shape[1], axis=2), np.zeros((3, c.shape[1]))
         values = self._programs[body][0](c)
@@ -101,7 +101,7 @@ class Clearance:
 
 
 def clearance(layout: Coordinates, least: float, shapes: Mapping[str, Sequence[Shape]]) -> Clearance:
-    """Bodies with shapes, that keep apart from each other unless a joint or a closure joins them.
+    """Build the clearance of the bodies with shapes, for pairs that no joint or closure joins.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def _joined(robot: Robot) -> set[frozenset[str]]:
 
 
 def capsule(start: Sequence[float], end: Sequence[float], radius: float) -> Shape:
-    """A cylinder with round ends about the line between two points, or a sphere where they are one."""
+    """Build a cylinder with round ends about the line between two points, or a sphere where they coincide."""
     coal = _coal()
     line, middle = np.subtract(end, start), np.add(end, start) / 2
     length = float(np.linalg.norm(line))
@@ -137,7 +137,7 @@ def capsule(start: Sequence[float], end: Sequence[float], radius: float) -> Shap
 
 
 def hull(path: Path, scale: float, pose: Pose) -> Shape:
-    """The convex hull of a mesh; raises GtauError where its file cannot be read."""
+    """Build the convex hull of a mesh; raises GtauError where its file cannot be read."""
     coal = _coal()
     if not path.is_file():
         raise GtauError(f"there is no mesh '{path}'; correct the path under limits.shapes.")

@@ -77,7 +77,7 @@ def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
 
 
 def _possible(task: DesignProblem, joints: np.ndarray) -> Motion | None:
-    """The motion along joints (4, n, N), None where the robot cannot go there or its bodies come too near."""
+    """Compute the motion along joints (4, n, N); None where the robot cannot go there or bodies come too close."""
     try:
         motion = close(task.model, joints[0], joints[1], joints[2], None)
     except GtauError:

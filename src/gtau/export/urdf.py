@@ -226,7 +226,7 @@ def drives_text(model: ConsistentModel) -> str:
 
 
 def _spring_data(model: ConsistentModel, spring: Spring) -> dict[str, object]:
-    """A spring between two points: where it is attached, and its ``preload - stiffness l - damping dl/dt``."""
+    """Describe a spring between two points: its attachments, and its ``preload - stiffness l - damping dl/dt``."""
     robot, ends = model.result.robot, []
     for end in (spring.a, spring.b):
         placement = compose(_to_vertical(robot), end.placement) if end.body == GROUND else end.placement

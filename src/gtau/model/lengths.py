@@ -74,7 +74,7 @@ class VariableGeometry:
     program: Program
 
     def close(self, c: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
-        """Configurations after a change of the constants, the motors at the same logged positions.
+        """Close the loops after a change of the constants, with the motors at the same logged positions.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class VariableGeometry:
         return None
 
     def pose(self, c: np.ndarray, change: np.ndarray) -> BodyPose:
-        """Pose of the body at configurations ``c`` (n_c, N) that are closed with these changes of the constants."""
+        """Compute the pose of the body at configurations ``c`` (n_c, N) closed with these changes of the constants."""
         layout, n = self.layout, len(self.layout.actuated)
         _, G_p, G_a, G_s, position, rotation, J, J_s = self._evaluate(c, self.shifts @ change)
         G = np.concatenate([G_a, G_s @ self.shifts], axis=2)
@@ -125,7 +125,7 @@ class VariableGeometry:
         return BodyPose(position, rotation, by_constants, by_joints)
 
     def _evaluate(self, c: np.ndarray, shift: np.ndarray) -> list[np.ndarray]:
-        """What the program gives, samples first: (N, rows), (N, rows, n_passive), ..., (N, 6, 3 places)."""
+        """Evaluate the program, samples first: (N, rows), (N, rows, n_passive), ..., (N, 6, 3 places)."""
         layout, samples = self.layout, c.shape[1]
         shapes = [
             (self.rows,),
@@ -172,7 +172,7 @@ def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
 
 
 def _places(robot: Robot) -> Iterator[tuple[str, Placement]]:
-    """All placements, with the words for where they are."""
+    """Iterate over all placements, with the words for where they are."""
     for joint in robot.joints:
         yield f"'{joint.name}'", joint.placement
     for number, closure in enumerate(robot.closures, start=1):
@@ -200,7 +200,7 @@ def _moved(placement: Placement, shift: ca.SX) -> Shifted:
 
 
 def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterator[Constant]:
-    """Each length by itself, then those that are the same together."""
+    """Iterate over the lengths, each by itself, then equal ones together."""
     shortest = SHORT * characteristic_length(robot)
     same: dict[float, list[tuple[str, tuple[int, Vector]]]] = {}
     for k, (where, placement) in enumerate(places):
@@ -219,7 +219,7 @@ def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterato
 
 
 def _lengths(placement: Placement) -> Iterator[tuple[str, float, Vector]]:
-    """Lengths of a placement, with the directions in which it moves where they grow."""
+    """Iterate over the lengths of a placement, with the directions in which it moves as they grow."""
     if isinstance(placement, Mdh):
         before = replace(placement, d=0.0, b=0.0, r=0.0)
         for name in ("d", "r", "b"):

@@ -269,7 +269,7 @@ def follow(
 
 
 def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
-    """Fill ``c`` from each of ``starts`` for ``length`` samples; returns those that were not reached."""
+    """Fill ``c`` from each of ``starts`` for ``length`` samples; return those that were not reached."""
     ends = np.minimum(starts + length, q.shape[1])
     filled = np.zeros(starts.size, dtype=np.int64)
 

@@ -26,7 +26,7 @@ def notes_section(notes: Sequence[Note]) -> Section:
 
 
 def findings_table(notes: Sequence[Note]) -> str:
-    """Notes as a table, the worst first; empty without notes."""
+    """Tabulate notes, the worst first; empty without notes."""
     rows = [
         [badge(grade.value), text(_where(note)), text(sentence(note.what)), text(note.action and sentence(note.action))]
         for grade, members in by_grade(same_in_several(notes)).items()
@@ -37,7 +37,7 @@ def findings_table(notes: Sequence[Note]) -> str:
 
 
 def _where(note: Note) -> str:
-    """Log or robot, joint, time and size of a finding, as far as they are known."""
+    """Describe where a finding is: log or robot, joint, time and size, as far as they are known."""
     share = None if note.share is None else f"{100 * note.share:.2g} % of the samples"
     time = None if note.time is None else f"{note.time:.4g} s"
     return ", ".join(part for part in (note.source, note.joint and joint_label(note.joint), time, share) if part)

@@ -12,7 +12,7 @@ TABLE = 12  # constants that the table shows
 
 
 def geometry_section(test: GeometryTest | None, arrays: Arrays) -> Section | None:
-    """Residuals of the pose in time and by component, and the constants that would explain them."""
+    """Show residuals of the pose in time and by component, and the constants that would explain them."""
     if test is None:
         return None
     parts = [verdict(GRADES[test.outcome], sentence(str(test.note)), _frames(test))]

@@ -108,7 +108,7 @@ def log_page(document: dict[str, Any]) -> str:
 
 
 def gate_words(notes: Sequence[Note]) -> str:
-    """What to expect of an identification from these logs, in one sentence."""
+    """Say in one sentence what to expect of an identification from these logs."""
     found = by_grade(same_in_several(notes))
     if stops := found.get(Grade.STOPS):
         return f"gtau identify will refuse these logs: {counted(len(stops), 'finding')} to resolve first."

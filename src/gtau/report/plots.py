@@ -42,7 +42,7 @@ class Plots:
     def torques(
         self, joint: str | None = None, run: str | Run | None = None, start: float = 0.0, stop: float | None = None
     ) -> Figure:
-        """Measured and predicted torques and residuals of a joint, or of all, from ``start`` to ``stop`` s of a run."""
+        """Plot measured and predicted torques and residuals of a joint or all of a run, ``start`` to ``stop`` in s."""
         run, prediction, joints = self._predicted(joint, run)
         units = [torque_unit(self.result.robot, name) for name in prediction.joints]
         chosen = [prediction.joints.index(name) for name in joints]

@@ -111,7 +111,7 @@ def link_lines(robot: Robot, joints: list[Joint], found: dict[str, Frame]) -> li
 
 
 def zigzag(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
-    """A line (points, 2) from a point (2,) to another that looks like a coil, straight at both ends."""
+    """Draw a line (points, 2) between two points (2,) that looks like a coil, straight at both ends."""
     along = end - start
     length = max(float(np.linalg.norm(along)), 1e-12)
     across = width / length * np.array([-along[1], along[0]])

@@ -53,7 +53,7 @@ def validate_run(result: Result, run: Run) -> Validation:
 
 
 def _unknown_payload(result: Result, run: Run) -> tuple[str, ...]:
-    """A note where the model has not seen the payload of a run, and the run gives no more than its mass."""
+    """Note where the model has not seen the payload of a run, and the run gives no more than its mass."""
     payload = run.payload
     if payload is None or payload.parameters or result.payload(payload.name):
         return ()

@@ -17,7 +17,7 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def base_joints(name: str) -> tuple[Joint, ...]:
-    """The six joints of a floating base, on the ground, the last of which bears its name; none without a name."""
+    """Build the six joints of a floating base, on the ground, the last bearing its name; none without a name."""
     chain = base_rows(name)
     kinds = (TRANSLATIONS + ROTATIONS)[: len(chain)]
     return tuple(

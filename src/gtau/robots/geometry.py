@@ -100,7 +100,7 @@ def characteristic_length(robot: Robot) -> float:
 
 
 def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
-    """Ball around a body's frames: centre (3,) and radius in m, in the body's frame, and whether the chain ends here.
+    """Bound a body's frames by a ball: centre (3,) and radius in m, in its frame, and whether the chain ends here.
 
     The frames are its own and those of the joints and closures on it; where there are none the chain ends.
     """
@@ -112,7 +112,7 @@ def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
 
 
 def longest_placement(robot: Robot) -> float:
-    """The largest distance (m) from a body's frame to that of a joint or closure on it; 1 where there is none."""
+    """Return the largest distance (m) from a body's frame to that of a joint or closure on it; 1 without any."""
     lengths = [2 * extent(robot, body)[1] for body in robot.bodies]
     return max(lengths, default=0.0) or 1.0
 

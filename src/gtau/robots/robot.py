@@ -149,7 +149,7 @@ ROTATIONS = ("rx", "ry", "rz")
 
 
 def base_rows(name: str) -> tuple[str, ...]:
-    """Names of the six joints by which a floating base moves in the world; the last bears the name of the base."""
+    """Name the six joints by which a floating base moves in the world; the last bears the name of the base."""
     return (*(f"{name}_{kind}" for kind in TRANSLATIONS + ROTATIONS[:2]), name) if name else ()
 
 

@@ -92,7 +92,7 @@ class BaseColumns(_Keys):
         return tuple(column for each in self.wrenches for column in (*each.force, *(each.moment or ())))
 
     def scale(self, units: BaseUnits) -> list[float]:
-        """Factors to SI units of the pose's columns."""
+        """Return the factors to SI units of the pose's columns."""
         return [si_factor(units.length, "position")] * len(self.position or ()) + [1.0] * len(self.quaternion or ())
 
     @property
@@ -104,7 +104,7 @@ class BaseColumns(_Keys):
         return (*places, *(turned,) * 3, *(acting,) * 6)
 
     def converted(self, pose: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and forces (M, 6) of the six joints from a pose (M, p) and wrenches (M, w).
+        """Convert a pose (M, p) and wrenches (M, w) to positions and forces (M, 6) of the six joints.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class BaseColumns(_Keys):
         return np.hstack([p, angles]), np.hstack([force, np.stack(turns, axis=1)])
 
     def _angles(self, quaternion: np.ndarray) -> np.ndarray:
-        """Angles (M, 3) about x, the turned y and the twice turned z, NaN where the quaternion is."""
+        """Convert quaternions to angles (M, 3) about x, the rotated y and the twice rotated z; NaN stays NaN."""
         norms = np.linalg.norm(quaternion, axis=1)
         known = np.isfinite(norms)
         if (wrong := known & (np.abs(norms - 1.0) > UNIT)).any():
@@ -165,7 +165,7 @@ class BaseColumns(_Keys):
 
 
 def _rotations(angles: np.ndarray) -> np.ndarray:
-    """Orientations (M, 3, 3) of a base that is turned by angles (M, 3) of its joints."""
+    """Compute the orientations (M, 3, 3) of a base rotated by the angles (M, 3) of its joints."""
     (ca, cb, cc), (sa, sb, sc) = np.cos(angles).T, np.sin(angles).T
     rows = [
         [cb * cc, -cb * sc, sb],

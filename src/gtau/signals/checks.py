@@ -258,7 +258,7 @@ def _refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
 
 
 def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.ndarray:
-    """Positions (M, n) with those that are not fresh interpolated."""
+    """Interpolate the positions (M, n) that are not fresh."""
     if fresh.all():
         return position
     return np.column_stack([np.interp(time, time[fresh], each[fresh]) for each in position.T])

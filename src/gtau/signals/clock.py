@@ -93,7 +93,7 @@ class Clock:
         return store(self.start + self.period * self._numbers(first + a, first + b) for a, b in spans(len(time)))
 
     def _numbers(self, first: int, stop: int) -> np.ndarray:
-        """Number samples in the clock, missing ones counted."""
+        """Enumerate samples in the clock, missing ones counted."""
         samples, missing = self._sums
         number = np.arange(first, stop)
         return np.asarray(number + missing[np.searchsorted(samples, number, side="right")], dtype=float)
@@ -181,7 +181,7 @@ def _by_stamps(time: np.ndarray, steps: np.ndarray) -> Clock:
 
 
 def _mean_step(steps: np.ndarray) -> float:
-    """Mean of the steps, without pauses: those five times as long as all but one in a hundred."""
+    """Average the steps without pauses, which are five times as long as all but one in a hundred."""
     pause = 5 * np.quantile(steps, 0.99)
     return float(np.mean(steps[steps <= pause] if pause > 0 else steps))
 

@@ -90,12 +90,12 @@ def taken_apart(name: str, joints: Sequence[str] = ()) -> ColumnName:
 
 
 def is_temperature(name: str) -> bool:
-    """Whether a column is a temperature by its name."""
+    """Decide from its name whether a column is a temperature."""
     return not TEMPERATURE.isdisjoint(_words(name))
 
 
 def is_pose(name: str) -> bool:
-    """Whether a column looks like a component of a pose by its name."""
+    """Decide from its name whether a column looks like a component of a pose."""
     return not POSE.isdisjoint(_words(name))
 
 

@@ -80,7 +80,7 @@ def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
 def data_sheet_notes(
     drives: Mapping[str, Drive], robot: Robot, found: Mapping[str, tuple[float | None, float | None]]
 ) -> tuple[Note, ...]:
-    """Notes on what data sheets say beside what was found (value and standard deviation) of gains and ``ia``.
+    """Compare estimates (value and standard deviation) of gains and ``ia`` with data sheets, one note for each.
 
     Parameters
     ----------

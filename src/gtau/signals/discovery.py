@@ -132,12 +132,12 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
 
 
 def _beside(group: Group | None, label: Mapping[str, str]) -> dict[str, str]:
-    """Columns of a group by joint, from the ``label`` that each joint has in the names of columns."""
+    """Map joints to the columns of a group, by the ``label`` that each joint has in the names of columns."""
     return {} if group is None else {joint: group.columns[of] for joint, of in label.items() if of in group.columns}
 
 
 def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:
-    """The logs of the first run's positions and commands, often one, and the files of every run."""
+    """List the logs of the first run's positions and commands, often one, and the files of every run."""
     runs: list[tuple[Path, ...]] = [(path,) for path in paths]
     first, half = LogContents.read(paths[0], robot), len(paths) // 2
     if first.group("position") and first.command_group():
@@ -153,7 +153,7 @@ def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, L
 
 
 def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
-    """Columns of positions and commands by joint, how they were matched, and whether by no more than their order."""
+    """Match columns of positions and commands to joints; also say how, and whether by no more than their order."""
     common = [label for label in positions.columns if label in commands.columns]
     pairs = {label: (positions.columns[label], commands.columns[label]) for label in common}
     by_order = False
@@ -185,7 +185,7 @@ def _number(joint: str) -> int:
 
 
 def _ordered(labels: Iterable[str]) -> list[str]:
-    """Labels by their number, those without in their order."""
+    """Sort labels by their number; keep the order of those without."""
     labels = list(labels)
     return sorted(labels, key=int) if all(label.isdigit() for label in labels) else labels
 
@@ -193,7 +193,7 @@ def _ordered(labels: Iterable[str]) -> list[str]:
 def _position_unit(
     log: LogContents, positions: Group, columns: Mapping[str, str], robot: Robot | None, reasons: dict[str, str]
 ) -> str | None:
-    """Unit of the positions, as written or by how far they would move; None for rad and m."""
+    """Determine the unit of the positions, as written or from their range; None for rad and m."""
     if positions.unit in ("deg", "rad", "mm", "m"):
         reasons["unit"] = "unit in the columns' names"
         return positions.unit
@@ -209,7 +209,7 @@ def _position_unit(
 
 
 def _temperature(names: Sequence[str], joints: Mapping[str, str]) -> Mapping[str, str] | str | None:
-    """Columns of temperatures by joint, in the order of the joints, or the only one; None where that is not clear."""
+    """Match temperature columns to joints, in the order of the joints, or the only one; None where ambiguous."""
     found = [name for name in names if is_temperature(name)]
     if len(found) == len(joints):
         return dict(zip(joints, found, strict=True))
@@ -217,7 +217,7 @@ def _temperature(names: Sequence[str], joints: Mapping[str, str]) -> Mapping[str
 
 
 def _mass_in_name(path: Path) -> float | None:
-    """A mass in kg written in a file's name, as in ``loaded_1983g.csv``."""
+    """Read a mass in kg from a file's name, as in ``loaded_1983g.csv``."""
     found = re.search(r"(?<![\d.])(\d+(?:[.]\d+)?)[_ ]?(kg|g|grams?)(?![a-z])", path.stem, re.IGNORECASE)
     if not found:
         return None

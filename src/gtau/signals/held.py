@@ -44,7 +44,7 @@ class Held:
         return FROZEN if self.period == 1 else int(np.ceil(1.5 * self.period))
 
     def fresh(self, values: np.ndarray) -> np.ndarray:
-        """Which samples (M,) of consecutive ``values`` (M, n) were new; rests and slow rounded motions are new too."""
+        """Mark new samples (M,) of consecutive ``values`` (M, n); rests and slow rounded motions count as new."""
         same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
         found = np.ones(len(values), dtype=bool)
         if not same.any():
@@ -84,7 +84,7 @@ class Holds:
         return sum(each.longest for each in (self.position, self.command, self.sensor) if each is not None)
 
     def fresh_commands(self, values: np.ndarray, n: int) -> list[tuple[slice, np.ndarray]]:
-        """Columns of the commands of ``n`` joints, and of the sensors, each with which of the samples (M,) were new."""
+        """Pair the columns of the commands of ``n`` joints, and of the sensors, with their new samples (M,)."""
         found = [(slice(0, n), self.command.fresh(values[:, :n]))]
         return found if self.sensor is None else [*found, (slice(n, None), self.sensor.fresh(values[:, n:]))]
 

@@ -76,7 +76,7 @@ class LogContents:
         return cls(path, table, values, time, tuple(_told_apart(groups, values, path)), {})
 
     def of_another_topic(self, robot: Robot | None) -> LogContents | None:
-        """The commands of a bag whose positions are in this topic."""
+        """Return the commands of a bag whose positions are in this topic."""
         topics = _topics(self.table)
         positions = self.group("position")
         if len(topics) < 2 or positions is None:
@@ -90,12 +90,12 @@ class LogContents:
         return max((len(each) for each in self.values.values()), default=0)
 
     def group(self, kind: str) -> Group | None:
-        """The columns of a kind, measured ones before references, of most joints first."""
+        """Return the columns of a kind, measured ones before references, those of most joints first."""
         found = [each for each in self.groups if each.kind == kind and set(each.columns.values()) <= set(self.values)]
         return min(found, key=lambda each: (each.reference, -len(each.columns)), default=None)
 
     def command_group(self) -> Group | None:
-        """Currents before torques, and torques of joints before those of motors."""
+        """Select currents before torques, and torques of joints before those of motors."""
         position = self.group("position")
         found = [self.group(kind) for kind in COMMANDS]
         groups = [each for each in found if each is not None]
@@ -103,12 +103,12 @@ class LogContents:
         return next(iter(alike or groups), None)
 
     def seconds(self) -> np.ndarray:
-        """Time in its own unit."""
+        """Return the time in its own unit."""
         time = self.values[self.time[0]]
         return time if len(self.time) == 1 else time + 1e-9 * self.values[self.time[1]]
 
     def time_unit(self) -> tuple[str, str]:
-        """Unit of the time column, the first in which the rate is one at which drives are logged, and why."""
+        """Determine the time column's unit, the first in which drives are logged at such a rate, and say why."""
         step = float(np.median(np.diff(self.seconds())))
         written = taken_apart(self.time[0]).unit
         for unit, factor in TIME_UNITS.items():
@@ -120,7 +120,7 @@ class LogContents:
         )
 
     def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
-        """Sampling rate that makes the logged velocities the positions' derivatives, Hz, and why."""
+        """Find the sampling rate, Hz, that makes the logged velocities the positions' derivatives, and say why."""
         velocities = self.group("velocity")
         if velocities is None:
             return None, "not in the log"
@@ -144,7 +144,7 @@ class LogContents:
 
 
 def _topics(table: Table) -> list[str]:
-    """Topics of a bag, each of which has its stamps; those within others first."""
+    """List the topics of a bag, each of which has its time stamps; nested ones first."""
     found = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
     return sorted(found, key=len, reverse=True)
 
@@ -175,7 +175,7 @@ def _grouped(names: Sequence[ColumnName]) -> list[Group]:
 
 
 def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """The column that grows, of those named so; or the seconds and the nanoseconds."""
+    """Find the column that grows among those named as time, or the two of seconds and nanoseconds."""
     times = [each.name for each in names if each.kind == "time" and not each.label]
     parts = [name for name in times if re.search(r"nano|nsec", name, re.IGNORECASE)]
     if parts and len(times) > len(parts):
@@ -191,7 +191,7 @@ def _grows(column: np.ndarray) -> bool:
 
 
 def _told_apart(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
-    """Commands named alike that are the positions' derivatives are velocities; a file's name names its columns."""
+    """Classify commands that are derivatives of the positions as velocities, and a lone group by the file's name."""
     positions = next((each for each in groups if each.kind == "position" and not each.reference), None)
     of_file = taken_apart(path.stem).kind
     found = []
@@ -205,7 +205,7 @@ def _told_apart(groups: Sequence[Group], values: Mapping[str, np.ndarray], path:
 
 
 def _derivative(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
-    """Usual correlation of others with the positions' numerical derivatives."""
+    """Compute the median correlation of other columns with the numerical derivatives of the positions."""
     pairs = [
         (values[column], values[others.columns[label]])
         for label, column in positions.columns.items()
@@ -215,7 +215,7 @@ def _derivative(positions: Group, others: Group, values: Mapping[str, np.ndarray
 
 
 def correlation(position: np.ndarray, other: np.ndarray) -> float:
-    """Correlation of a column (N,) with the numerical derivative of another, 0 where one of them never changes."""
+    """Correlate a column (N,) with the numerical derivative of another; 0 where one of them never changes."""
     slope, value = (position[2:] - position[:-2]), other[1:-1]
     whole = np.isfinite(slope) & np.isfinite(value)
     if whole.sum() < 10 or not np.ptp(slope[whole]) or not np.ptp(value[whole]):
@@ -224,7 +224,7 @@ def correlation(position: np.ndarray, other: np.ndarray) -> float:
 
 
 def _numbered(path: Path, table: Table, joints: int) -> LogContents:
-    """A log without header: time grows, velocities are derivatives of columns as many to the left as joints."""
+    """Group a log without header: time grows, velocities are derivatives of columns as many to the left as joints."""
     values = _values(path, table.columns)
     names = list(table.columns)
     time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()

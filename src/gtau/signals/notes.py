@@ -75,11 +75,11 @@ class Note(str):
         return note
 
     def __getnewargs_ex__(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
-        """Arguments with which a copy or a pickle makes it again."""
+        """Return the arguments with which copy and pickle rebuild the note."""
         where = {"source": self.source, "joint": self.joint, "time": self.time, "share": self.share}
         return (self.kind, self.what, self.action), where
 
     def of(self, source: str) -> Note:
-        """The same note, on a run or robot of this name."""
+        """Return the same note on a run or robot of this name."""
         what = f"{self.source}: {self.what}" if self.source else self.what
         return Note(self.kind, what, self.action, source=source, joint=self.joint, time=self.time, share=self.share)

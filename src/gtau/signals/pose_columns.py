@@ -111,7 +111,7 @@ class PoseUnits(_Keys):
     angle: Annotated[str, _unit(True)] = "rad"
 
     def scale(self, pose: PoseColumns) -> list[float]:
-        """Factors to SI of the pose's columns."""
+        """Return the factors to SI units of the pose's columns."""
         angles = 3 if pose.rotation_vector else 0 if pose.angles is None else len(pose.angles.columns)
         length, angle = si_factor(self.length, "position"), si_factor(self.angle, "position")
         return [length] * len(pose.position) + [angle] * angles + [1.0] * (4 if pose.quaternion else 0)

@@ -229,7 +229,7 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
 
 
 def _given_cutoff(given: float | Literal["none"], rate: float) -> float | None:
-    """Cut-off that is given by hand; raises GtauError where it is above half the ``rate`` (Hz) of the samples."""
+    """Return a cut-off given by hand; raises GtauError where it is above half the ``rate`` (Hz) of the samples."""
     if given == "none":
         return None
     if given >= 0.5 * rate:

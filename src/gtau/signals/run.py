@@ -190,7 +190,7 @@ def _put_back(
 
 
 def without_sensors(run: Run) -> Run:
-    """The run without its torque sensors."""
+    """Return the run without its torque sensors."""
     if not run.sensors:
         return run
     n = list(range(len(run.joints)))

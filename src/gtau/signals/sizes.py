@@ -35,7 +35,7 @@ _current: ContextVar[Sizes] = ContextVar("sizes", default=Sizes())  # noqa: B039
 
 
 def sizes() -> Sizes:
-    """The sizes in use."""
+    """Return the sizes in use."""
     return _current.get()
 
 

@@ -27,7 +27,7 @@ class Temperature:
     unit: str
 
     def at(self, joint: str, time: np.ndarray) -> np.ndarray:
-        """Temperatures of a joint at other instants (N,), on lines between its own."""
+        """Interpolate the temperatures of a joint linearly at other instants (N,)."""
         return np.interp(time, self.time, self.of_joint[joint])
 
 

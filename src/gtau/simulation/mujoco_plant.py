@@ -190,7 +190,7 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
 
 
 def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any] | None:
-    """Attributes ``stiffness``, ``springlength`` and ``damping`` of the tendon that is this spring; None without one.
+    """Return ``stiffness``, ``springlength`` and ``damping`` of the tendon equal to this spring; None without one.
 
     A tendon's stiffness and length at rest are not negative, so no tendon is a gas spring of constant force.
     """
@@ -204,7 +204,7 @@ def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any
 def _add_spring(
     mujoco: ModuleType, spec: Any, spring: Spring, chi: Mapping[str, float], body: Mapping[str, Any]
 ) -> None:
-    """A tendon that is the spring, or one with an actuator whose force does not depend on its control."""
+    """Add the spring as a tendon, or as one with an actuator whose force does not depend on its control."""
     tendon = spec.add_tendon(name=spring.name)
     for label, end in (("a", spring.a), ("b", spring.b)):
         site = body[end.body].add_site(name=f"{label} {spring.name}", pos=end.placement.position)

@@ -35,7 +35,7 @@ def random_bodies(robot: Robot, rng: np.random.Generator) -> dict[str, float]:
 
 
 def body_parameters(body: str, masses: np.ndarray, points: np.ndarray) -> dict[str, float]:
-    """Inertial parameters of point ``masses`` (k,) in kg at ``points`` (k, 3) in m, in the body's frame, by name."""
+    """Compute, by name, inertial parameters of point ``masses`` (k,) in kg at ``points`` (k, 3) in m, in its frame."""
     moment = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, points, strict=True))
     values = (*np.asarray(moment)[np.triu_indices(3)], *(masses @ points), masses.sum())
     return {f"{kind}_{body}": float(value) for kind, value in zip(INERTIAL, values, strict=True)}

@@ -18,7 +18,7 @@ from gtau.signals.notes import Kind, Note
 
 
 def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Lag T of each joint's command behind the motion and its standard error, both (n,) in s; NaN where unknown.
+    """Estimate each joint's lag T of command behind motion, with standard error, both (n,) in s; NaN where unknown.
 
     It minimises what the joint's own model leaves of ``v + T v'``. Noise n of the command adds ``T^2 n'^2`` to that,
     which ``n n''`` takes away on average (parts integrated). The error is that of a ratio, from its scatter over the
@@ -41,7 +41,7 @@ def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lag_notes(dataset: Dataset, system: System) -> list[Note]:
-    """A note where the commands of all joints together lag behind the motion; ``system`` is that of all runs."""
+    """Note joints whose commands lag behind the motion in all runs; ``system`` is that of all runs."""
     kind, bandwidth = dataset.runs[0].kind, dataset.preparation.bandwidth
     rate = min(run.rate for run in dataset.runs)
     lags, errors = command_lags(system.problem)

@@ -86,7 +86,7 @@ class _Candidate:
 
 
 def _tried(fit: PoseFit) -> list[_Candidate]:
-    """All constants with an effect of their own that could be taken next, the best first and these fitted."""
+    """List the constants with an effect of their own that could be freed next, best first, the likely ones fitted."""
     residual, candidates = fit.beyond(fit.residual), []
     for k in range(len(fit.poses.geometry.constants)):
         column = fit.column(k)
@@ -114,7 +114,7 @@ def _fitted(before: PoseFit, candidate: _Candidate) -> _Candidate:
 
 
 def _better(before: PoseFit, candidates: Sequence[_Candidate], length: float) -> PoseFit | None:
-    """The fit with the best constant more, if it explains much, is certain, and differs by more than lengths do."""
+    """Return the fit with the best further constant if it explains much, and its change is certain and large."""
     best = next((each for each in candidates if each.fit is not None), None)
     if best is None or best.constant in before.chosen:
         return None
@@ -186,7 +186,7 @@ def _change(
 
 
 def _unexplained(fit: PoseFit) -> np.ndarray:
-    """Residuals (N, m) less what is free explains of them, m and rad."""
+    """Compute the residuals (N, m) that the free constants and frames do not explain, in m and rad."""
     return fit.beyond(fit.residual).reshape(len(fit.poses.run), -1) / fit.poses.weights
 
 

@@ -36,7 +36,7 @@ class ConstantChange:
     alike: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """What it is and would be: ``Rm 326 -> 300.00 +- 0.01 mm``."""
+        """Describe the change: ``Rm 326 -> 300.00 +- 0.01 mm``."""
         unit, factor = ("mm", 1e3) if self.unit == "m" else ("mrad", 1e3)
         digits = max(0, min(6, 1 - int(np.floor(np.log10(max(factor * self.std, 1e-6))))))
         new, std = f"{factor * (self.value + self.change):.{digits}f}", f"{factor * self.std:.{digits}f}"
@@ -148,7 +148,7 @@ def to_document(test: GeometryTest) -> dict[str, Any]:
 
 
 def from_document(document: Mapping[str, Any]) -> GeometryTest:
-    """The test that :func:`to_document` described."""
+    """Restore a test from the document that :func:`to_document` made."""
     fields = {key: value for key, value in document.items() if key != "sentence"}
     explained, tried = (
         tuple(ConstantChange(**{**each, "alike": tuple(each["alike"])}) for each in fields[key])
@@ -160,7 +160,7 @@ def from_document(document: Mapping[str, Any]) -> GeometryTest:
 
 
 def geometry_lines(test: GeometryTest) -> list[str]:
-    """Residuals of the pose and changes of the constants as lines of tables in 80 columns."""
+    """Tabulate pose residuals and changes of the constants as text, 80 columns wide."""
     head = f"Pose of '{test.body}' ({test.source})"
     lines = [f"{head:<50}{'rms':>11}{'bias':>11}   unit"]
     for each in test.residuals:
@@ -189,7 +189,7 @@ def geometry_lines(test: GeometryTest) -> list[str]:
 
 
 def late(test: GeometryTest) -> str:
-    """By how much the poses lag behind the positions, in words."""
+    """Say by how much the poses lag behind the positions."""
     return f"the poses lag {1e3 * test.delay:.1f} +- {1e3 * test.delay_std:.1g} ms behind the positions"
 
 
@@ -199,5 +199,5 @@ def _sizes(position: float | None, angle: float | None) -> str:
 
 
 def percent(share: float, digits: int = 3) -> str:
-    """A share in per cent that is not rounded to the whole."""
+    """Format a share in per cent without rounding it to 100."""
     return f"{100 * max(share, 0.0):.{digits}g} %" if share < 0.999 else f"{100 * min(share, 0.99999):.3f} %"

@@ -120,7 +120,7 @@ def _lengths(placement: Placement) -> list[float]:
 
 
 def _moved(ties: tuple[Tie, ...], length: float, step: float) -> tuple[Tie, ...]:
-    """Closures or springs whose ends are placed at lengths longer by a share ``step``."""
+    """Place the ends of closures or springs at lengths longer by a share ``step``."""
 
     def moved(end: Attachment) -> Attachment:
         return replace(end, placement=_scaled(end.placement, length, step))

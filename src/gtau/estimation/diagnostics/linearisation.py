@@ -181,7 +181,7 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
 
 
 def known_rows(fit: Fit, windows: Sequence[tuple[int, InMemoryRun]]) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (k,) of the known parameters at a fit, and their Jacobian (k, size): further equations for the windows.
+    """Compute the residuals (k,) of the known parameters and their Jacobian (k, size), rows beside the windows'.
 
     They count against as many rows as the windows have.
     """

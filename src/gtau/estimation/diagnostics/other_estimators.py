@@ -118,7 +118,7 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
 
 
 def noise_note(fit: Fit, alternatives: Sequence[Alternative]) -> list[Note]:
-    """What noise of the positions does to the estimates, where Hausman's test against instruments shows it."""
+    """Note the bias from position noise, where Hausman's test against instrumental variables shows it."""
     biased = [
         each
         for each in alternatives
@@ -198,7 +198,7 @@ SPEED_ADVICE = "make motions with fewer reversals, or give 'preparation' by hand
 
 
 def _preparations(chosen: Preparation) -> list[tuple[str, Preparation, str]]:
-    """The preparations tried, by name, with what to do where they matter."""
+    """List the preparations to try, by name, each with what to do where it matters."""
     found = []
     for factor in (0.7, 1.4):
         cutoff = None if chosen.cutoff is None else factor * chosen.cutoff
@@ -215,20 +215,20 @@ def _preparations(chosen: Preparation) -> list[tuple[str, Preparation, str]]:
 
 
 def _filtered_further(chosen: Preparation) -> Preparation | None:
-    """The preparation of the instruments; None where the logs are too slow for a filter."""
+    """Return the preparation of the instruments; None where the logs are too slow for a filter."""
     cutoff = FURTHER * chosen.bandwidth
     cutoff = cutoff if chosen.cutoff is None else min(cutoff, HALF * chosen.cutoff)
     return replace(chosen, cutoff=cutoff) if cutoff < 0.4 * chosen.rate else None
 
 
 def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
-    """The same samples of the same runs, prepared otherwise."""
+    """Prepare the same samples of the same runs otherwise."""
     prepared = tuple(replace(each, preparation=preparation.at(each.run.rate)) for each in dataset.prepared)
     return replace(dataset, preparation=preparation, prepared=prepared)
 
 
 def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Jacobians along the motion filtered further and as usual, (., k) each, and errors (.,), window by window.
+    """Compute Jacobians along the further filtered and the usual motion, (., k) each, and residuals (.,), by window.
 
     Rows of a joint are reduced together, so that products of their columns remain. The sign of a speed that is filtered
     further changes at other samples, which is no noise: columns of Coulomb friction are the usual ones in both.
@@ -257,7 +257,7 @@ def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.
 def _difference(
     usual: Sequence[Moments], weighed: Sequence[Moments], known: np.ndarray, back: np.ndarray, T: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Moves of (theta, gains, delays) from one estimator to another, (k,) each, and their standard deviations.
+    """Compute how (theta, gains, delays) differ between two estimators, (k,), and the standard deviations of that.
 
     The solution counts as where the first estimator ends; a window's share in the difference is its influence on one
     estimator less that on the other (windows as clusters).

@@ -78,7 +78,7 @@ class PoseFit:
         return float(self.residual @ self.residual)
 
     def column(self, constant: int) -> np.ndarray:
-        """Weighted derivatives (N m,) of the computed pose by a constant."""
+        """Return the weighted derivatives (N m,) of the computed pose with respect to a constant."""
         return (self.compared.by_constants[:, :, constant] * self.poses.weights).reshape(-1)
 
     @cached_property
@@ -108,11 +108,11 @@ class PoseFit:
         return float(beyond @ beyond)
 
     def beyond(self, vector: np.ndarray) -> np.ndarray:
-        """What the columns do not explain of a ``vector`` (N m,)."""
+        """Project a ``vector`` (N m,) on the complement of the columns."""
         return vector - self.basis @ (self.basis.T @ vector)
 
     def step(self, damping: float) -> np.ndarray:
-        """The next step (k,), damped in the directions that the poses hardly determine."""
+        """Compute the next step (k,), damped in the directions that the poses hardly determine."""
         size, U, sigma, Vt = self._factors
         along = sigma / (sigma**2 + damping * sigma[0] ** 2) * (U.T @ self.residual)
         return np.asarray(Vt.T @ along / size)
@@ -151,7 +151,7 @@ def fit_poses(poses: Poses, state: State, chosen: Sequence[int]) -> PoseFit | No
 
 
 def _moved(fit: PoseFit, step: np.ndarray) -> PoseFit | None:
-    """The same after a step (k,) of what is free; None where the loops cannot follow."""
+    """Take a step (k,) of the free frames and constants; None where the loops cannot follow."""
     poses, state, constants = fit.poses, fit.state, list(fit.chosen)
     of_frames = np.zeros(fit.compared.free.size)
     of_frames[fit.compared.free] = step[: len(step) - len(constants)]

@@ -33,7 +33,7 @@ class Frames:
     delay: float = 0.0
 
     def moved(self, step: np.ndarray, about: np.ndarray) -> Frames:
-        """Frames after a step (7 + 6 runs,): delay, marker and tracker, which turns ``about`` points (runs, 3)."""
+        """Step the frames (7 + 6 runs,): delay, marker and tracker, which rotates ``about`` points (runs, 3)."""
         (R, p), (R_m, p_m), of_tracker = self.tracker, self.marker, step[OWN:].reshape(-1, 6)
         turn = Rotation.from_rotvec(of_tracker[:, 3:]).as_matrix()
         away = np.einsum("rij,rj->ri", turn, p - about)
@@ -60,7 +60,7 @@ class Compared:
 
 
 def free_steps(columns: PoseColumns, runs: int) -> np.ndarray:
-    """Which entries of a step of the frames are unknown (7 + 6 runs,)."""
+    """Mark the entries of a step of the frames that are unknown (7 + 6 runs,)."""
     turns = columns.angles is not None or columns.quaternion is not None or columns.rotation_vector is not None
     marker, tracker = columns.source != "controller", columns.source == "tracker"
     # where only a position is logged, nobody sees how a marker is turned
@@ -68,7 +68,7 @@ def free_steps(columns: PoseColumns, runs: int) -> np.ndarray:
 
 
 def component_names(columns: PoseColumns) -> tuple[tuple[str, str], ...]:
-    """Names and units of the compared components: columns, and for a whole orientation the turn between the two."""
+    """Name the compared components, with units: columns, and for a whole orientation the rotation between the two."""
     named = [(column, "m") for column in columns.position.values()]
     if columns.angles is not None:
         return (*named, *((column, "rad") for column in columns.angles.turning[1]))
@@ -104,7 +104,7 @@ def compare(
     arm = _turned(R_t @ R_b, np.broadcast_to(p_m, p.shape))  # from the body's frame to the marker, tracker's axes
 
     def carried(of_body: np.ndarray) -> np.ndarray:
-        """Twists (N, 6, k) of the body as those of the marker, in the tracker's axes."""
+        """Transform twists (N, 6, k) of the body into those of the marker, in the tracker's axes."""
         linear, angular = R_t @ of_body[:, :3], R_t @ of_body[:, 3:]
         return np.concatenate([linear + np.cross(angular, arm[:, :, None], axis=1), angular], axis=1)
 
@@ -139,12 +139,12 @@ def first_frames(columns: PoseColumns, values: np.ndarray, body: BodyPose, run: 
 
 
 def _turned(R: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors (N, 3) turned by rotations (N, 3, 3)."""
+    """Rotate vectors (N, 3) by rotation matrices (N, 3, 3)."""
     return np.einsum("nij,nj->ni", R, vectors)
 
 
 def _orientations(columns: PoseColumns, values: np.ndarray) -> Rotation | None:
-    """Logged orientations, where all of them is logged."""
+    """Return the logged orientations; None where they are not logged in full."""
     turned = values[:, len(columns.position) :]
     if columns.quaternion is not None:
         return Rotation.from_quat(turned, scalar_first=True)
@@ -158,7 +158,7 @@ def _orientations(columns: PoseColumns, values: np.ndarray) -> Rotation | None:
 def _components(
     columns: PoseColumns, values: np.ndarray, R: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Logged less computed components (N, m), and derivatives of the computed ones by a twist (N, m, 6)."""
+    """Compute logged minus computed components (N, m), and derivatives of the computed ones by a twist (N, m, 6)."""
     axes, logged = list(columns.axes), len(columns.axes)
     residual = values[:, :logged] - p[:, axes]
     by_twist = np.broadcast_to(np.eye(6)[axes], (len(p), logged, 6))
@@ -187,7 +187,7 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 
 
 def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
-    """Matrices (N, 3, 3) that take the cross product with vectors (N, 3)."""
+    """Build the matrices (N, 3, 3) that take the cross product with vectors (N, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), 2, 0)

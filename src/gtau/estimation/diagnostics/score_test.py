@@ -63,7 +63,7 @@ def score_tests(
     """
 
     def folded(of_joints: np.ndarray) -> list[np.ndarray]:
-        """Sums (m, n, ...) by hypothesis, those of shared columns summed over the channels, (m, 1, ...)."""
+        """Sum (m, n, ...) by hypothesis, that of shared columns over the channels, (m, 1, ...)."""
         return [
             of_joints[columns].sum(axis=1, keepdims=True) if shared else of_joints[columns]
             for columns, shared in hypotheses
@@ -116,7 +116,7 @@ def score_tests(
 
 
 def _products(W: np.ndarray, c: np.ndarray, e: np.ndarray) -> list[np.ndarray]:
-    """Products of columns (c, p, m) with W (c, p, k), with themselves and with errors (c, p), channel by channel."""
+    """Multiply columns (c, p, m) with W (c, p, k), themselves and the residuals (c, p), channel by channel."""
     of_joint = c.swapaxes(1, 2)  # (c, m, p)
     return [
         (of_joint @ W).swapaxes(0, 1),

@@ -39,7 +39,7 @@ class SensorScale:
     moves: np.ndarray
 
     def verdict(self, accuracy: float) -> Verdict:
-        """Contradictory where it is not 1, by more than chance and by more than the ``accuracy``."""
+        """Judge the scale: contradictory where it differs from 1 significantly and by more than the ``accuracy``."""
         if abs(self.value - 1) <= max(APART * self.std, accuracy):
             return GOOD
         return Verdict(
@@ -90,7 +90,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
 
 
 def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.ndarray) -> np.ndarray:
-    """Weighted rows ``[J | torques of the sensors | residuals]`` (., size + m + 1) of all channels in a block."""
+    """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in a block."""
     n, m = len(problem.joints), len(problem.sensors)
     torques = modelled(block, state.theta) * state.b[:, None]
     offered = np.zeros((*torques.shape, m))
@@ -102,7 +102,7 @@ def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.nda
 
 
 def check_sensors(verdicts: Sequence[Verdict], found: Sequence[SensorScale], accuracy: float) -> tuple[Verdict, ...]:
-    """Verdicts on the gains where a torque sensor that they rest on contradicts all else that is known."""
+    """Judge the gains that rest on a torque sensor contradicting all else that is known."""
     wrong = [each for each in found if each.verdict(accuracy).outcome == Outcome.CONTRADICTORY]
     checked = list(verdicts)
     for each in sorted(wrong, key=lambda each: -float(np.abs(each.moves).max())):

@@ -23,7 +23,7 @@ LARGEST_STEP = 1e8  # of leaving a block out, in standard deviations: more, and 
 
 
 def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Solution of ``min |A x - y|``, columns brought to one scale first."""
+    """Solve ``min |A x - y|`` with the columns scaled to one norm."""
     norms = np.linalg.norm(A, axis=0)
     norms[norms == 0] = 1.0
     return np.linalg.lstsq(A / norms, y, rcond=None)[0] / norms
@@ -161,7 +161,7 @@ def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def jacobian_of_known(problem: Problem, size: int) -> np.ndarray:
-    """Derivatives (k, size) of the residuals of the known parameters, which depend on theta alone."""
+    """Compute the Jacobian (k, size) of the residuals of the known parameters, which depend on theta alone."""
     return np.pad(problem.known[:, :-1], ((0, 0), (0, size - problem.n_theta)))
 
 

@@ -158,7 +158,7 @@ def consistent(
 
 
 def _linear(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray, free_gains: bool) -> np.ndarray:
-    """Rows ``[J_theta J_rest | y]`` (., size + 1): errors linear in theta and in steps of 1/g and the delays."""
+    """Build rows ``[J_theta J_rest | y]`` (., size + 1), linear in theta and in steps of 1/g and the delays."""
     J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
     J = J.reshape(-1, J.shape[-1])
     e = (residuals(blocks, state, problem.n_theta) * weights[:, None]).reshape(-1)

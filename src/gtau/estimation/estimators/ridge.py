@@ -25,7 +25,7 @@ from gtau.signals.experiment import Prior
 
 
 def prior_equations(dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]) -> np.ndarray:
-    """Normal priors on all standard parameters as equations ``[P | y]`` (k, n_theta + 1) of unit variance.
+    """Write normal priors on all standard parameters as equations ``[P | y]`` (k, n_theta + 1) of unit variance.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ def pseudo_inertia(values: np.ndarray) -> np.ndarray:
 
 
 def ball_row(centre: np.ndarray, radius: float) -> np.ndarray:
-    """Row (10,) whose product with a body's inertial parameters is not negative if its mass lies within a ball.
+    """Build the row (10,) whose product with a body's parameters is not negative if its mass lies within a ball.
 
     It is ``tr(J Q)`` of the pseudo-inertia J, the integral of ``radius^2 - |x - centre|^2`` over the mass: it bounds
     the distance of the centre of mass, and the radius of gyration about the centre of the ball, by the ball's radius
@@ -66,7 +66,7 @@ class Body:
     known: np.ndarray
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """Its inertial parameters (10,)."""
+        """Return the body's inertial parameters (10,)."""
         return np.where(self.places < 0, self.known, x[self.places])
 
 

@@ -71,7 +71,7 @@ class Solution:
 
 
 def jackknife(replicates: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) from what leaving out one unit after another adds to k estimates, (U, k)."""
+    """Compute the delete-one jackknife covariance (k, k) of k estimates from their replicates (U, k)."""
     deviations = replicates - replicates.mean(axis=0)
     blocks = len(replicates)
     return np.asarray((blocks - 1) / blocks * deviations.T @ deviations)

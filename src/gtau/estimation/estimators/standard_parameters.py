@@ -99,7 +99,7 @@ def standard_unknowns(
 
 
 def _within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray:
-    """Rows (bodies, count) that keep the mass of each body within reach of its frames; see :func:`extent`."""
+    """Build rows (bodies, count) that keep the mass of each body within reach of its frames; see :func:`extent`."""
     longest, rows = longest_placement(robot), np.zeros((len(bodies), count))
     for row, body in zip(rows, bodies, strict=True):
         middle, radius, ends = extent(robot, body.name)

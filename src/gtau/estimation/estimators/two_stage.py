@@ -77,7 +77,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
 
 
 def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Rows ``[W_theta -v_projected | known]`` of the second stage from a block (., n_theta + 4) of channel j."""
+    """Build rows ``[W_theta -v_projected | known]`` of the second stage from a block (., n_theta + 4) of channel j."""
     n_theta = problem.n_theta
     rows = np.zeros((len(block), n_theta + len(problem.channels) + 1))
     rows[:, :n_theta], rows[:, -1] = block[:, :n_theta], block[:, n_theta]

@@ -186,7 +186,7 @@ class Dataset:
 
 
 def robot_notes(robot: Robot, loaded: bool) -> list[Note]:
-    """What is odd in a robot's description; where a payload is carried (``loaded``), also which body was assumed."""
+    """Note implausible parts of a robot's description, and, where ``loaded``, the body assumed to carry payloads."""
     found = oddities(robot) + (tool_note(robot) if loaded else ())
     return [Note(Kind.ROBOT, note, source=f"robot '{robot.name}'") for note in found]
 
@@ -248,7 +248,7 @@ def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Prepa
 
 
 def friction_speed_ratios(model: InverseDynamics) -> np.ndarray:
-    """Speeds of the joints (n_y, n) that a motor drives through couplings too: their friction acts in its row.
+    """Compute speeds (n_y, n) of the joints that each motor drives, through couplings too, for their friction.
 
     The ratios do not change along a run. Where closures drive the joints, a motor's own joint is all.
     """

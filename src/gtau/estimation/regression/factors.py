@@ -62,7 +62,7 @@ class Factors:
 
 
 def equations(regressor: Regressor, joints: Sequence[int], part: Rows) -> np.ndarray:
-    """The rows ``[W_j terms_j v_j v_j' v_j'']`` (c, K, p) of channels that measure these ``joints``."""
+    """Build the rows ``[W_j terms_j v_j v_j' v_j'']`` (c, K, p) of channels that measure these ``joints``."""
     n, width = part.terms.shape[1], len(regressor.names)
     A = np.zeros((len(joints), len(part.time), width + EXTRA))
     A[regressor.rows, :, regressor.columns] = part.entries

@@ -55,7 +55,7 @@ def all_terms(joints: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def temperature_terms(joints: Sequence[str]) -> tuple[str, ...]:
-    """Every term that depends on the temperature, of joints with one."""
+    """List the temperature-dependent friction terms of the joints with a temperature."""
     return tuple(f"{term}_{joint}" for joint in joints for term in TEMPERATURE_TERMS)
 
 

@@ -21,7 +21,7 @@ RANK = 1e-9  # of the largest singular value: a combination to which unknown par
 def known_equations(
     base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
 ) -> np.ndarray:
-    """Normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
+    """Write normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def known_equations(
 def of_theta(
     base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
 ) -> np.ndarray:
-    """The equations of those priors that name one of theta and no standard parameter; see :func:`known_equations`."""
+    """Build the equations of priors that name one of theta, no standard parameter; see :func:`known_equations`."""
     rows = []
     for name, prior in priors.items():
         if name in standard:

@@ -162,7 +162,7 @@ class Problem:
         return self.signal == 0.0
 
     def balance(self, theta: np.ndarray) -> np.ndarray:
-        """Signal of each channel, rms, (c,); of a silent one the largest of the terms that balance each other."""
+        """Return each channel's signal, rms, (c,); for a silent one the largest of the terms that cancel each other."""
         terms = [np.linalg.norm(R[:, : self.n_theta], axis=0) * np.abs(theta) for R in self.triangles]
         largest = np.array([each.max(initial=0.0) for each in terms]) / np.sqrt(self.total_rows)
         return np.where(self.silent, largest, self.signal)
@@ -194,7 +194,7 @@ class Problem:
 
 
 def _told_apart(R: np.ndarray, n_theta: int) -> list[int]:
-    """Columns of [W_theta | known] that are independent in the equations with the triangle R."""
+    """Find columns of [W_theta | known] that are linearly independent in the equations with the triangle R."""
     return independent_columns(R[:, : n_theta + 1])[0]
 
 

@@ -157,7 +157,7 @@ def assemble_system(
     blocks, maps = [], []
 
     def warmth(joint: str) -> np.ndarray:
-        """From a joint's columns of friction to those of the problem for friction per degree, (p, n_theta + 4)."""
+        """Map a joint's friction columns to those of the problem for friction per degree, (p, n_theta + 4)."""
         E = np.zeros((n_b + EXTRA, n_theta + 1 + CURRENTS))
         for term, kind in TEMPERATURE_TERMS.items():
             if f"{term}_{joint}" in position:
@@ -340,7 +340,7 @@ def _hidden(stated: Sequence[str], other: str) -> GtauError:
 
 
 def _with_scale(problem: Problem) -> np.ndarray:
-    """Weighted rows ``[W_theta | all that is known]``, of sensors what their own model explains of the torque."""
+    """Stack weighted rows ``[W_theta | known]``, of sensors with the torque that their own columns explain."""
     n, rows = problem.n_theta, []
     for j, (R, own, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
         known = R[:, n]

@@ -33,7 +33,7 @@ class Temperatures:
     prepared: tuple[PreparedRun, ...]
 
     def between(self, run: int, begin: float, end: float) -> np.ndarray:
-        """Mean deviations (n,) between two instants of a run."""
+        """Average the deviations (n,) between two instants of a run."""
         of, time = self.prepared[run].run, np.linspace(begin, end, INSTANTS)
         assert of.temperature is not None  # all runs have one
         means = {joint: of.temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}

@@ -24,28 +24,28 @@ def sensor_name(joint: str) -> str:
 
 
 def bearing_terms(sensors: Sequence[str]) -> tuple[str, ...]:
-    """Every friction term of every sensor's bearing, by the joints of the ``sensors``."""
+    """List all friction terms of the bearings of all ``sensors``, given by joint."""
     return tuple(f"{kind}_{sensor_name(joint)}" for joint in sensors for kind in BEARING)
 
 
 def joint_behind(body: str, robot: Robot) -> str:
-    """The joint, of a sensor the one that it sits at, or the platform that a parameter's name ends in."""
+    """Return the joint of a sensor, or the joint or platform that a parameter's name ends in."""
     return body if body in robot.bodies else body.removesuffix("_sensor")
 
 
 def of_drive(name: str, joint: str) -> bool:
-    """Whether a standard parameter belongs to the drive of a joint."""
+    """Decide whether a standard parameter belongs to the drive of a joint."""
     kind, body = name.split("_", 1)
     return kind in DRIVE and body == joint
 
 
 def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
-    """1 for the standard parameters that the sensor of a joint feels in its row, 0 for those of the drive."""
+    """Mark with 1 the standard parameters that the sensor of a joint measures in its row, with 0 those of the drive."""
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
 def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
-    """Joints with a torque sensor, the same in all runs, in the order of the robot's motors.
+    """List the joints with a torque sensor, the same in all runs, in the order of the robot's motors.
 
     Raises
     ------

@@ -268,7 +268,7 @@ def _sensors(
     std: np.ndarray,
     freedom: np.ndarray | None,
 ) -> tuple[SensorEstimate, ...]:
-    """The torque sensors, with what is their own."""
+    """Collect the estimates of the torque sensors' own parameters."""
     robot, problem, solution, sensors = fit.dataset.robot, fit.system.problem, fit.solution, []
     for k, joint in enumerate(problem.sensors, start=len(problem.joints)):
         channel, unit = problem.channels[k], torque_unit(robot, joint)

@@ -66,7 +66,7 @@ def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
 
 
 def _wider(width: float, accuracy: float) -> str:
-    """A width in two digits; one that would round to the accuracy, which it exceeds, is rounded up."""
+    """Format a width in two digits, rounded up where it would round to the accuracy that it exceeds."""
     shown = f"{width:.2g}"
     if width > accuracy >= float(shown) > 0:
         step = 10.0 ** (floor(log10(width)) - 1)

@@ -62,7 +62,7 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
 
 
 def _of_temperature(result: IdentifiedModel, run: Run, regressor: Regressor, part: Rows) -> np.ndarray | float:
-    """Friction (n, K) that differs from that at the reference temperatures; none in a run without temperatures."""
+    """Compute how friction (n, K) differs from that at the reference temperatures; 0 without temperatures."""
     if result.temperatures is None or run.temperature is None:
         return 0.0
     if run.temperature.unit != result.temperatures.unit:

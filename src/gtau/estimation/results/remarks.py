@@ -17,12 +17,12 @@ LISTED = 3
 
 
 def findings(result: IdentifiedModel) -> list[Note]:
-    """Everything to report of a result beside its verdicts: of the fit, the motion, the logs and the robot."""
+    """Collect all notes on a result beside its verdicts: on the fit, the motion, the logs and the robot."""
     return [*remarks(result), *near_singularities(result.singularities), *result.notes]
 
 
 def remarks(result: IdentifiedModel) -> list[Note]:
-    """What is not good in the fit beside the gains, and what to do about it."""
+    """Note what is wrong with the fit beside the gains, and what to do about it."""
     notes = []
     for payload in {each.name: each for each in result.payloads}.values():
         if payload.verdict.outcome != Outcome.GOOD:
@@ -48,7 +48,7 @@ def remarks(result: IdentifiedModel) -> list[Note]:
 
 
 def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
-    """What is assumed of logs without temperatures where the model's friction depends on them."""
+    """Note the temperature assumed of logs without one where the model's friction depends on it."""
     warm = result.temperatures
     depends = {name.split("_", 1)[1] for name in result.friction if name.split("_", 1)[0] in TEMPERATURE_TERMS}
     if warm is None or not depends or signals.temperature is not None:
@@ -61,7 +61,7 @@ def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
 
 
 def not_separated(names: Sequence[str]) -> list[Note]:
-    """A note on base parameters that the motions cannot separate from others, if there are any."""
+    """Note base parameters that the motions cannot separate from others, if there are any."""
     if not names:
         return []
     what = f"these motions cannot separate {', '.join(names)} from the other base parameters: no value is given"
@@ -69,7 +69,7 @@ def not_separated(names: Sequence[str]) -> list[Note]:
 
 
 def near_singularities(nearest: Iterable[NearestPose]) -> list[Note]:
-    """A note on every run that comes so near to a singularity of type 2 that errors of the model are magnified."""
+    """Note every run so close to a singularity of type 2 that modelling errors are magnified."""
     return [
         Note(
             Kind.SINGULARITY,

@@ -11,7 +11,7 @@ SENSOR = "torque sensor of "
 
 
 def scale_words(scale: Mapping[str, float]) -> str:
-    """``payload 'steel'``, or of several sources each with its share, the largest first."""
+    """Name the source of the scale, as ``payload 'steel'``, or several with their shares, the largest first."""
     listed = sorted((each for each in scale.items() if abs(each[1]) >= LEAST), key=lambda each: -each[1])
     if len(listed) == 1:
         return _named(listed[0][0])
@@ -19,7 +19,7 @@ def scale_words(scale: Mapping[str, float]) -> str:
 
 
 def scale_lines(result: IdentifiedModel) -> list[str]:
-    """What the scale of all gains rests on, or of each where they differ; nothing where they were given."""
+    """Describe what the scale of all gains rests on, or of each where they differ; empty where they were given."""
     words = {joint: scale_words(gain.scale) for joint, gain in result.drive_gains.items() if gain.scale}
     if not words:
         return []
@@ -29,7 +29,7 @@ def scale_lines(result: IdentifiedModel) -> list[str]:
 
 
 def all_sources(result: IdentifiedModel) -> str:
-    """All sources of the scale, those first on which most gains rest; torque sensors are listed together."""
+    """List all sources of the scale, those on which most gains rest first; torque sensors are listed together."""
     totals: dict[str, float] = {}
     for gain in result.drive_gains.values():
         for source, share in gain.scale.items():

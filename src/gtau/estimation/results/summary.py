@@ -119,7 +119,7 @@ def short_summary(result: IdentifiedModel) -> str:
 
 
 def reference_lines(result: IdentifiedModel) -> list[str]:
-    """At which temperatures friction has the values of the parameters, where it depends on them."""
+    """Print the temperatures to which the friction parameters refer, where friction depends on them."""
     warm = result.temperatures
     if warm is None or not any(name.split("_", 1)[0] in TEMPERATURE_TERMS for name in result.friction):
         return []
@@ -131,7 +131,7 @@ def reference_lines(result: IdentifiedModel) -> list[str]:
 
 
 def _paragraph(text: str) -> list[str]:
-    """Lines of a text in which no number stands apart from its per cent."""
+    """Wrap a text so that no number is separated from its per cent sign."""
     return [line.replace("\xa0", " ") for line in textwrap.wrap(text.replace(" %", "\xa0%"), WIDTH)]
 
 
@@ -167,7 +167,7 @@ def _wrapped(text: str, indent: str) -> list[str]:
 
 
 def sensor_lines(result: IdentifiedModel) -> list[str]:
-    """Torque sensors as lines of tables: what each gain rests on, and what was found of the sensors."""
+    """Tabulate the torque sensors as text: what each gain rests on, and the estimates of the sensors."""
     lines = [line for text in scale_lines(result) for line in _wrapped(text, "  ")]
     if not result.sensors:
         return ["-" * WIDTH, *lines] if len(lines) > 1 else []
@@ -259,7 +259,7 @@ def _growth(loss: float) -> str:
 
 
 def findings_lines(notes: Sequence[Note], most: int | None = None) -> list[str]:
-    """Notes as a list by grade, the worst first, of which no more than ``most`` are shown."""
+    """List notes by grade, the worst first, at most ``most`` of them."""
     lines: list[str] = []
     left = len(notes) if most is None else most
     for grade, members in by_grade(same_in_several(notes)).items():
@@ -271,7 +271,7 @@ def findings_lines(notes: Sequence[Note], most: int | None = None) -> list[str]:
 
 
 def same_in_several(notes: Sequence[Note]) -> list[Note]:
-    """Notes of which those that say the same of several logs are one."""
+    """Merge notes that say the same of several logs."""
     groups: dict[tuple[str, str], list[Note]] = {}
     for note in notes:
         groups.setdefault((note.what, note.action), []).append(note)
@@ -284,5 +284,5 @@ def same_in_several(notes: Sequence[Note]) -> list[Note]:
 
 
 def _on_all(note: Note, source: str) -> Note:
-    """The same note on other logs; it keeps no instant, as each has its own."""
+    """Apply a note to other logs too; it keeps no time, as each log has its own."""
     return Note(note.kind, note.what, note.action, source=source, joint=note.joint, share=note.share)

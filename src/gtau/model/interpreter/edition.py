@@ -9,7 +9,7 @@ EDITION = sha256(b"".join(path.read_bytes() for path in sorted(_HERE.glob("*.py"
 
 
 def is_compiled() -> bool:
-    """Whether the interpreter of this edition has been compiled on this machine before; imports nothing heavy."""
+    """Return whether this edition's interpreter has been compiled on this machine before; imports nothing heavy."""
     pattern = f"*.interpret_{EDITION}-*.nbi"  # the last function that is compiled
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     if elsewhere:

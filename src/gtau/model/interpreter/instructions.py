@@ -188,7 +188,7 @@ def _fused(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
 
 
 def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
-    """Let instructions take the previous result from the processor's registers; return what then needs no row.
+    """Let instructions take the previous result from the processor's registers; return values that then need no row.
 
     The values ``kept`` need one in any case.
     """

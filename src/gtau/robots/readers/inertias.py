@@ -19,7 +19,7 @@ SHOWN = 4  # bodies that a note lists
 
 
 def urdf_masses(root: Element, carried: Mapping[str, str]) -> Iterator[str]:
-    """Notes on the masses and inertias of a URDF.
+    """Note implausible masses and inertias of a URDF file.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def urdf_masses(root: Element, carried: Mapping[str, str]) -> Iterator[str]:
 
 
 def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
-    """Notes on the explicit masses and inertias of an MJCF file."""
+    """Note implausible explicit masses and inertias of an MJCF file."""
     odd = []
     for body in (each for root in roots for each in root.iter("body")):
         if (inertial := body.find("inertial")) is None:
@@ -74,7 +74,7 @@ def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
 
 
 def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:
-    """What no body can have of an inertia (3, 3), kg m2: negative moments, or one above the sum of the others."""
+    """Report impossible moments of an inertia (3, 3), kg m2: negative ones, or one above the sum of the others."""
     if not np.isfinite(tensor).all():
         return []
     moments = np.linalg.eigvalsh(tensor)

@@ -18,7 +18,7 @@ SHOWN = 4
 
 
 def angle_notes(roots: list[Element]) -> Iterator[str]:
-    """Notes on orientations and limits that are multiples of pi/4 in a file that counts in degrees.
+    """Note orientations and limits that are multiples of pi/4 in a file that counts in degrees.
 
     Raises
     ------
@@ -48,13 +48,13 @@ def angle_notes(roots: list[Element]) -> Iterator[str]:
 
 
 def _in_radians(angle: float) -> bool:
-    """Whether an angle, given as degrees, is a multiple of pi/4 up to a turn instead."""
+    """Decide whether an angle given as degrees is a multiple of pi/4 up to a turn instead."""
     eighths = round(angle / (pi / 4))
     return 0 < abs(eighths) <= 8 and abs(angle - eighths * pi / 4) < SHORT
 
 
 def _angles(roots: Iterable[Element], tags: tuple[str, ...]) -> Iterator[tuple[Element, str, float]]:
-    """Angles of orientations and of the limits of hinges, with their element and what they are."""
+    """Iterate over the angles of orientations and of hinge limits, with their element and what they are."""
     for element in (each for root in roots for tag in tags for each in root.iter(tag)):
         name = f"{element.tag} '{element.get('name', element.get('class', ''))}'"
         key = "range" if element.tag == "joint" else "euler"

@@ -104,7 +104,7 @@ class MjcfFile:
 
 
 def _straight(elements: list[Element]) -> dict[str, tuple[str, str]]:
-    """The two sites of each tendon that leads straight from one to another."""
+    """Find the two sites of each tendon that runs straight from one to the other."""
     found = {}
     for tendon in (each for root in elements for each in root.iter("spatial")):
         if [point.tag for point in tendon] == ["site", "site"]:
@@ -122,7 +122,7 @@ class _Force:
 
 
 def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> dict[str, _Force]:
-    """Forces without control along straight tendons, by tendon."""
+    """Find the forces without control along straight tendons, by tendon."""
     import mujoco
 
     straight = _straight(elements)
@@ -139,7 +139,7 @@ def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> dict[str, _Force]:
 def _springs(
     spec: mujoco.MjSpec, elements: list[Element], biased: Mapping[str, _Force]
 ) -> tuple[list[SiteSpring], list[str]]:
-    """Tendons that are springs between two sites, and notes on others that are springs too."""
+    """Find the tendons that are springs between two sites, and note others that are springs too."""
     straight, springs, notes = _straight(elements), [], []
     for tendon in spec.tendons:
         k, c = (np.asarray(getattr(tendon, key), dtype=float).ravel() for key in ("stiffness", "damping"))

@@ -8,7 +8,7 @@ from gtau.robots.robot import GROUND, Robot
 
 
 def scenery(robot: Robot) -> set[str]:
-    """Joints of doors, targets and the like: of trees from the ground in which no motor moves anything."""
+    """List the joints of doors, targets and the like: of trees from the ground in which no motor moves anything."""
     moved = _moved(robot)
     found: set[str] = set()
     for tree in _trees(robot):
@@ -18,7 +18,7 @@ def scenery(robot: Robot) -> set[str]:
 
 
 def moving_base(robot: Robot) -> set[str]:
-    """Joints without a motor that carry all that motors move in their tree: those of a base that rolls or slides."""
+    """List unactuated joints that carry all actuated ones of their tree: those of a base that rolls or slides."""
     before, moved, found = _carrying(robot), _moved(robot), set()
     for tree in _trees(robot):
         if carried := [before[name] for name in tree & moved]:
@@ -27,7 +27,7 @@ def moving_base(robot: Robot) -> set[str]:
 
 
 def with_linkages(robot: Robot, pulled: set[str]) -> set[str]:
-    """Joints that tendons pull, and those of the loops that they are in, where no motor moves them."""
+    """List the joints that tendons pull, and those of their loops, where no motor moves them."""
     found = set(pulled)
     for group in _groups(robot):
         if not group.isdisjoint(pulled) and group.isdisjoint(robot.actuated):
@@ -36,7 +36,7 @@ def with_linkages(robot: Robot, pulled: set[str]) -> set[str]:
 
 
 def _carrying(robot: Robot) -> dict[str, set[str]]:
-    """The joints, and the ground, that carry each joint."""
+    """List the joints, and the ground, that carry each joint."""
     before: dict[str, set[str]] = {GROUND: set()}
     for joint in robot.joints:
         before[joint.name] = before[joint.antecedent] | {joint.antecedent}
@@ -44,14 +44,14 @@ def _carrying(robot: Robot) -> dict[str, set[str]]:
 
 
 def _trees(robot: Robot) -> Iterator[set[str]]:
-    """The joints of each tree that stands on the ground."""
+    """Group the joints by the trees that stand on the ground."""
     before = _carrying(robot)
     for root in (joint.name for joint in robot.joints if joint.antecedent == GROUND):
         yield {root} | {name for name, carriers in before.items() if root in carriers}
 
 
 def _moved(robot: Robot) -> set[str]:
-    """Joints with motors, and those that loops and couplings tie to them."""
+    """List the joints with motors, and those that loops and couplings tie to them."""
     found = set(robot.actuated)
     for group in _groups(robot):
         if not group.isdisjoint(robot.actuated):
@@ -60,7 +60,7 @@ def _moved(robot: Robot) -> set[str]:
 
 
 def _groups(robot: Robot) -> list[set[str]]:
-    """Joints (and platforms) that loops and couplings tie to each other."""
+    """Group the joints (and platforms) that loops and couplings tie to each other."""
     before = _carrying(robot) | {platform.name: {platform.name} for platform in robot.platforms}
     ties = [{coupling.joint, *dict(coupling.ratios)} for coupling in robot.couplings]
     for closure in robot.closures:

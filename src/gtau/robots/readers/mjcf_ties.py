@@ -64,7 +64,7 @@ def equalities(
 
 
 def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> list[Spring]:
-    """The springs between sites of different bodies."""
+    """Read the springs between sites of different bodies."""
     model, found = file.model, []
     joints = {name_in(model, "joint", k) for k in range(model.njnt)} | {end.body for end in carried.values()}
     for each in file.springs:
@@ -146,7 +146,7 @@ def actuated_joints(
 def tendon_motors(
     file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], kinds: Mapping[str, Kind]
 ) -> Iterator[tuple[Joint, Coupling]]:
-    """Motors that pull fixed tendons, as shafts on the ground whose position is the tendon's length.
+    """Convert motors that pull fixed tendons to shafts on the ground whose position is the tendon's length.
 
     The force along a tendon acts on a joint by the coefficient of the joint in the tendon's length.
     """

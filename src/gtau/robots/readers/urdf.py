@@ -250,7 +250,7 @@ def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list
 
 
 def _carried(ordered: list[_Edge]) -> dict[str, str]:
-    """The moving joint of whose link each link is a part, for links that move."""
+    """Map each link that moves to the moving joint whose link it is a part of."""
     found: dict[str, str] = {}
     for edge in ordered:
         if edge.kind is not None:
@@ -273,7 +273,7 @@ def _mimic(edge: _Edge) -> Coupling | None:
 
 
 def _reduction_notes(root: Element) -> Iterator[str]:
-    """A note on the gears of transmissions, which are not part of the geometry but say what gains to expect."""
+    """Note the gear ratios of transmissions, which are not geometry but say what gains to expect."""
     ratios = []
     for transmission in root.findall("transmission"):
         joint = transmission.find("joint")

@@ -73,7 +73,7 @@ def _parsed(content: bytes) -> Element:
 
 
 def line_of(element: Element) -> int:
-    """The line of the file in which an element begins, 0 where it is not known."""
+    """Return the line of the file in which an element begins, 0 where it is not known."""
     return int(getattr(element, "line", 0))
 
 

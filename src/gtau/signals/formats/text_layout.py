@@ -151,7 +151,7 @@ def _names(fields: tuple[str, ...], width: int) -> tuple[str, ...]:
 
 
 def split(text: str, separator: str) -> list[str]:
-    """Fields of a line; any number of spaces separates as one does."""
+    """Split a line into fields; any number of spaces separates as one does."""
     return text.split() if separator == " " and text.strip() else text.split(separator)
 
 
