@@ -374,7 +374,7 @@ def test_tx40_log(shared: Path) -> None:
     run = read_run(logs, {"time": {"rate": 5000}, "position": columns, "torque": columns})
     assert (run.position.shape, run.kind) == ((45000, 6), "torque")
     (note,) = run.notes
-    assert note.what == "238 samples of the positions are stale (repeat the one before): interpolated"
+    assert note.what == "336 samples of the positions are stale (repeat the one before): interpolated"
     assert run.position[0, 1] == 50.265
     assert run.command[0, 1] == -0.76036
 

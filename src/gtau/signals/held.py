@@ -51,14 +51,16 @@ class Held:
             return found
         first = np.flatnonzero(~same)  # of each run of equal samples
         length = np.diff(np.r_[first, len(values)])
-        jump = np.zeros(len(first))
-        jump[:-1] = np.max(np.abs(values[first[1:]] - values[first[:-1]]) / self.quanta, axis=1)
-        stale = (length > 1) & (length <= self.longest) & (jump >= JUMP)
+        jump = np.zeros((len(first), values.shape[1]))  # of each column to the next run
+        jump[:-1] = np.abs(values[first[1:]] - values[first[:-1]]) / self.quanta
+        moved = jump >= JUMP
+        stale = (length > 1) & (length <= self.longest)
         if self.period == 1:
-            speed = np.pad(jump / length, 1)
-            as_before = AS_BEFORE * speed[1:-1] >= np.maximum(speed[:-2], speed[2:])
+            speed = np.pad(jump / length[:, None], ((1, 1), (0, 0)))
+            moved &= AS_BEFORE * speed[1:-1] >= np.maximum(speed[:-2], speed[2:])
             around = np.convolve(length, np.ones(2 * AROUND + 1))[AROUND:-AROUND] - length
-            stale &= as_before & ((length <= SPORADIC) | (around <= 2 * AROUND * NEW))
+            stale &= (length <= SPORADIC) | (around <= 2 * AROUND * NEW)
+        stale &= moved.any(axis=1)
         for start, count in zip(first[stale], length[stale], strict=True):
             found[start + 1 : start + count] = False
         return found
