@@ -146,7 +146,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, str]] = {
     "a robot that warms up from run to run": (
         lambda runs: (ROBOT, [warmer(run, 0.01 * k) for k, run in enumerate(runs)]),
         Outcome.CONTRADICTORY,
-        "let the robot warm up, and make loaded and unloaded runs in turn",
+        "let the robot warm up, and alternate loaded and unloaded runs",
     ),
     "a torque constant that falls with the current": (
         lambda runs: (ROBOT, list(map(saturating, runs))),

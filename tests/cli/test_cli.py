@@ -472,7 +472,7 @@ def test_interrupted_as_a_program(here: Path, module: str, function: str) -> Non
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
-    assert stderr == "gtau: interrupted; files that were not finished have not been written.\n"
+    assert stderr == "gtau: interrupted; unfinished files were not written.\n"
     assert process.returncode == 130
     assert stdout == ""
     assert not (here / "out").exists()
@@ -556,7 +556,7 @@ gtau.model.home.load_robot = swallow
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=20)
-    sentence = "interrupted; files that were not finished have not been written."
+    sentence = "interrupted; unfinished files were not written."
     assert (process.returncode, stderr) == (130, f"gtau: {sentence}\n")
     assert json.loads(stdout) == {"error": sentence}
 
@@ -599,7 +599,7 @@ def test_interrupted_while_importing(here: Path) -> None:
     """Python's own imports may be what an impatient user interrupts."""
     (here / "typer.py").write_text("raise KeyboardInterrupt")
     process = start(here, "robot", "ur10e", first="import sys; sys.path.insert(0, '.')")
-    sentence = "gtau: interrupted; files that were not finished have not been written.\n"
+    sentence = "gtau: interrupted; unfinished files were not written.\n"
     assert process.communicate(timeout=60) == ("", sentence)
     assert process.returncode == 130
 

@@ -123,7 +123,7 @@ class _LikePandas:
 
 def test_a_path_in_the_place_of_a_run(result: gtau.Result) -> None:
     for use in (result.validate, result.predict):
-        with pytest.raises(gtau.GtauError, match=r"a run is wanted, not a str; read the log with gtau\.read_run"):
+        with pytest.raises(gtau.GtauError, match=r"this takes a run, not a str; read the log with gtau\.read_run"):
             use("free.csv")  # type: ignore[arg-type]
 
 

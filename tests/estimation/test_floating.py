@@ -191,7 +191,7 @@ BASE = f"{{body: trunk, {POSE}, wrenches: [{AT_HOOK}]}}"
 REFUSED = [
     ("no wrench", f"{{body: trunk, {POSE}}}", {}, "nothing that is measured acts on the base 'trunk' in any run"),
     ("another body", BASE.replace("trunk", "base"), {}, "write 'body: trunk' there"),
-    ("tls", BASE, {"method": "tls"}, "method 'tls' takes no floating base"),
+    ("tls", BASE, {"method": "tls"}, "method 'tls' does not support floating bases"),
     ("didim", BASE, {"method": "didim"}, "motion is simulated from the currents of motors"),
     ("order of the quaternion", BASE.replace("[qw, qx, qy, qz]", "[q1, qx, qy, qz]"), {}, "has the length"),
     ("twice", BASE.replace("[hx, hy, hz]", "[hx, hy, px]"), {}, "the column 'px' is given twice"),

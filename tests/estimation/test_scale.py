@@ -198,7 +198,7 @@ def test_a_sensor_out_of_scale_contradicts_the_others() -> None:
     assert found["2"].value == pytest.approx(1 / 0.9, rel=0.03)
     result = identify(ARM, faulty)
     assert [sensor.joint for sensor in result.sensors if sensor.verdict.outcome == Outcome.CONTRADICTORY] == ["2"]
-    assert any("its torques are 1.1 +-" in note for note in map(str, remarks(result)))
+    assert any("its torques at 1.1 +-" in note for note in map(str, remarks(result)))
     # its residuals show that it does not fit, so it hardly counts
     assert [gain.value for gain in result.drive_gains.values()] == pytest.approx(ARM_GAINS, rel=5e-3)
 

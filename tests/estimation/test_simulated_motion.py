@@ -125,7 +125,7 @@ def test_an_inertia_that_is_not_positive_is_refused(clean: list[Run]) -> None:
     base = base_parameters(five_bar())
     chi = {**CHI, "ia_left": -5.0}
     values = base.matrix @ np.array([chi.get(name, 0.0) for name in five_bar().parameter_names])
-    with pytest.raises(GtauError, match=r"inertia estimated is not positive \(t = .* of run 'free'\)"):
+    with pytest.raises(GtauError, match=r"estimated inertia is not positive \(t = .* of run 'free'\)"):
         resimulated(five_bar(), five_bar().columns(base.standard), values, prepare(clean[0], preparation), preparation)
 
 

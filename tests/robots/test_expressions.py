@@ -77,7 +77,7 @@ def test_every_float_is_read_as_written(number: float) -> None:
         ("(-8)**(1/3)", "a root of a negative number is not real"),
         ("sqrt(-1)", "sqrt(-1) is not defined"),
         ("acos(1.5)", "acos(1.5) is not defined"),
-        ("atan2(1)", "atan2 takes 2 values, 1 are written"),
+        ("atan2(1)", "atan2 takes 2 values, not 1"),
         ("q*q", "q must stand alone"),
         ("1/q", "q must stand alone"),
         ("sin(q)", "q must stand alone"),
@@ -101,7 +101,7 @@ def test_refusals(text: str, sentence: str) -> None:
 
 
 def test_coordinate_only_where_a_joint_moves() -> None:
-    with pytest.raises(ValueError, match="q cannot stand here"):
+    with pytest.raises(ValueError, match="q is allowed in theta or r of a joint only"):
         evaluate("q")
 
 

@@ -51,7 +51,7 @@ def test_nothing_is_said_of_a_good_file(tmp_path: Path) -> None:
 )
 def test_inertias_that_no_body_has(link: dict[str, float], said: str, tmp_path: Path) -> None:
     found = notes(urdf(tmp_path, a=LINK.format(name="a", **link)))
-    assert f"masses and inertias that no body can have: {said}" in found
+    assert f"physically impossible masses and inertias: {said}" in found
     assert found.endswith("they are identified, not read, but correct them before you use the file elsewhere")
 
 
@@ -94,7 +94,7 @@ RADIANS = '<compiler angle="radian"/>'
     ("changed", "said"),
     [
         ({}, ""),
-        ({"mass": "0"}, "masses and inertias that no body can have: body 'a' (line 2) weighs 0 kg;"),
+        ({"mass": "0"}, "physically impossible masses and inertias: body 'a' (line 2) weighs 0 kg;"),
         ({"inertia": "1 1 3"}, "body 'a' (line 2) has the principal moments 1, 1, 3 kg m2, the largest above the sum"),
         ({"turn": 'euler="0 1.5708 0"'}, "angles that look like radians, though the file counts in degrees (angle of "
          "<compiler>): euler of body 'a' (line 2: 1.5708); they were taken as degrees"),

@@ -142,7 +142,11 @@ def test_an_arm_whose_joint_is_called_base(tmp_path: Path) -> None:
             LEGS.replace("<worldbody>", f"<worldbody>{OTHER}"),
             "the bodies 'other' and 'trunk' float; give the file of one robot",
         ),
-        ("planar.urdf", ARM.replace('"floating"', '"planar"'), "joint 'free' is planar, so the ground guides the base"),
+        (
+            "planar.urdf",
+            ARM.replace('"floating"', '"planar"'),
+            "joint 'free' is planar, so unknown guiding forces act on the base",
+        ),
         (
             "two.urdf",
             ARM.replace('type="prismatic"', 'type="floating"'),

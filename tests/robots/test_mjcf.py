@@ -199,13 +199,13 @@ BAD: list[tuple[str, str, str]] = [
     ("not a number", BODY % ('<body pos="0 0 x"/>', ""), ": MuJoCo refuses the file ("),
     ("zero axis", BODY % ('<body><joint axis="0 0 0"/></body>', ""), ": MuJoCo refuses the file ("),
     ("two joints of a name", BODY % ('<body name="b"><joint name="j"/></body>', ""), ": MuJoCo refuses the file ("),
-    ("no joints", "<mujoco/>", ": it has no joints of a robot, but for"),
+    ("no joints", "<mujoco/>", ": it has no joints except those of free bodies"),
     ("floating base", BODY % (FLOATING, ""), ": body 'f' floats and carries joints; write"),
     ("unknown body", BODY % ("", '<equality><weld body1="z"/></equality>'), ": MuJoCo refuses the file ("),
     (
         "polynomial coupling",
         BODY % (TWO, '<equality><joint joint1="j" joint2="k" polycoef="0 1 1 0 0"/></equality>'),
-        ": equality 'equality 1' is none of connect, weld and a linear joint coupling of two joints;",
+        ": equality 'equality 1' is neither connect, weld nor a linear joint coupling of two joints;",
     ),
     (
         "tendon",
@@ -244,9 +244,9 @@ LEFT_OUT = [
     ("material", '<body name="b"><site material="m"/><geom size="1" material="m"/></body>',
      '<asset><material name="m"/></asset>', ""),
     ("keyframe", "", '<keyframe><key name="home" qpos="0.3 0.2"/></keyframe>', "keyframe 'home' has 2 positions for 1"),
-    ("loose body", '<body name="f"><freejoint/></body>', "", "nothing holds the free body 'f': left out"),
+    ("loose body", '<body name="f"><freejoint/></body>', "", "free body 'f' attached to nothing: left out"),
     ("site", '<site name="s"/>', '<actuator><motor joint="j"/><motor name="m" site="s"/></actuator>',
-     "actuator 'm' of no hinge, slide or fixed tendon: left out"),
+     "actuator 'm' on no hinge, slide or fixed tendon: left out"),
     ("tendon", '<body><joint name="k"/></body>', '<tendon><fixed name="t"><joint joint="k" coef="1"/></fixed></tendon>'
      '<actuator><motor joint="j"/><motor tendon="t"/></actuator>', "1 joint held since a tendon pulls them"),
     ("constant", '<body><joint name="k"/></body>', '<equality><joint joint1="k" polycoef="0.2 0 0 0 0"/></equality>',

@@ -153,7 +153,7 @@ def test_load_robot_accepts_what_people_have(tmp_path: Path) -> None:
             "robot.sdf",
             "robot.sdf is an SDF file, which is not read; make an MJCF file of it by 'sdf2mjcf robot.sdf robot.xml'",
         ),
-        (__file__, "ends in none of .yaml, .urdf, .xml (MJCF), .par or .csv; give it the ending of what it holds."),
+        (__file__, "ends in none of .yaml, .urdf, .xml (MJCF), .par or .csv; give it the ending of its format."),
     ],
 )
 def test_load_robot_refuses(name: str, sentence: str) -> None:
@@ -380,7 +380,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     (
         "mass of a joint",
         good("theta: q", "theta: q, mass: 3"),
-        ", line 4, joints.j: masses and inertias are identified, so leave 'mass' out; values known beforehand, of CAD,",
+        ", line 4, joints.j: masses and inertias are identified, so leave 'mass' out; values known beforehand, as from",
     ),
     ("mass of a platform", good("{dof: [x, z]}", "{dof: [x, z], inertia: 1}"), "platforms.P: masses and inertias are"),
     (
@@ -419,9 +419,9 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     ("actuated", good("theta: q", "theta: q, actuated: maybe"), "joints.j.actuated: write true or false, not 'maybe'."),
     # Joints
     ("q missing", good("theta: q", "theta: 0"), ", line 4, joints.j: the joint coordinate q is missing; write it in"),
-    ("q twice", good("theta: q", "theta: q, r: q"), ", line 4, joints.j: q stands in both theta and r;"),
+    ("q twice", good("theta: q", "theta: q, r: q"), ", line 4, joints.j: q appears in both theta and r;"),
     ("-q", good("theta: q", "theta: -q"), ", line 4, joints.j: q is multiplied by -1; write it plain, and turn the z"),
-    ("q elsewhere", good("d: a,", "d: q,"), "joints.j.d: the joint coordinate q cannot stand here, only in theta or r"),
+    ("q elsewhere", good("d: a,", "d: q,"), "joints.j.d: the joint coordinate q is allowed in theta or r"),
     ("MDH and xyz", good("d: a,", "xyz: [0, 0, 0],"), ", line 4, joints.j: place it either by gamma, b, alpha, d,"),
     (
         "MDH and axis",
@@ -454,12 +454,12 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     (
         "tool of no robot",
         good("theta: q", "theta: q, actuated: true") + "tool: l\n",
-        ": robot 'r': the tool 'l' is no body that has a mass; choose from j, k, P.",
+        ": robot 'r': the tool 'l' is not a body with a mass; choose from j, k, P.",
     ),
     (
         "massless tool",
         good("theta: q", "theta: q, parameters: none") + "tool: j\n",
-        ": robot 'r': the tool 'j' is no body that has a mass; choose from k, P.",
+        ": robot 'r': the tool 'j' is not a body with a mass; choose from k, P.",
     ),
     ("nobody actuated", GOOD, ": robot 'r': no joint is actuated; mark the motors' joints with 'actuated: true'."),
     # Platforms and closures
@@ -482,7 +482,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
         "joints.j.parameters: write 'all', 'inertial'",
     ),
     ("both placings", good("{body: k}", "{body: k, d: 1, rpy: [0, 0, 0]}"), "closures.1.connect.1: place it either by"),
-    ("q in a closure", good("{body: k}", "{body: k, r: q}"), "closures.1.connect.1.r: the joint coordinate q cannot"),
+    ("q in a closure", good("{body: k}", "{body: k, r: q}"), "closures.1.connect.1.r: the joint coordinate q is allowed"),
 ]
 
 
@@ -619,7 +619,7 @@ BAD_URDFS: list[tuple[str, str, str]] = [
     (
         "mimic of nothing",
         arm(HINGE.format('<mimic joint="k"/>')),
-        ": joint 'j' mimics 'k', which is no joint that moves; correct its <mimic>",
+        ": joint 'j' mimics 'k', which is not a joint that moves; correct its <mimic>",
     ),
     ("mimic of itself", arm(HINGE.format('<mimic joint="j"/>')), ": robot 'r': coupling 1 must give 'j' from one or"),
     ("mimic unnamed", arm(HINGE.format("<mimic/>")), ": <mimic> of joint 'j' has no joint; write joint="),
@@ -676,7 +676,7 @@ def test_limits_that_leave_no_way_are_dropped_with_a_note(tmp_path: Path) -> Non
     (tmp_path / "arm.urdf").write_text(arm(HINGE.format('<limit lower="1" upper="-1" velocity="0"/>')))
     robot = load_robot(tmp_path / "arm.urdf")
     assert robot.joints[0].limits == Limits()
-    assert robot.notes == ("position limits that leave no way were not taken over: joint 'j' (1 to -1)",)
+    assert robot.notes == ("empty position limits were ignored: joint 'j' (1 to -1)",)
 
 
 @pytest.mark.parametrize(

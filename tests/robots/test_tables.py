@@ -78,7 +78,7 @@ BAD_CSV: list[tuple[str, str | bytes, str]] = [
     ),
     ("column too many", HEADER.replace("\n", ",q\n"), ": line 1: the header must name each of j, a, mu,"),
     ("column twice", HEADER.replace("\n", ",r\n"), ": line 1: the header must name each of j, a, mu,"),
-    ("cell missing", HEADER + "1,0,1,0,0,0,0,0,q\n", ": line 2: 9 cells are written; write 10, as in the header."),
+    ("cell missing", HEADER + "1,0,1,0,0,0,0,0,q\n", ": line 2: it has 9 cells; write 10, as in the header."),
     ("unknown name", HEADER + ROW.replace("1,0,1,0,0", "1,0,1,0,x"), ": line 2, gamma of joint '1': unknown name 'x';"),
     ("code", HEADER + ROW.replace(",q,", ",__import__('os'),"), ": line 2, theta of joint '1':"),
     ("sigma", HEADER + ROW.replace("1,0,1,0", "1,0,1,3"), ": line 2: sigma of joint '1' is 3; write 0 (revolute), 1"),
@@ -87,20 +87,20 @@ BAD_CSV: list[tuple[str, str | bytes, str]] = [
     (
         "antecedent",
         HEADER + ROW.replace("1,0,", "1,7,", 1),
-        ": joint '1' has the antecedent '7', which is no joint of a row",
+        ": joint '1' has the antecedent '7', which is not a joint of an earlier row",
     ),
     ("twice", HEADER + ROW + ROW, ": robot 'robot': the name '1' is used twice;"),
     (
         "q twice",
         HEADER + "1,0,1,0,0,0,0,0,q,q\n",
-        ": line 2, r of joint '1': the coordinate q stands plain and in theta",
+        ": line 2, r of joint '1': write the coordinate q plainly, and only in theta",
     ),
-    ("q times two", HEADER + "1,0,1,0,0,0,0,0,2*q,0\n", ": line 2, theta of joint '1': the coordinate q stands plain"),
-    ("q fixed", HEADER + "1,0,0,2,0,0,0,0,q,0\n", ": line 2, theta of joint '1': the coordinate q stands plain and"),
+    ("q times two", HEADER + "1,0,1,0,0,0,0,0,2*q,0\n", ": line 2, theta of joint '1': write the coordinate q plainly"),
+    ("q fixed", HEADER + "1,0,0,2,0,0,0,0,q,0\n", ": line 2, theta of joint '1': write the coordinate q plainly, and"),
     ("only frames", HEADER + "1,0,0,2,0,0,0,0,0,0\n", ": robot 'robot': it has no joints;"),
     ("constant", "a = b\n" + HEADER + ROW, ": line 1, a: unknown name 'b'"),
     ("constant's name", "q = 3\n" + HEADER + ROW, ": line 1: 'q' cannot name a constant;"),
-    ("open quote", HEADER + '1,0,1,0,0,0,0,0,"q,0\n', ": this is no table of comma-separated values ("),
+    ("open quote", HEADER + '1,0,1,0,0,0,0,0,"q,0\n', ": this is not a table of comma-separated values ("),
     ("not UTF-8", b"a = 1 # caf\xe9\n", ": the text is not UTF-8; save the file in that encoding."),
     ("huge", "a" * (1 << 20) + "\n", ": the file is larger than 1 MiB;"),
     ("NUL", HEADER + "1,0,1,0,0,0,0,0,q\0,0\n", " is a binary file of another program"),
@@ -222,7 +222,7 @@ def changed(old: str, new: str) -> str:
 
 
 BAD_PAR: list[tuple[str, str, str]] = [
-    ("empty", "", ": NL is missing; it is no parameter file of OpenSYMORO, or not all of it."),
+    ("empty", "", ": NL is missing; this is not a complete parameter file of OpenSYMORO."),
     ("no number", changed("NL = 6", "NL = six"), ": NL is 'six'; write a number."),
     (
         "counts",
@@ -237,7 +237,7 @@ BAD_PAR: list[tuple[str, str, str]] = [
     (
         "factor",
         changed("th2", "2*th2"),
-        ": theta of joint 2: the coordinate must stand plain, as 'th2' or 'th2 + pi/2'.",
+        ": theta of joint 2: write the coordinate plainly, as 'th2' or 'th2 + pi/2'.",
     ),
     ("another's coordinate", changed("th2", "th1"), ": theta of joint 2: unknown name 'th1'"),
     ("sigma", changed("sigma = {0", "sigma = {4"), ": sigma of joint '1' is 4; write 0 (revolute), 1 (prismatic) or 2"),
@@ -247,7 +247,7 @@ BAD_PAR: list[tuple[str, str, str]] = [
     (
         "antecedent after",
         changed("ant = {0,1", "ant = {0,9"),
-        ": joint '2' has the antecedent '9', which is no joint of",
+        ": joint '2' has the antecedent '9', which is not a joint of",
     ),
     (
         "mobile",

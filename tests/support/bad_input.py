@@ -438,7 +438,7 @@ MODELS = [
     ),
     Case(
         "covariance of something else",
-        "the covariance is no matrix of its names",
+        "the covariance does not have the size of its names",
         _model(lambda text: text.replace('"gain_left"', '"gain_left", "more"')),
         WEIGH,
     ),

@@ -22,7 +22,7 @@ from gtau.signals.preparation import choose_preparation, prepare
 def repeated_gains(task: DesignProblem, x: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Drive gains (count, n) identified by maximum likelihood from logs with white current noise of ``task.sigma``.
 
-    A row is nan where the iteration does not settle. Identification is linear in the currents up to the triangular
+    A row is nan where the iteration does not converge. Identification is linear in the currents up to the triangular
     factors, so the regressor's rows are made once.
     """
     runs = expected_runs(task, x)

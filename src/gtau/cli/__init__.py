@@ -23,7 +23,7 @@ def main() -> None:
         if code == CODE:  # typer makes this of an interruption outside of the commands
             report(UNFINISHED)
     except KeyboardInterrupt:  # while the lines above are still being imported
-        print("gtau: interrupted; files that were not finished have not been written.", file=sys.stderr)
+        print("gtau: interrupted; unfinished files were not written.", file=sys.stderr)
         code = 130
     sys.exit(code)
 
@@ -54,8 +54,8 @@ def _run() -> int:
         if "GTAU_DEBUG" in os.environ:
             raise
         typer.echo(
-            f"gtau: this is a fault of gtau ({type(error).__name__}: {error}); report it together with what "
-            "GTAU_DEBUG=1 prints.",
+            f"gtau: this is a bug in gtau ({type(error).__name__}: {error}); report it with the output of "
+            "GTAU_DEBUG=1.",
             err=True,
         )
         return 1

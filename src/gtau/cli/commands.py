@@ -38,7 +38,7 @@ app = typer.Typer(
 @app.callback()
 def gtau(
     version: Annotated[
-        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and stop.")
+        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""

@@ -28,12 +28,12 @@ def excite(
         str,
         typer.Option(
             metavar="CRITERION",
-            help="gains, condition, logdet, trace, or names of parameters to be known best (gain_11,m_PR).",
+            help="gains, condition, logdet, trace, or names of parameters to estimate best (gain_11,m_PR).",
         ),
     ] = "gains",
     payload_mass: Annotated[
         list[float] | None,
-        typer.Option(metavar="KG [KG...]", help="Show also what payloads of other masses would bring."),
+        typer.Option(metavar="KG [KG...]", help="Also show the effect of payloads of other masses."),
     ] = None,
     starts: Annotated[
         int, typer.Option(metavar="N", min=1, help="Number of searches, each from the best of some random motions.")
@@ -85,7 +85,7 @@ def _masses(first: list[float], words: list[str]) -> list[float]:
             first = []
         if not first:
             raise GtauError(
-                f"'{' '.join(words)}' is left over; give one design file, and masses (kg) after --payload-mass."
+                f"'{' '.join(words)}' is superfluous; give one design file, and masses (kg) after --payload-mass."
             )
     for mass in first:
         if not 0 < mass < float("inf"):

@@ -19,7 +19,7 @@ def export(
     into: Annotated[
         Path | None,
         typer.Option(
-            "--into", metavar="FILE", help="Robot file (URDF or MJCF) to copy with the identified parameters put in."
+            "--into", metavar="FILE", help="Robot file (URDF or MJCF) to copy with the identified parameters inserted."
         ),
     ] = None,
     json_: Json = False,
@@ -44,7 +44,7 @@ def use(
     model: ModelFile,
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a run: CSV, Parquet.", show_default=False)],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="Table to write: .csv or .parquet, a row an instant.")
+        Path | None, typer.Option("--out", metavar="FILE", help="Table to write: .csv or .parquet, one row per sample.")
     ] = None,
     experiment: Annotated[
         Path | None,

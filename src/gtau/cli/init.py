@@ -26,7 +26,7 @@ def init(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="One log a run, all recorded alike; or the logs of positions, then as many of commands.",
+            help="One log per run, all of one layout; or the logs of positions, then as many of commands.",
             show_default=False,
         ),
     ],

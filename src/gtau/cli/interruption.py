@@ -19,7 +19,7 @@ from typing import Any
 
 GRACE = 1.5  # s to clean up; removing an unfinished file takes milliseconds, ending eight worker processes 0.3 s
 CODE = 130  # 128 + SIGINT, as shells have it
-UNFINISHED = "files that were not finished have not been written"
+UNFINISHED = "unfinished files were not written"
 
 _said = threading.Lock()  # held by whoever reports the interruption
 _pressed = threading.Event()

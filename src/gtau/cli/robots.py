@@ -31,7 +31,7 @@ def robot(
         typer.Option(
             "--base",
             metavar="fixed|floating|ROLL,PITCH,YAW",
-            help="Fix a floating base where the file has it, or turned by angles in rad, as deg(90); or let it float.",
+            help="Fix a floating base as in the file, or rotated by angles in rad, as deg(90); or let it float.",
         ),
     ] = None,
     joints: Annotated[

@@ -143,7 +143,7 @@ def _given_runs(runs: Sequence[Run] | None) -> Sequence[Run]:
 def _experiment_alone(source: str | Path | Experiment, runs: Sequence[Run] | None) -> Experiment:
     if runs is not None:
         raise GtauError(
-            "runs are given beside an experiment file, which names its own; give a robot with runs, or the file alone."
+            "runs are given beside an experiment file, which lists its own; give a robot with runs, or the file alone."
         )
     return source if isinstance(source, Experiment) else read_experiment(source)
 
@@ -210,8 +210,8 @@ def gains_for(
     if robot.floating and not estimator.joint:
         takers = ", ".join(each.name for each in ESTIMATORS.values() if each.joint)
         raise GtauError(
-            f"method '{estimator.name}' takes no floating base, and that of robot '{robot.name}' floats; choose from "
-            f"{takers} with --method."
+            f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
+            f"choose from {takers} with --method."
         )
     if estimator.gains == Gains.GIVEN or (estimator.gains == Gains.EITHER and torques):
         return given_gains(robot, runs, prior_gains, estimator.name)

@@ -44,7 +44,7 @@ ACCURACY = Threshold(
     "half the relative width of a gain's 95 % interval",
     "0.11 to 0.17 % (Orthoglide)",
     "above 3 % (faults)",
-    "a choice: what a payload or a contact force is usually asked to; --accuracy changes it",
+    "a choice: the accuracy usually asked of a payload or a contact force; --accuracy changes it",
 )
 LOST_GAIN = Threshold(0.5, "relative random standard deviation of a gain", "below 0.05 (UR10e pairs)", NONE, "a choice")
 WEAK_PARAMETER = Threshold(0.2, "relative standard deviation of a parameter", NONE, NONE, "a choice")
@@ -104,7 +104,7 @@ REFUTED_STD = Threshold(
 )
 REFUTED_SHARE = Threshold(
     0.05,
-    "share of the residual variance that goes with it",
+    "share of the residual variance that it explains",
     "up to 0.03 at more than 6 deviations with moves above the accuracy: none (UR10e pairs); 0.06 to 0.21 beside a "
     "lag or elasticity of 0.07 to 0.39, which then explains it",
     "0.06 to 0.86 (faults)",

@@ -88,6 +88,6 @@ def _fixed_to_ground(robot: Robot) -> Iterator[str]:
         if len(platform.dof) < len(TRANSLATIONS + ROTATIONS):
             yield (
                 f"platform '{platform.name}' moves in {' '.join(platform.dof)} of the ground alone, which a floating "
-                f"base takes along; write 'dof: [{', '.join(TRANSLATIONS + ROTATIONS)}]', its closures take away the "
+                f"base carries along; write 'dof: [{', '.join(TRANSLATIONS + ROTATIONS)}]', its closures constrain the "
                 "rest"
             )

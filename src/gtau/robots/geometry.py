@@ -66,7 +66,7 @@ def short_angles_note(names: Iterable[str]) -> tuple[str, ...]:
     if not (listed := list(names)):
         return ()
     shown = ", ".join(f"'{name}'" for name in listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")
-    return (f"angles written short, such as 1.5708, were taken as multiples of pi/2: joint {shown}",)
+    return (f"rounded angles, such as 1.5708, were taken as multiples of pi/2: joint {shown}",)
 
 
 def compose(first: Placement, second: Placement) -> Pose:

@@ -291,7 +291,7 @@ def _problems(robot: Robot) -> Iterator[str]:
             yield f"the name '{joint.name}' is used twice; give every joint and platform its own"
         if joint.antecedent not in known:
             yield (
-                f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is no joint listed "
+                f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is not a joint listed "
                 f"before it; write '{GROUND}' or move the antecedent up"
             )
         if abs(np.linalg.norm(joint.axis) - 1.0) > 1e-9:
@@ -313,7 +313,7 @@ def _problems(robot: Robot) -> Iterator[str]:
         if len([dof for dof in platform.dof if dof in ROTATIONS]) == 2:
             yield (
                 f"platform '{platform.name}' has two rotations; give it none, one or all three "
-                "(the closures take away the rest)"
+                "(the closures constrain the rest)"
             )
         if not any(platform.name in (closure.a.body, closure.b.body) for closure in robot.closures):
             yield f"no closure holds platform '{platform.name}'; add one or remove the platform"
@@ -329,7 +329,7 @@ def _problems(robot: Robot) -> Iterator[str]:
         others = [name for name, _ in coupling.ratios]
         for name in (coupling.joint, *others):
             if name not in joints:
-                yield f"coupling {number} names '{name}', which is no joint"
+                yield f"coupling {number} names '{name}', which is not a joint"
         if not others or coupling.joint in others or len(set(others)) < len(others):
             yield f"coupling {number} must give '{coupling.joint}' from one or more other joints, each named once"
         if not all(ratio for _, ratio in coupling.ratios):
@@ -337,7 +337,7 @@ def _problems(robot: Robot) -> Iterator[str]:
     carriers = [joint.name for joint in robot.joints if joint.has_mass]
     carriers += [platform.name for platform in robot.platforms]
     if robot.named_tool and robot.named_tool not in carriers:
-        yield f"the tool '{robot.named_tool}' is no body that has a mass; choose from {', '.join(carriers)}"
+        yield f"the tool '{robot.named_tool}' is not a body with a mass; choose from {', '.join(carriers)}"
     if robot.floating and tuple(joint.name for joint in robot.joints[: len(robot.base)]) != robot.base:
         yield f"its base '{robot.floating}' floats, but its first joints are not {', '.join(robot.base)}"
     if not robot.motors:

@@ -59,7 +59,7 @@ def lag_notes(dataset: Dataset, system: System) -> list[Note]:
     loss = 100 * (1 - 1 / np.sqrt(1 + phase**2))
     what = (
         f"the {kind}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass of that "
-        f"time constant takes {loss:.2g} % off them at the bandwidth of the motion, {bandwidth:.3g} Hz"
+        f"time constant attenuates them by {loss:.2g} % at the bandwidth of the motion, {bandwidth:.3g} Hz"
     )
-    action = f"log the {kind}s before any filter and with the stamps of the positions"
+    action = f"log the {kind}s before any filter and with the time stamps of the positions"
     return [Note(Kind.FILTERED if loss > 100 * LAG_LOSS else Kind.READING, what, action)]

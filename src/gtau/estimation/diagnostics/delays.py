@@ -45,8 +45,8 @@ def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period
     """
     noise = Verdict(
         Outcome.NOT_IDENTIFIABLE,
-        "the current's rate of change may all be noise",
-        "treat it as unknown, or move this joint faster; the drive gain does not rest on it",
+        "the current's rate of change may be nothing but noise",
+        "treat it as unknown, or move this joint faster; the drive gain does not depend on it",
     )
     found = []
     for share, error, delay, deviation in zip(*moving_share(problem, solution), solution.delays, std, strict=True):

@@ -109,8 +109,8 @@ def _small_refutations(fit: Fit, findings: Findings, accuracy: float) -> list[No
     return [
         Note(
             Kind.MODEL,
-            f"{100 * each.share:.0f} % of the residual variance would go with {each.subject}, which would move no "
-            f"gain by more than {100 * float(np.abs(each.moves).max()):.2g} %",
+            f"{each.subject} would explain {100 * each.share:.0f} % of the residual variance and move no gain by more "
+            f"than {100 * float(np.abs(each.moves).max()):.2g} %",
             each.advice,
         )
         for each in findings.refuted

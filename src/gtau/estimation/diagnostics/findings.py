@@ -100,8 +100,8 @@ def examine(fit: Fit, progress: Progress = silent) -> Findings:
 
 
 RUNS_ADVICE = (
-    "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and make loaded and "
-    "unloaded runs in turn, as a motor's torque constant falls while it gets warmer"
+    "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
+    "loaded and unloaded runs, as a motor's torque constant falls as it warms up"
 )
 
 

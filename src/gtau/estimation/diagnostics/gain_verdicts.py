@@ -22,10 +22,10 @@ from gtau.estimation.thresholds import APART_REFUTED, LOST_GAIN, MISFIT, NAMED_S
 
 NORMAL = 1.96  # standard deviations in half a 95 % interval
 BARE = (
-    "use longer runs, motions in which this joint lifts or accelerates more, or a payload that was weighed beside what "
-    "is known; check the direction of gravity"
+    "use longer runs, motions in which this joint lifts or accelerates more, or also a payload of known mass; check "
+    "the direction of gravity"
 )
-"""What helps where no run carries a payload."""
+"""Advice where no run carries a payload."""
 
 
 def gain_verdicts(
@@ -89,7 +89,7 @@ def _verdict(
     if not solution.settled:
         return Verdict(
             Outcome.NOT_IDENTIFIABLE,
-            "the iteration did not settle, so the data do not determine it",
+            "the iteration did not converge, so the data do not determine it",
             "resolve the contradictory joints first",
         )
     half = float(half_widths(fit, uncertainty)[j])
@@ -127,7 +127,7 @@ def _verdict(
         return Verdict(
             Outcome.GOOD,
             "it is negative",
-            "its current counts against its motion: reverse the sign of one of the two if that is not meant",
+            "its current is positive against its motion: reverse the sign of one of the two if that is not intended",
         )
     return GOOD
 
@@ -136,8 +136,8 @@ def _why(found: Alternative, j: int) -> str:
     size = f" ({found.size:.2g} {found.unit})" if found.unit else ""
     size = f" ({100 * found.size:.2g} % of itself)" if found.unit == "of itself" else size
     return (
-        f"{100 * found.share:.0f} % of the residual variance would go with {found.subject}{size}, which would move "
-        f"this gain by {100 * found.moves[j]:+.2g} %"
+        f"{found.subject}{size} would explain {100 * found.share:.0f} % of the residual variance and move this gain "
+        f"by {100 * found.moves[j]:+.2g} %"
     )
 
 

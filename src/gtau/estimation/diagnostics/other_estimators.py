@@ -192,7 +192,7 @@ NOISE_ADVICE = "use --method iv or didim, or encoders with less noise"
 FILTER_ADVICE = "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"
 TWO_STAGE_ADVICE = (
     "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction that "
-    "grows with the load looks alike"
+    "grows with the load has the same effect"
 )
 SPEED_ADVICE = "make motions with fewer reversals, or give 'preparation' by hand"
 

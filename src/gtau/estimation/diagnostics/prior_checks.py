@@ -39,7 +39,7 @@ def check_priors(
 def _units(ratio: float) -> str:
     """Advise what to check where a gain is ``ratio`` times its prior."""
     if 1000 / THOUSAND < ratio < 1000 * THOUSAND:
-        return "check the payload's mass, which looks like g for kg, and the unit of the currents, A said to be mA"
+        return "check the payload's mass, which looks like g taken for kg, and the unit of the currents, A taken for mA"
     if 0.001 / THOUSAND < ratio < 0.001 * THOUSAND:
         return "check the unit of the currents, which looks like mA taken for A, and the payload's mass in kg"
     return "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"

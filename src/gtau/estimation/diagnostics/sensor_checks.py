@@ -44,8 +44,8 @@ class SensorScale:
             return GOOD
         return Verdict(
             Outcome.CONTRADICTORY,
-            f"by all else that is known its torques are {self.value:.4g} +- {self.std:.2g} times what it reads",
-            "check its calibration and unit, and where it sits; a payload's mass or a known parameter may be wrong too",
+            f"all other data put its torques at {self.value:.4g} +- {self.std:.2g} times its reading",
+            "check its calibration, its unit and its joint; a payload's mass or a known parameter may be wrong too",
         )
 
 
@@ -106,7 +106,7 @@ def check_sensors(verdicts: Sequence[Verdict], found: Sequence[SensorScale], acc
     wrong = [each for each in found if each.verdict(accuracy).outcome == Outcome.CONTRADICTORY]
     checked = list(verdicts)
     for each in sorted(wrong, key=lambda each: -float(np.abs(each.moves).max())):
-        why = f"it rests on the torque sensor of '{each.joint}', which contradicts what else is known"
+        why = f"it rests on the torque sensor of '{each.joint}', which contradicts all other data"
         for j in np.flatnonzero(np.abs(each.moves) > accuracy):
             if checked[j].outcome != Outcome.CONTRADICTORY:
                 checked[j] = Verdict(Outcome.CONTRADICTORY, why, each.verdict(accuracy).advice)

@@ -73,14 +73,13 @@ def known_verdict(kind: str, declared: float, found: float, std: float, block: s
     if kind == "m":
         return Verdict(
             Outcome.CONTRADICTORY,
-            f"with the drive gains found from the other payloads it weighs {found:.4g} +- {std:.2g} kg, not "
+            f"with the drive gains from the other payloads it weighs {found:.4g} +- {std:.2g} kg, not "
             f"{declared:.4g} kg",
-            "weigh the payloads again; one of the masses is wrong, or a run carries another payload than it says",
+            "weigh the payloads again; one of the masses is wrong, or a run carries another payload than declared",
         )
     return Verdict(
         Outcome.CONTRADICTORY,
-        f"with its mass and all else that is known its {kind} is {found:.4g} +- {std:.2g} {block}, not {declared:.4g} "
-        f"{block}",
+        f"given its mass and all other data its {kind} is {found:.4g} +- {std:.2g} {block}, not {declared:.4g} {block}",
         f"check {kind} and the frame it is given in, that of the body that carries the payload, and the mass; or leave "
         f"{kind} out",
     )

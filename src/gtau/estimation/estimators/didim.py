@@ -36,7 +36,7 @@ def along_simulated_motion(
     Raises
     ------
     GtauError
-        Where the robot cannot be simulated with what was found, or simulation and estimate do not settle.
+        Where the robot cannot be simulated with what was found, or simulation and estimate do not converge.
     """
     loaded = any(term.startswith("fl_") for term in system.friction.terms)
     before, solution = None, solve(system.problem)
@@ -62,7 +62,7 @@ def along_simulated_motion(
             progress("simulation", PASSES, PASSES)
             return along, system
     raise GtauError(
-        "simulation and estimate do not settle, so the parameters found do not make the motion that was measured; "
+        "simulation and estimate do not converge, so the estimated parameters do not reproduce the measured motion; "
         "use --method ml, or add runs that excite the parameters better."
     )
 

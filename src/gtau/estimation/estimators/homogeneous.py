@@ -39,7 +39,7 @@ def scaled(direction: np.ndarray) -> np.ndarray:
     """Scale a solution so that its last entry is 1, by which the payload sets the scale (below eq. 36)."""
     if abs(direction[-1]) < 1e-12 * np.linalg.norm(direction):
         raise GtauError(
-            "the data say nothing about the scale of the drive gains: the known payload does not show in the currents; "
+            "the data do not determine the scale of the drive gains: the known payload does not show in the currents; "
             "use a heavier payload or motions that lift and accelerate it."
         )
     return direction / direction[-1]

@@ -77,7 +77,7 @@ def instrumental(
     Raises
     ------
     GtauError
-        Where the robot cannot be simulated with what was found, or the iteration does not settle.
+        Where the robot cannot be simulated with what was found, or the iteration does not converge.
     """
     for k in range(PASSES):
         progress("simulation", k, PASSES)
@@ -96,7 +96,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     Raises
     ------
     GtauError
-        Where the iteration does not settle.
+        Where the iteration does not converge.
     """
     problem, n_theta, n = pair.measured, pair.measured.n_theta, len(pair.measured.joints)
     state = Iterate(np.zeros(n_theta), 1 / start.gains, start.delays)
@@ -124,8 +124,8 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
             break
     else:
         raise GtauError(
-            "the iteration with instrumental variables did not settle, as the motion simulated has little to do with "
-            "the one measured; use --method ml, or add runs that excite the parameters better."
+            "the iteration with instrumental variables did not converge, as the simulated motion is far from the "
+            "measured one; use --method ml, or add runs that excite the parameters better."
         )
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - len(step) / n, 1))
     T, inverse = to_gains(state, n_theta, free_gains) @ back, np.linalg.inv(A)

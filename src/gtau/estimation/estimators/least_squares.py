@@ -46,7 +46,7 @@ def _with_given(
     solution = solve(problem, start, weigh, free_gains=False)
     if not solution.settled:
         raise GtauError(
-            f"{name} least squares did not settle, so the data do not fix the delays of the currents: "
+            f"{name} least squares did not converge, so the data do not determine the delays of the currents: "
             f"{scarcity(problem)}check that position and current columns belong together, and add runs that move "
             "every joint."
         )

@@ -38,7 +38,7 @@ def ml(problem: Problem) -> Solution:
     Raises
     ------
     GtauError
-        Where the iteration does not settle though the model explains the currents. (Where it does not explain them,
+        Where the iteration does not converge though the model explains the currents. (Where it does not explain them,
         the verdicts say so.)
     """
     first = two_stage(problem)
@@ -52,7 +52,7 @@ def ml(problem: Problem) -> Solution:
         loaded = bool(problem.blocks[..., problem.n_theta].any())
         scale = "a heavier payload" if loaded else "a payload, torque sensors or more known parameters"
         raise GtauError(
-            "the maximum-likelihood iteration did not settle, so the data do not fix the drive gains: "
+            "the maximum-likelihood iteration did not converge, so the data do not determine the drive gains: "
             f"{scarcity(problem)}check the signs and units of positions and currents, add runs that move every joint "
             f"or {scale}, or use --method wls with prior_gains."
         )

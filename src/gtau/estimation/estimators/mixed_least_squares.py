@@ -1,6 +1,6 @@
 """Mixed LS-TLS: the regressor is exact, the currents are noisy.
 
-Choose it where the regressor is much less noisy than the currents and maximum likelihood does not settle: it is a
+Choose it where the regressor is much less noisy than the currents and maximum likelihood does not converge: it is a
 singular value decomposition, without iterations.
 """
 

@@ -92,7 +92,7 @@ def consistent(
     Raises
     ------
     GtauError
-        Where no rigid bodies agree with the priors and payloads, the programme does not settle, or
+        Where no rigid bodies agree with the priors and payloads, the programme does not converge, or
         its solver is not installed.
     """
     problem, n = system.whole, len(system.whole.joints)
@@ -119,7 +119,7 @@ def consistent(
             break
     else:
         raise GtauError(
-            "the search for physically consistent parameters did not settle; give 'priors' for the parameters that "
+            "the search for physically consistent parameters did not converge; give 'priors' for the parameters that "
             "the data leave open, or identify without --consistent."
         )
     gain_std = _gain_std(problem, state, weights, unknowns, stated) if free_gains else np.zeros(n)

@@ -74,7 +74,7 @@ def resimulated(
     Raises
     ------
     GtauError
-        Where the inertia estimated is not positive, so that there is nothing to simulate, or the loop does not settle.
+        Where the estimated inertia is not positive, so nothing can be simulated, or the loop does not converge.
     """
     run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
     rate, edge = run.rate, filter_edge(run.rate, smooth * preparation.bandwidth)
@@ -99,7 +99,7 @@ def resimulated(
             break
     else:
         raise GtauError(
-            f"run '{run.name}': the robot simulated with the parameters estimated does not follow its motion; "
+            f"run '{run.name}': the robot simulated with the estimated parameters does not follow its motion; "
             "use --method ml, or add runs that excite the parameters better."
         )
     channels = len(run.measured_joints)
@@ -147,7 +147,7 @@ def _disturbance(
     lowest = np.linalg.eigvalsh(M / np.sqrt(np.einsum("ti,tj->tij", *2 * [np.abs(np.einsum("tii->ti", M))])))[:, 0]
     if not lowest.min() > 0:
         raise GtauError(
-            f"the inertia estimated is not positive ({here[int(lowest.argmin())]}), so the robot cannot be "
+            f"the estimated inertia is not positive ({here[int(lowest.argmin())]}), so the robot cannot be "
             "simulated; use --method ml, or add runs that excite the parameters better."
         )
     return np.linalg.solve(M, h.T[:, :, None])[:, :, 0], c[:, -1]

@@ -50,8 +50,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         gains = np.where(problem.free, x[n_theta:], 1.0)
         if not np.all(np.abs(gains) > 0):
             raise GtauError(
-                "the currents of some joint do not follow its motion at all; check the columns of the current "
-                "references."
+                "the currents of some joint are unrelated to its motion; check the columns of the current references."
             )
     state = Iterate(x[:n_theta], 1 / gains, delays)
     errors = np.sum(residuals(stacked(problem), state, n_theta) ** 2, axis=-1)

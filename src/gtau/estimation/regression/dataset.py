@@ -225,7 +225,7 @@ def reduce_runs(
     model = model_of(robot)
     runs = tuple(arrange(run, model.actuated) for run in runs)
     if len({run.kind for run in runs}) > 1:
-        raise GtauError("some runs hold currents and others torques; identify them apart.")
+        raise GtauError("some runs hold currents and others torques; identify them separately.")
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
     base = base_parameters(model, sensors=sensors_of(robot, runs))

@@ -61,7 +61,7 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
         moved = f"{span[widest]:.3g} {basic}"
         if 0 < span[widest] < NARROW[kind] * size and declared == {other}:
             raise GtauError(
-                f"run '{run.name}': no {kind} joint moves by more than {moved}, next to nothing for robot "
+                f"run '{run.name}': no {kind} joint moves by more than {moved}, too little for robot "
                 f"'{robot.name}', so its positions look like {basic} declared as {other}; write {basic} under "
                 "units.position."
             )

@@ -225,8 +225,8 @@ def assemble_system(
     if idm.robot.base and problem.silent[[joint in idm.robot.base for joint in problem.channels]].all():
         raise GtauError(
             f"nothing that is measured acts on the base '{idm.robot.floating}' in any run, so that its equations give "
-            "ratios of parameters alone, which noise of its motion shrinks; log the wrench that holds it in some runs "
-            "('wrenches' of 'base' under 'signals')."
+            "ratios of parameters alone, which noise of its motion biases towards zero; log the wrench that holds it "
+            "in some runs ('wrenches' of 'base' under 'signals')."
         )
     unexcited = _unexcited(problem)
     stated = tuple(name for name, prior in (priors or {}).items() if prior.value is not None)
@@ -310,9 +310,9 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
         return
     if problem.sensors:
         raise GtauError(
-            f"the torque sensors of {', '.join(problem.sensors)} feel nothing that the motors feel too, so they cannot "
-            "give the scale of the drive gains; add sensors of other joints, runs that move them against gravity, "
-            f"{other}."
+            f"the torque sensors of {', '.join(problem.sensors)} measure no load that the motors carry too, so they "
+            "cannot give the scale of the drive gains; add sensors of other joints, runs that move them against "
+            f"gravity, {other}."
         )
     if len(problem.known):
         raise _hidden(system.stated, other)
@@ -333,9 +333,9 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
 def _hidden(stated: Sequence[str], other: str) -> GtauError:
     names = ", ".join(stated[:4]) + (" and others" if len(stated) > 4 else "")
     return GtauError(
-        f"the known parameters under 'priors' ({names}) cannot give the scale of the drive gains, as no motor feels "
-        "them apart from unknown ones; give priors for all parameters of the same sums (gtau robot lists them), or for "
-        f"the base parameter, {other}."
+        f"the known parameters under 'priors' ({names}) cannot give the scale of the drive gains, as they act on "
+        "the motors only together with unknown ones; give priors for all parameters of the same sums (gtau robot lists "
+        f"them), or for the base parameter, {other}."
     )
 
 

@@ -68,5 +68,5 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
                 "so that no motor's torque is that of the joint; remove it from 'joint_torque'."
             )
         if f"{joint}_sensor" in robot.bodies:
-            raise GtauError(f"joint '{joint}_sensor' bears the name of a torque sensor of '{joint}'; rename the joint.")
+            raise GtauError(f"joint '{joint}_sensor' has the name of a torque sensor of '{joint}'; rename the joint.")
     return sensors

@@ -148,10 +148,10 @@ class ReferenceTemperatures:
 
 @dataclass(frozen=True)
 class AlternativeMoves:
-    """The model with one unknown more: what that is, its size, and by how much the gains would move.
+    """The model with one further unknown: what that is, its size, and by how much the gains would move.
 
     ``std`` is that of ``size``, None where the data say nothing of it; ``probability`` that it holds, given the data;
-    ``share`` of the residual variance that goes with it; ``moves`` of each joint's gain, per cent.
+    ``share`` of the residual variance that it explains; ``moves`` of each joint's gain, per cent.
     """
 
     hypothesis: str

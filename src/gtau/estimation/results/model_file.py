@@ -207,7 +207,7 @@ def load(path: str | Path, make: type[Model]) -> Model:
 
 
 def _refuse(constant: str) -> float:
-    raise ValueError(f"{constant} is no JSON number")
+    raise ValueError(f"{constant} is not a JSON number")
 
 
 def _damaged(path: str | Path, problem: str) -> GtauError:
@@ -231,7 +231,7 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
         yield "a value is not finite"
     size = len(result.covariance_names)
     if result.covariance.shape != (size, size) or not np.isfinite(result.covariance).all():
-        yield "the covariance is no matrix of its names"
+        yield "the covariance does not have the size of its names"
     if not {f"gain_{joint}" for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
     if result.kind not in ("current", "torque"):

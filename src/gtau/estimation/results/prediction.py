@@ -24,7 +24,7 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     """Predict torques at the decimated instants of a run, beside the measured ones; see :meth:`gtau.Result.predict`."""
     if not isinstance(run, Run):
         raise GtauError(
-            f"a run is wanted, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
+            f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
             "its columns."
         )
     model, base = result.model, result.base

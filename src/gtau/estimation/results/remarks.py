@@ -43,7 +43,7 @@ def remarks(result: IdentifiedModel) -> list[Note]:
     if absurd:
         listed = ", ".join(f"{each.name} = {each.value:.3g} {each.unit}" for each in absurd[:LISTED])
         more = f" and {len(absurd) - LISTED} more" if len(absurd) > LISTED else ""
-        notes.append(Note(Kind.MODEL, f"parameters that no robot can have: {listed}{more}", absurd[0].verdict.advice))
+        notes.append(Note(Kind.MODEL, f"physically impossible parameters: {listed}{more}", absurd[0].verdict.advice))
     return notes + not_separated([name for name, each in result.parameters.items() if each.value is None])
 
 
@@ -55,7 +55,7 @@ def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
         return []
     listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))
     return [
-        f"friction depends on the temperature, which these logs do not have: taken at the reference ({listed} "
+        f"friction depends on the temperature, which these logs do not have; it is taken at the reference ({listed} "
         f"{warm.unit}); add 'temperature' to the signals"
     ]
 

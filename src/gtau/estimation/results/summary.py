@@ -178,7 +178,7 @@ def sensor_lines(result: IdentifiedModel) -> list[str]:
         if each.ratio is not None:
             lines.append(f"{_row(f'ratio_{each.joint}', each.ratio)}   {each.ratio.unit}")
     if any(each.ratio is not None for each in result.sensors):
-        lines.append("  ratio: torque by all else that is known, over what the sensor reads")
+        lines.append("  ratio: torque from all other data, over the sensor's reading")
     lines.append(f"{'Sensor fit':<26}{'error rms':>12}{'signal':>10}{'error %':>8}   unit")
     return lines + [_fit_row(each.residual) for each in result.sensors]
 

@@ -56,7 +56,7 @@ def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
     """
     coefficient, constant = linear(text, names)
     if coefficient != 0.0:
-        raise ValueError("the joint coordinate q cannot stand here, only in theta or r of a joint")
+        raise ValueError("the joint coordinate q is allowed in theta or r of a joint only")
     return constant
 
 
@@ -110,7 +110,7 @@ def _value(node: ast.expr, names: Mapping[str, float]) -> LinearisedWindow:
         case ast.Call(func=ast.Name(id=name)):
             raise ValueError(unknown(f"function '{name}'", name, FUNCTIONS))
         case ast.Tuple():
-            raise ValueError("a comma stands in the number; write decimals with a point, such as 0.31")
+            raise ValueError("the number contains a comma; write decimals with a point, such as 0.31")
         case _:
             raise ValueError(
                 "only numbers, constants, + - * / **, parentheses and functions such as sqrt(2) are read here"
@@ -152,7 +152,7 @@ def _operation(operator: ast.operator, left: LinearisedWindow, right: Linearised
 def _call(name: str, arguments: list[LinearisedWindow]) -> float:
     count = 2 if name == "atan2" else 1
     if len(arguments) != count:
-        raise ValueError(f"{name} takes {count} value{'s' if count > 1 else ''}, {len(arguments)} are written")
+        raise ValueError(f"{name} takes {count} value{'s' if count > 1 else ''}, not {len(arguments)}")
     if any(coefficient != 0.0 for coefficient, _ in arguments):
         raise ValueError("the joint coordinate q must stand alone, as in 'q - a'")
     values = [constant for _, constant in arguments]

@@ -92,7 +92,7 @@ def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:
 def _note(odd: list[str]) -> Iterator[str]:
     if odd:
         yield (
-            f"masses and inertias that no body can have: {_shown(odd, '; ')}; they are identified, not read, but "
+            f"physically impossible masses and inertias: {_shown(odd, '; ')}; they are identified, not read, but "
             "correct them before you use the file elsewhere"
         )
 

@@ -65,7 +65,7 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
     except UnicodeDecodeError:
         raise GtauError("the text is not UTF-8; save the file in that encoding.") from None
     except csv.Error as error:
-        raise GtauError(f"this is no table of comma-separated values ({error}); correct the file.") from None
+        raise GtauError(f"this is not a table of comma-separated values ({error}); correct the file.") from None
     return [(number, row) for number, row in enumerate(cells, start=1) if any(row) and not row[0].startswith("#")]
 
 
@@ -96,7 +96,7 @@ def _constants(lines: list[tuple[int, list[str]]]) -> tuple[dict[str, float], li
 
 def _row(number: int, cells: list[str], header: list[str], constants: dict[str, float]) -> MdhRow:
     if len(cells) != len(header):
-        raise GtauError(f"line {number}: {len(cells)} cells are written; write {len(header)}, as in the header.")
+        raise GtauError(f"line {number}: it has {len(cells)} cells; write {len(header)}, as in the header.")
     values = dict(zip(header, cells, strict=True))
     name = values["j"]
 
@@ -112,8 +112,8 @@ def _row(number: int, cells: list[str], header: list[str], constants: dict[str, 
     for column, (factor, _) in found.items():
         if factor not in ((0.0, 1.0) if column == moving else (0.0,)):
             raise GtauError(
-                f"line {number}, {column} of joint '{name}': the coordinate q stands plain and in theta (sigma 0) or "
-                "in r (sigma 1) alone."
+                f"line {number}, {column} of joint '{name}': write the coordinate q plainly, and only in theta "
+                "(sigma 0) or r (sigma 1)."
             )
     mu, sigma, *parameters = (constant for _, constant in found.values())
     antecedent = GROUND if values["a"] == "0" else values["a"]

@@ -75,7 +75,7 @@ def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, A
     for row in rows:
         if row.antecedent not in frames:
             raise GtauError(
-                f"joint '{row.name}' has the antecedent '{row.antecedent}', which is no joint of a row before it; "
+                f"joint '{row.name}' has the antecedent '{row.antecedent}', which is not a joint of an earlier row; "
                 "write 0 for the base, or move the antecedent's row up."
             )
         before = frames[row.antecedent]

@@ -146,7 +146,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     springs = site_springs(file, carried)
     tied = {end.body for closure in closures for end in (closure.a, closure.b)}
     if loose := [platform.name for platform in platforms if platform.name not in tied]:
-        notes.append(f"nothing holds the free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)}: left out")
+        notes.append(f"free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)} attached to nothing: left out")
     driven, pulled = actuated_joints(file, tendons, notes)
     if pulled and not driven:  # a gripper alone
         for motor, coupling in tendon_motors(file, tendons, {joint.name: joint.kind for joint in joints}):
@@ -168,7 +168,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     notes += (*_simulated_alone(model), *mjcf_masses(file.elements), *angle_notes(file.elements))
     joints.sort(key=lambda joint: joint.name not in base_rows(floating))  # those of the base stand first
     if not joints:
-        raise GtauError("it has no joints of a robot, but for those of free bodies; give the file of a robot.")
+        raise GtauError("it has no joints except those of free bodies; give the file of a robot.")
     if not actuated.intersection(joint.name for joint in joints).difference(base_rows(floating)):
         raise GtauError("no actuator drives a joint (joint=...), so none is known to be actuated; add actuators.")
     robot = Robot(

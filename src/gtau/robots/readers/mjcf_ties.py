@@ -57,7 +57,7 @@ def equalities(
                 held[slave] = offset
         else:
             raise GtauError(
-                f"equality '{name}' is none of connect, weld and a linear joint coupling of two joints; remove it, or "
+                f"equality '{name}' is neither connect, weld nor a linear joint coupling of two joints; remove it, or "
                 "describe the mechanism by these."
             )
     return closures, couplings, held
@@ -139,7 +139,7 @@ def actuated_joints(
             others.append(name or target)
     if others:
         s = "s" * (len(others) > 1)
-        notes.append(f"actuator{s} {listed(others)} of no hinge, slide or fixed tendon: left out")
+        notes.append(f"actuator{s} {listed(others)} on no hinge, slide or fixed tendon: left out")
     return driven, pulled
 
 

@@ -84,8 +84,8 @@ class _BodyEntry(_Entry):
     def _no_masses(cls, written: Any) -> Any:
         for key in INERTIAL_KEYS.intersection(written if isinstance(written, dict) else ()):
             raise ValueError(
-                f"masses and inertias are identified, so leave '{key}' out; values known beforehand, of CAD, are "
-                "'priors' in the experiment file"
+                f"masses and inertias are identified, so leave '{key}' out; values known beforehand, as from CAD, go "
+                "under 'priors' in the experiment file"
             )
         return written
 
@@ -137,7 +137,7 @@ class _JointEntry(_PlacedEntry, _BodyEntry):
     @model_validator(mode="after")
     def _spring_of_a_stiffness(self) -> _JointEntry:
         if self.written("springref") and not self.stiffness:
-            raise ValueError("'springref' stands without a spring; write 'stiffness: true' beside it, or remove it")
+            raise ValueError("'springref' is given without a spring; write 'stiffness: true' beside it, or remove it")
         return self
 
     @model_validator(mode="after")
@@ -160,7 +160,7 @@ class _JointEntry(_PlacedEntry, _BodyEntry):
                 "the joint coordinate q is missing; write it in theta (revolute) or in r (prismatic), as 'theta: q'"
             )
         if 0.0 not in factors:
-            raise ValueError("q stands in both theta and r; a joint has one coordinate, so make two joints of it")
+            raise ValueError("q appears in both theta and r; a joint has one coordinate, so make two joints of it")
         if sum(factors) != 1.0:
             raise ValueError(
                 f"q is multiplied by {sum(factors):g}; write it plain, and turn the z axis around to reverse a joint"

@@ -101,7 +101,7 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
         case ".xacro":
             raise GtauError(f"{path} is a xacro file; expand it with 'xacro {path.name} > {path.stem}.urdf' first.")
         case _ if path.is_file():
-            raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of what it holds.")
+            raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of its format.")
     close = get_close_matches(str(source), catalog_names(), n=1)
     hint = f" (did you mean '{close[0]}'?)" if close else ""
     raise GtauError(

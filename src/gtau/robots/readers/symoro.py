@@ -114,7 +114,7 @@ def _entries(text: str) -> dict[str, str]:
 def _integer(entries: Mapping[str, str], key: str) -> int:
     text = entries.get(key.lower())
     if text is None:
-        raise GtauError(f"{key} is missing; it is no parameter file of OpenSYMORO, or not all of it.")
+        raise GtauError(f"{key} is missing; this is not a complete parameter file of OpenSYMORO.")
     if not text.isdecimal() or len(text) > 4:
         raise GtauError(f"{key} is '{text}'; write a number.")
     return int(text)
@@ -133,7 +133,7 @@ def _constants(entries: Mapping[str, str]) -> dict[str, float]:
 
 def _list(entries: Mapping[str, str], key: str, count: int) -> list[str]:
     if key not in entries:
-        raise GtauError(f"{key} is missing; it is no parameter file of OpenSYMORO, or not all of it.")
+        raise GtauError(f"{key} is missing; this is not a complete parameter file of OpenSYMORO.")
     values: list[str] = []
     depth, start, text = 0, 0, entries[key] + ","
     for position, character in enumerate(text):  # atan2(b, d) holds a comma
@@ -160,7 +160,7 @@ def _row(k: int, texts: Mapping[str, str], constants: Mapping[str, float], links
                 f"{key} of joint {k}: {error}; give symbols their values on lines such as 'd3 = 0.45'."
             ) from None
         if factor not in ((0.0, 1.0) if moving else (0.0,)):
-            raise GtauError(f"{key} of joint {k}: the coordinate must stand plain, as 'th{k}' or 'th{k} + pi/2'.")
+            raise GtauError(f"{key} of joint {k}: write the coordinate plainly, as 'th{k}' or 'th{k} + pi/2'.")
         return constant
 
     sigma = value("sigma")

@@ -115,8 +115,8 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         for coupling in couplings:
             if (master := coupling.ratios[0][0]) not in moving:
                 raise GtauError(
-                    f"joint '{coupling.joint}' mimics '{master}', which is no joint that moves; correct its <mimic>, "
-                    "or remove it where the joint has a motor of its own."
+                    f"joint '{coupling.joint}' mimics '{master}', which is not a joint that moves; correct its "
+                    "<mimic>, or remove it where the joint has a motor of its own."
                 )
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
@@ -141,7 +141,7 @@ def _edge(element: Element, base: BaseChoice) -> _Edge:
     kind = attribute(element, "type", f"joint '{name}'")
     if kind == "planar" and base == FLOATING:
         raise GtauError(
-            f"joint '{name}' is planar, so the ground guides the base by forces that nobody knows; fix the base by "
+            f"joint '{name}' is planar, so unknown guiding forces act on the base; fix the base by "
             "'base: fixed', or --base fixed."
         )
     if kind in LOOSE and base is not None:
@@ -346,4 +346,4 @@ def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
         if {"lower", "upper"}.intersection(limit.keys()) and low >= high:
             dropped.append(f"'{edge.name}' ({low:g} to {high:g})")
     if dropped:
-        yield f"position limits that leave no way were not taken over: joint {', '.join(dropped)}"
+        yield f"empty position limits were ignored: joint {', '.join(dropped)}"

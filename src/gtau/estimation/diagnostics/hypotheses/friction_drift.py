@@ -34,5 +34,5 @@ def _candidates(fit: Fit) -> Candidates:
 
 
 FRICTION_DRIFT = Hypothesis(
-    "friction drift", False, _candidates, "let the robot warm up before the runs, or divide long runs into shorter ones"
+    "friction drift", False, _candidates, "let the robot warm up before the runs, or split long runs"
 )

@@ -64,7 +64,7 @@ SATURATION = Hypothesis(
     "saturation",
     False,
     _saturation,
-    "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the current that "
-    "flows; friction that grows with the load looks alike",
+    "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the actual "
+    "current; friction that grows with the load has the same effect",
 )
 GAIN_DRIFT = Hypothesis("gain drift", False, _drift, "let the robot warm up before the runs", description=True)
