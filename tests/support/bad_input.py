@@ -152,10 +152,10 @@ LOGS = [
     Case("a picture", "free.csv is a picture, not a log", {"free.csv": b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 9}),
     Case(
         "Latin-1",
-        "free.csv is not a text file",
+        "free.csv is text in UTF-16; save it as UTF-8",
         {"free.csv": lambda text: text.replace("t,", "temps \xe9coul\xe9,").encode("latin-1")},
     ),
-    Case("UTF-16", "free.csv is not a text file", {"free.csv": lambda text: text.encode("utf-16")}),
+    Case("UTF-16", "free.csv is text in UTF-16; save it as UTF-8", {"free.csv": lambda text: text.encode("utf-16")}),
     Case(
         "no Parquet",
         "is not a readable Parquet file",
@@ -263,7 +263,7 @@ EXPERIMENTS = [
         )
         for name in ("ml", "mixed", "tls")
     ),
-    Case("payload of unknown mass", "no run has one", experiment((", mass: 1.2", ""))),
+    Case("payload of unknown mass", "no run has a payload of known mass", experiment((", mass: 1.2", ""))),
     Case("wls without gains", "joint 'left' has none; add 'prior_gains'", experiment((PRIOR, "")), method("wls")),
     Case("ols without gains", "joint 'left' has none; add 'prior_gains'", experiment((PRIOR, "")), method("ols")),
     Case(
