@@ -172,7 +172,7 @@ def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, mon
     written = {path.name for path in Path("result").iterdir()}
     assert written == {"report.html", "model.json", "summary.txt", "singularities.parquet"}
     documented("model.json", model)
-    estimate = {key: each for key, each in model["drive_gains"][0].items() if key != "joint"}
+    estimate = {key: each for key, each in model["drive_gains"][0].items() if key not in ("joint", "scale")}
     documented("An estimate", estimate)
     assert {"joint"} ^ set(model["delays"][0]) == set(estimate)
     for parameter in (model["parameters"][0], model["essential"][0]):
