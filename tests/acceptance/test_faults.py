@@ -287,7 +287,7 @@ def test_milliamperes_read_as_amperes_contradict_the_prior_gains(runs: list[Run]
 
 def test_grams_read_as_kilograms_contradict_prior_gains_and_limits(runs: list[Run]) -> None:
     grams = [heavier(run, "1.983 kg", 1e3) for run in runs]
-    assert "looks like g for kg" in sentences(identify(ROBOT, grams, prior_gains=per_ampere(0.9)))
+    assert "looks like g taken for kg" in sentences(identify(ROBOT, grams, prior_gains=per_ampere(0.9)))
     joints = [
         replace(joint, limits=replace(joint.limits, effort=2000.0)) if joint.name in DRIVE_GAINS else joint
         for joint in ROBOT.joints
