@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.estimation.compare import compare, table, to_document
-from gtau.estimation.estimators.estimator import Gains
+from gtau.estimation.estimators.estimator import Gains, Given
 from gtau.estimation.estimators.friction_selection import prune_friction_terms
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import one_step
-from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.identify import identify
@@ -25,6 +25,7 @@ from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
+from gtau.progress import silent
 from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
@@ -127,6 +128,15 @@ def test_without_outliers_huber_is_nearly_maximum_likelihood(runs: list[Run]) ->
         a, b = plain.drive_gains[joint], robust.drive_gains[joint]
         assert abs((a.value or 0.0) - (b.value or 0.0)) < 0.7 * (a.std or 0.0)
         assert (b.std or 0.0) < 1.25 * (a.std or 0.0)
+
+
+def test_weights_that_follow_the_data_are_part_of_huber_s_scatter(data: Dataset) -> None:
+    """With the weights held fixed, its standard deviations would be 14 % too small under normal noise."""
+    system = data.system(Friction())
+    given = Given(None, {}, silent)
+    plain, robust = (estimator_of(method).fit(data, system, given).solution for method in ("ml", "huber"))
+    ratio = np.sqrt(np.diag(robust.jackknife) / np.diag(plain.jackknife))[system.problem.gain_rows]
+    assert ((ratio > 0.93) & (ratio < 1.15)).all(), ratio
 
 
 # Priors

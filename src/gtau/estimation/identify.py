@@ -100,8 +100,9 @@ def identify(
         robot = load_robot(experiment.robot)
         check_robot(experiment, robot)
         runs = read_runs(experiment, experiment.runs, progress)
-        drives, stated = experiment.drives, priors or experiment.priors
-        prior_gains, priors = prior_gains or experiment.expected_gains, priors or experiment.expected_parameters
+        drives, stated = experiment.drives, experiment.priors if priors is None else priors
+        prior_gains = experiment.expected_gains if prior_gains is None else prior_gains
+        priors = experiment.expected_parameters if priors is None else priors
     estimator = chosen or _default_estimator(runs, as_paper)
     _check_combination(estimator, as_paper, consistent)
     priors = priors or {}

@@ -32,10 +32,6 @@ class ScoreTests:
         """Sizes in standard deviations."""
         return np.asarray(self.size / np.maximum(self.std, 1e-300))
 
-    def of(self, columns: slice) -> ScoreTests:
-        """Select the tests of some columns."""
-        return ScoreTests(self.size[columns], self.std[columns], self.share[columns], self.slopes[columns])
-
 
 def score_tests(
     windows: Callable[[], Iterable[LinearisedWindow]],

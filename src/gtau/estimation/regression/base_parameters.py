@@ -164,20 +164,20 @@ def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]
     units = A / np.where(idle, 1.0, norms)
     Q = np.zeros((min(A.shape), A.shape[0]))  # orthonormal rows, the first len(kept) of them
     kept: list[int] = []
-    triangle = np.zeros((min(A.shape), A.shape[1]))
+    along_kept = np.zeros((min(A.shape), A.shape[1]))
     for k in np.flatnonzero(~idle):
         rest, basis = units[:, k].copy(), Q[: len(kept)]
         for _ in range(2):  # twice is enough to stay orthogonal
             along = basis @ rest
             rest -= along @ basis
-            triangle[: len(kept), k] += along
+            along_kept[: len(kept), k] += along
         size = np.linalg.norm(rest)
         if size > DEPENDENT:
-            triangle[len(kept), k] = size
+            along_kept[len(kept), k] = size
             Q[len(kept)] = rest / size
             kept.append(int(k))
     b = len(kept)
-    coefficients = np.linalg.solve(triangle[:b, kept], triangle[:b]) if b else np.zeros((0, A.shape[1]))
+    coefficients = np.linalg.solve(along_kept[:b, kept], along_kept[:b]) if b else np.zeros((0, A.shape[1]))
     coefficients[np.abs(coefficients) < 1e-7] = 0.0
     coefficients *= norms / norms[kept][:, None]
     return kept, coefficients, [int(k) for k in np.flatnonzero(idle)]

@@ -113,7 +113,7 @@ def reduce_run(
     c, p = len(joints), len(columns) + EXTRA
     own = [np.append(np.unique(regressor.columns[regressor.rows == j]), np.arange(p - EXTRA, p)) for j in joints]
     R, rows = np.zeros((len(stretches), c, p, p)), np.zeros((len(stretches), c), dtype=int)
-    small = [[np.zeros((0, columns.size)) for columns in own] for _ in stretches]  # the triangles of own columns
+    small = [[np.zeros((0, each.size)) for each in own] for _ in stretches]  # the triangles of own columns
     waiting: list[list[np.ndarray]] = [[] for _ in joints]
     distances = Store((2,), np.float32)
     residuals = Store((c,))

@@ -83,12 +83,6 @@ class Problem:
         return slice(self.n_theta, self.n_theta + len(self.joints))
 
     @property
-    def delay_rows(self) -> slice:
-        """Where the joints' delays stand in (theta, gains, delays)."""
-        first = self.n_theta + len(self.channels)
-        return slice(first, first + len(self.joints))
-
-    @property
     def n_theta(self) -> int:
         """Number of unknown parameters."""
         return len(self.parameters)

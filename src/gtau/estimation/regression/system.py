@@ -13,7 +13,7 @@ from gtau.estimation.regression.factors import CURRENTS, EXTRA, Factors
 from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS, Friction, transmitted
 from gtau.estimation.regression.known_parameters import known_equations
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.torque_sensors import of_drive, sensor_name
+from gtau.estimation.regression.torque_sensors import joint_behind, of_drive, sensor_name
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.experiment import Prior
@@ -216,10 +216,11 @@ def assemble_system(
         known,
         idm.robot.base,
     )
-    for joint, rows in zip(problem.channels, problem.total_rows, strict=True):
-        if rows < FEWEST_ROWS:
+    for channel, count in zip(problem.channels, problem.total_rows, strict=True):
+        if count < FEWEST_ROWS:
+            joint = joint_behind(channel, idm.robot)
             raise GtauError(
-                f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps; "
+                f"joint '{joint}' has {count} usable rows in all runs together, away from its reversals and gaps; "
                 "add runs in which it moves, or longer ones."
             )
     if idm.robot.base and problem.silent[[joint in idm.robot.base for joint in problem.channels]].all():

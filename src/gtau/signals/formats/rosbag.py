@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 Getter = Callable[[Any], float]
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
-SUFFIXES = (".db3", ".mcap", ".bag")
 
 
 def open_rosbag(path: Path) -> Table:
