@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 import gtau.estimation.identify
 from gtau.cli.commands import COMMANDS, app
 from gtau.estimation.estimators.registry import NAMES
-from gtau.robots.readers.read import CATALOG
+from gtau.robots.readers.read import CATALOG, catalog_names
 
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
 WEIGHING = EXPERIMENT.replace("loaded.csv, payload: {name: steel, mass: 1.2}", "unknown.csv, payload: {name: lead}")
@@ -249,6 +249,15 @@ def test_robot(here: Path) -> None:
     assert "left_forearm" in text
     assert "25" in text
     assert "25" in run("robot", "five-bar").stdout
+
+
+def test_robot_lists_the_catalog_and_fits_a_terminal(here: Path) -> None:
+    listed = run("robot").stdout
+    assert all(name in listed for name in ("five-bar", "ur10e", "test-bench"))
+    assert "no robot is named" in run("robot", "--save", "a.yaml").output
+    assert {entry["name"] for entry in document("robot")["catalog"]} == set(catalog_names())
+    for page in (listed, run("robot", "ur10e").stdout, run("robot", "orthoglide").stdout):
+        assert max(map(len, page.splitlines())) <= 80
 
 
 def test_help_and_version() -> None:

@@ -334,6 +334,7 @@ def test_what_is_refused() -> None:
     ("more", "said"),
     [
         ({"joint_torque": {"4": "s"}}, "'joint_torque' names the joint '4', which has no position"),
+        ({"temperature": {"4": "T4"}}, "'temperature' names the joint '4', which has no position"),
         ({"joint_torque": {"1": "i1"}}, "the column 'i1' is given both as a current and as a joint_torque"),
     ],
 )

@@ -284,3 +284,24 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     if name == "torque_sensor":
         assert read_experiment(tmp_path / "experiment.yaml").signals.sensors == ("j1", "j2")
         assert "Drive gains need the mass" not in text
+
+
+def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arm.xml").write_text(
+        "<mujoco><compiler angle='radian'/><worldbody><body name='trunk'><freejoint/><geom size='0.1' mass='1'/>"
+        "<body name='a'><joint name='j1' axis='0 1 0' range='-3 3'/><geom size='0.1' mass='1'/>"
+        "<body name='b' pos='0 0 0.3'><joint name='j2' axis='0 1 0' range='-3 3'/><geom size='0.1' mass='1'/>"
+        "</body></body></body></worldbody>"
+        "<actuator><motor joint='j1'/><motor joint='j2'/></actuator></mujoco>"
+    )
+    save(Path("log.csv"), "t,q1,q2,i1,i2", TIME, Q, V)
+    init = ["init", "log.csv", "--robot", "arm.xml", "--yes"]
+    assert "--base fixed" in CliRunner().invoke(app, init).output
+    for base, written in (("fixed", "fixed"), ("0, 0, deg(90)", "{rpy: [0, 0, deg(90)]}")):
+        found = CliRunner().invoke(app, [*init, "--base", base, "--out", "a.yaml"])
+        assert found.exit_code == 0, found.output
+        assert f"robot: {{file: arm.xml, base: {written}}}" in Path("a.yaml").read_text()
+        assert load_robot(read_experiment(Path("a.yaml")).robot).actuated == ("j1", "j2")
+        Path("a.yaml").unlink()
+    assert "name it too" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output

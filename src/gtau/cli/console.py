@@ -23,6 +23,7 @@ __all__ = [
     "ExperimentFile",
     "Json",
     "ModelFile",
+    "base_choice",
     "print_json",
     "progress_bar",
     "refusals",
@@ -42,6 +43,11 @@ Dask = Annotated[
         "--dask", metavar="ADDRESS", help="Work on the workers of a Dask scheduler (tcp://host:8786), or 'local'."
     ),
 ]
+
+
+def base_choice(text: str | None) -> Any:
+    """Read ``--base``: a word, or three angles in rad."""
+    return {"rpy": [angle.strip() for angle in text.split(",")]} if text is not None and "," in text else text
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import Json, print_json, refusals
+from gtau.cli.console import Json, base_choice, print_json, refusals
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
@@ -33,6 +33,10 @@ def init(
     robot: Annotated[
         str | None, typer.Option("--robot", metavar="ROBOT", help="Name in the catalog, or path of a robot file.")
     ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option("--base", metavar="fixed|ROLL,PITCH,YAW", help="Fix a floating base, or turned by angles in rad."),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")] = Path("experiment.yaml"),
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; mark in the file what to confirm.")] = False,
     json_: Json = False,
@@ -50,10 +54,12 @@ def init(
         ask = not (yes or json_) and _on_terminal()
         if robot is None and ask:
             robot = typer.prompt("Robot (name in the catalog or path of a file; empty if unknown)", default="") or None
-        known: Robot | None = None if robot is None else load_robot(robot)
+        if base is not None and robot is None:
+            raise GtauError("--base places a robot; name it too (--robot ROBOT).")
+        known: Robot | None = None if robot is None else load_robot(robot, base=base_choice(base))
         if known is not None:
             refuse_floating(known, "drafting its experiment file is")
-        draft = discover(logs, known, robot)
+        draft = replace(discover(logs, known, robot), base=base_choice(base))
         if ask:
             draft = _answered(draft)
         write_atomically(out, draft_text(draft, out.parent))

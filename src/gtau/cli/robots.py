@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, print_json, progress_bar, refusals
+from gtau.cli.console import Json, base_choice, print_json, progress_bar, refusals
 from gtau.errors import GtauError
 
 
 def robot(
     source: Annotated[
-        str,
+        str | None,
         typer.Argument(
-            metavar="NAME_OR_FILE",
-            help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv).",
+            metavar="[NAME_OR_FILE]",
+            help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv). "
+            "Without it the catalog is listed.",
             show_default=False,
         ),
-    ],
+    ] = None,
     save: Annotated[
         Path | None, typer.Option("--save", metavar="ROBOT.yaml", help="Write it as a robot file that you can edit.")
     ] = None,
@@ -42,12 +44,16 @@ def robot(
 ) -> None:
     """Show the joints, loops, degrees of freedom and base parameters of a robot."""
     with refusals(json_):
+        if source is None:
+            if save or figure or base or joints:
+                raise GtauError("no robot is named; give a name of the catalog or the path of a file.")
+            _list_catalog(json_)
+            return
         with progress_bar():
             from gtau.model.home import load_robot
             from gtau.report.robot_page import describe, robot_page
 
-            rpy = {"rpy": base.split(",")} if base is not None and "," in base else base
-            found = load_robot(source, base=rpy, joints=joints or ())
+            found = load_robot(source, base=base_choice(base), joints=joints or ())
         if save is not None:
             from gtau.robots.readers.native_text import write_native
             from gtau.robots.readers.urdf_loops import is_loops_file
@@ -70,3 +76,15 @@ def robot(
         else:
             written = [path for path in (save, figure) if path is not None]
             typer.echo("\n".join([robot_page(description), *(f"written: {path}" for path in written)]))
+
+
+def _list_catalog(as_json: bool) -> None:
+    from gtau.robots.readers.read import catalog_names, read_robot
+
+    robots = {name: read_robot(name) for name in catalog_names()}
+    if as_json:
+        print_json({"catalog": [{"name": name, "source": robot.source} for name, robot in robots.items()]})
+        return
+    for name, robot in robots.items():
+        motors = f"{len(robot.motors)} motor{'s' * (len(robot.motors) > 1)}"
+        typer.echo(textwrap.fill(f"{name:<16}{motors:<10}{robot.source}", 80, subsequent_indent=" " * 26))

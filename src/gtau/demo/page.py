@@ -16,8 +16,9 @@ from gtau.simulation.control_comparison import ControlComparison, table_document
 from gtau.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, PRIOR_GAINS, SECOND_PAYLOAD_MASS
 
 SAME_TRACKING = (
-    "The manufacturer's gains track as well as the identified ones: each model was identified with its own gains, so",
-    "both ask for nearly the same currents. Wrong gains show where forces in newtons count: in the weighing above.",
+    "The manufacturer's gains track as well as the identified ones: each model was",
+    "identified with its own gains, so both ask for nearly the same currents. Wrong",
+    "gains show where forces in newtons count: in the weighing above.",
 )
 COMMANDS = (
     "gtau identify experiment.yaml --out .",
@@ -85,7 +86,8 @@ def report(found: Mapping[str, Any], tracking: str) -> str:
     size = f"{logs['count']} logs of {logs['duration']:g} s at {logs['rate']:g} Hz"
     lines = [
         f"An Orthoglide whose true values are known: {size},",
-        "simulated with friction, force ripple, encoder rounding, noise and held currents, then used like any others.",
+        "simulated with friction, force ripple, encoder rounding, noise and held",
+        "currents, then used like any others.",
         "",
         f"Drive gains in N per A, from a known payload of {found['known_payload']['mass']} kg",
         f"  {'joint':<10}{'true':>10}{'manufacturer':>16}{'error %':>10}{'identified':>14}{'std':>8}{'error %':>10}",
@@ -104,7 +106,8 @@ def report(found: Mapping[str, Any], tracking: str) -> str:
         lines.append(f"  {label:<48}{mass['value']:>12.4f}{mass['std']:>8.4f}{mass['error']:>10.2f}")
     lines += [
         "",
-        "Predicting a run that was not used: rms error of the forces, away from reversals and over all samples",
+        "Predicting a run that was not used: rms error of the forces, away from",
+        "reversals and over all samples",
         f"  {'joint':<10}{'force, N':>12}{'error, N':>12}{'error %':>10}{'all, N':>12}{'all %':>10}",
     ]
     lines += [
@@ -114,7 +117,8 @@ def report(found: Mapping[str, Any], tracking: str) -> str:
     ]
     lines += [
         "",
-        "Following two trajectories, with computed torque by models identified with three sets of gains",
+        "Following two trajectories, with computed torque by models identified with",
+        "three sets of gains",
         "",
         tracking,
         "",

@@ -168,7 +168,8 @@ def summary_text(found: TorquesAlongLog) -> str:
     return "\n".join(
         [
             *lines,
-            "residual: rms torque residual of the identification; beyond 4: share of rows whose external torque",
-            "exceeds four of them, by chance 0.006 %. A contact, a collision or an unknown payload shows there.",
+            "residual: rms torque residual of the identification; beyond 4: share of rows",
+            "whose external torque exceeds four of them, by chance 0.006 %. A contact, a",
+            "collision or an unknown payload shows there.",
         ]
     )

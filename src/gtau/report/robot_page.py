@@ -15,6 +15,7 @@ from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot, base_rows
 from gtau.robots.units import unit_of
 
+WIDTH = 80
 TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
@@ -88,22 +89,24 @@ def describe(robot: Robot) -> dict[str, Any]:
 def robot_page(description: dict[str, Any]) -> str:
     """Print the description."""
     loops, base = description["loops"], description["base_parameters"]
-    lines = [
+    title = (
         f"{description['robot']}: {description['degrees_of_freedom']} degrees of freedom, "
-        f"{len(description['joints'])} joints" + (f" ({description['source']})" if description["source"] else ""),
-        "",
-    ]
+        f"{len(description['joints'])} joints" + (f" ({description['source']})" if description["source"] else "")
+    )
+    lines = [*_wrapped(title, 2), ""]
     free = base_rows(description["floating_base"] or "")
     bodies = [*description["joints"], *description["platforms"]]
     wide = 2 + max(len("antecedent"), *(len(body["name"]) for body in bodies))
-    lines.append(f"  {'joint':<{wide}}{'antecedent':<{wide}}{'kind':<11}{'':<10}{'home':>9}      limits")
+    lines += _wrapped(f"  {'joint':<{wide}}{'antecedent':<{wide}}{'kind':<10}{'':<9}{'home':>9}     limits", 28)
     for joint in description["joints"]:
         role = "actuated" if joint["actuated"] else "free" if joint["name"] in free else "passive"
-        lines.append(
-            "  "
-            f"{joint['name']:<{wide}}{joint['antecedent']:<{wide}}{joint['kind']:<11}{role:<10}"
-            f"{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']:<5}{_limits(joint)}".rstrip()
+        line = (
+            f"  {joint['name']:<{wide}}{joint['antecedent']:<{wide}}{joint['kind']:<10}{role:<9}"
+            f"{round(joint['home'], 10) + 0.0:>9.4g} {joint['unit']:<4}"
         )
+        limits = _limits(joint)
+        fits = len(line + limits) <= WIDTH
+        lines += [(line + limits).rstrip()] if fits else [line.rstrip(), *_wrapped(" " * 28 + limits, 28)]
     for platform in description["platforms"]:
         lines.append(f"  {platform['name']:<{wide}}platform, free in {' '.join(platform['dof'])}")
     gravity = ", ".join(f"{round(component, 10) + 0.0:.6g}" for component in description["gravity"])
@@ -128,17 +131,18 @@ def robot_page(description: dict[str, Any]) -> str:
     near = description["distances_at_home"]
     lines += ["", f"  distance to singularities at home (1 at best, 0 at one): type 1 (serial) {near['type_1']:.2g}"]
     lines[-1] += "" if near["type_2"] is None else f", type 2 (parallel) {near['type_2']:.2g}"
+    lines[-1:] = _wrapped(lines[-1], 4)
     for note in description["notes"]:
-        lines += ["", *textwrap.wrap(f"note: {note}", 100, initial_indent="  ", subsequent_indent="        ")]
+        lines += ["", *_wrapped(f"  note: {note}", 8)]
     lines += [
         "",
         f"  {base['count']} base parameters of {base['standard']} standard ones ({base['without_effect']} have no "
-        "effect); "
-        f"{base['count_inertial_only']} without rotor inertia, friction and offset:",
+        "effect);",
+        f"  {base['count_inertial_only']} without rotor inertia, friction and offset:",
     ]
     for name, formula in base["regroupings"].items():
         written = f"{name} [{base['units'][name]}]" + (f" = {formula}" if formula != name else "")
-        lines += textwrap.wrap(written, 96, initial_indent="    ", subsequent_indent="        ")
+        lines += _wrapped("    " + written, 8)
     return "\n".join(lines)
 
 
@@ -147,12 +151,17 @@ def _unit(parameter: str, robot: Robot) -> str:
     return unit_of(kind, robot, body)
 
 
+def _wrapped(line: str, indent: int) -> list[str]:
+    return textwrap.wrap(line, WIDTH, subsequent_indent=" " * indent)
+
+
 def _limits(joint: dict[str, Any]) -> str:
     limits, unit = joint["limits"], joint["unit"]
     low, high = limits["position"] or (None, None)
     parts = [] if low is None else [f"{low:.4g} to {high:.4g} {unit}"]
     units = {"velocity": f"{unit}/s", "acceleration": f"{unit}/s2", "effort": "N m" if unit == "rad" else "N"}
-    return ", ".join(parts + [f"{limits[key]:.4g} {what}" for key, what in units.items() if limits[key] is not None])
+    parts += [f"{limits[key]:.4g} {what}" for key, what in units.items() if limits[key] is not None]
+    return ", ".join(parts)
 
 
 def _equation(coupling: dict[str, Any]) -> str:

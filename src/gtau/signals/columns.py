@@ -197,6 +197,13 @@ class Signals(Keys):
         return self
 
     @model_validator(mode="after")
+    def _temperatures_of_joints(self) -> Signals:
+        for joint in self.temperature_columns:
+            if joint not in self.position:
+                raise ValueError(f"'temperature' names the joint '{joint}', which has no position; correct the name")
+        return self
+
+    @model_validator(mode="after")
     def _ratios_of_motor_torques(self) -> Signals:
         ratios = self.gear_ratio or {}
         if self.motor_torque is None and ratios:

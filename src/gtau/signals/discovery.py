@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,8 @@ class Draft:
     of their own. ``position`` and ``command`` are columns by joint, ``kind`` what the latter hold. ``masses`` (kg) of
     payloads by log come from the names of the files. ``sensors`` are columns of torque sensors by joint, such by their
     names, ``torques`` those that may be. ``others`` are columns that might be meant instead. Columns
-    of ``temperature`` are by joint, or one for all; those of a ``pose`` are only listed.
+    of ``temperature`` are by joint, or one for all; those of a ``pose`` are only listed. ``base`` says how
+    the robot's base is placed.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -46,6 +48,7 @@ class Draft:
     open: tuple[str, ...] = ()
     temperature: Mapping[str, str] | str | None = None
     pose: tuple[str, ...] = ()
+    base: Any = None
 
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None) -> Draft:

@@ -32,7 +32,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     lines = [
         f"# Drafted by 'gtau init' from {_count(len(draft.logs))}. Edit the lines marked CHECK, then run gtau check.",
         "",
-        _line(f"robot: {yaml_text(_robot(draft, folder), flow=True).splitlines()[0]}", _of(draft, "robot", "")),
+        _line(f"robot: {_flow(_robot(draft, folder))}", _of(draft, "robot", "")),
         "",
         "signals:",
     ]
@@ -44,7 +44,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
         lines.append(_line(f"  time: {_flow(time)}", why.get("time", "")))
     else:
         rate = 1000.0 if draft.rate is None else draft.rate
-        lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", why.get("time", "")) + " (Hz)"))
+        lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", why.get("time", ""))))
     matched = why.get("position", "")
     lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
     found = why.get("velocity", "")
@@ -79,11 +79,12 @@ def draft_text(draft: Draft, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _robot(draft: Draft, folder: Path) -> str:
+def _robot(draft: Draft, folder: Path) -> Any:
     if draft.robot is None:
         return "NAME-OR-FILE"
     path = Path(draft.robot)
-    return _relative(path, folder) if path.exists() else draft.robot
+    file = _relative(path, folder) if path.exists() else draft.robot
+    return file if draft.base is None else {"file": file, "base": draft.base}
 
 
 def _units(draft: Draft) -> list[str]:
