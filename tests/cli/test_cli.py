@@ -134,7 +134,8 @@ def test_every_method(here: Path, method: str) -> None:
 
 
 def test_total_least_squares_admits_that_noise_hides_the_payload(here: Path) -> None:
-    """At ten rows a second and 0.01 A of noise, the smallest singular value belongs to noise; other methods manage."""
+    """At ten rows a second and 0.012 A of noise, the smallest singular value belongs to noise; other methods manage."""
+    write_pair(here, 0.012)
     result = run("identify", "experiment.yaml", "--method", "tls", "--json")
     assert result.exit_code == 3
     found = json.loads(result.stdout)

@@ -39,7 +39,7 @@ def test_a_push_is_the_external_torque(result: gtau.Result) -> None:
     found = torques_along_log(result, pushed(3.0, 4.0, 2.0))
     table = found.table
     while_pushed = table.filter(pl.col("t").is_between(3.2, 3.8) & pl.col("usable_left"))
-    assert while_pushed.height > 20
+    assert while_pushed.height > 10
     assert while_pushed["external_left"].mean() == pytest.approx(2.0, rel=0.02)
     assert abs(while_pushed["external_right"].mean()) < 0.05
     before = table.filter((pl.col("t") < 2.8) & pl.col("usable_left"))

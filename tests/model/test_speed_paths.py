@@ -211,7 +211,8 @@ def test_factors_are_those_of_all_rows(rng):
     command, command_d, command_dd = rng.normal(size=(3, *q.shape))
     usable = rng.uniform(size=q.shape) < 0.999
     run = Run.__new__(Run)
-    object.__setattr__(run, "name", "made up")
+    for field, value in (("name", "made up"), ("joints", robot.actuated), ("sensors", ())):
+        object.__setattr__(run, field, value)
     prepared = InMemoryRun(run, SampleWindow(time, q, qd, qdd, command, command_d, command_dd, usable))
     names = tuple(idm.parameter_names[k] for k in range(3, len(idm.parameter_names), 2))
     decimator = Decimator(5)

@@ -20,7 +20,7 @@ from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store, store
 
-FACTORS_VERSION = 1  # of the numbers in Factors; raised with every change of them, for the cache
+FACTORS_VERSION = 2  # of the numbers in Factors; raised with every change of them, for the cache
 STRETCHES = 20
 ROWS = 512  # merged into a triangle at once
 CURRENTS = 3  # columns of a joint's current: v, v', v''
