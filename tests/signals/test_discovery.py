@@ -304,4 +304,5 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
         assert f"robot: {{file: arm.xml, base: {written}}}" in Path("a.yaml").read_text()
         assert load_robot(read_experiment(Path("a.yaml")).robot).actuated == ("j1", "j2")
         Path("a.yaml").unlink()
+    assert "--base is 'sideways'; write" in CliRunner().invoke(app, [*init, "--base", "sideways"]).output
     assert "name it too" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output

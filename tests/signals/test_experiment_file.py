@@ -76,6 +76,7 @@ runs:
 # name, text to replace in GOOD, its replacement, what the error says
 BAD = [
     ("no runs", "runs:\n", "rums:\n", "line 4, rums: unknown key 'rums'; did you mean 'runs'?"),
+    ("key of no kin", "runs:\n", "foo:\n", "line 4, foo: unknown key 'foo'; choose from drives, preparation"),
     ("no robot", "robot: orthoglide\n", "", "the key 'robot' is missing; add it"),
     ("empty runs", GOOD[GOOD.index("runs:") : GOOD.index("validation")], "runs: []\n", "0 values are written"),
     ("misspelt key", "position:", "postion:", "signals.postion: unknown key 'postion'; did you mean 'position'?"),

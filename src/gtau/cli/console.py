@@ -47,7 +47,12 @@ Dask = Annotated[
 
 def base_choice(text: str | None) -> Any:
     """Read ``--base``: a word, or three angles in rad."""
-    return {"rpy": [angle.strip() for angle in text.split(",")]} if text is not None and "," in text else text
+    if text is None or text in ("fixed", "floating"):
+        return text
+    angles = [angle.strip() for angle in text.split(",")]
+    if len(angles) != 3:
+        raise GtauError(f"--base is '{text}'; write fixed, floating, or three angles in rad, such as 0,0,deg(90).")
+    return {"rpy": angles}
 
 
 @contextmanager

@@ -139,7 +139,11 @@ def ripple_notes(found: PositionRipple, fit: Fit) -> list[Note]:
     j = int(np.argmax(found.shares[: len(joints)]))
     moves = 100 * np.abs(found.moves[fit.system.problem.gain_rows] / fit.gains)
     k = int(np.argmax(moves))
-    of_gains = f" (that of the gain of joint '{joints[k]}' {moves[k]:.2g} %)" if moves[k] else ""
+    of_gains = (
+        f" (that of the gain of joint '{joints[k]}' {moves[k]:{'.0f' if moves[k] >= 99.5 else '.2g'}} %)"
+        if moves[k]
+        else ""
+    )
     what = (
         f"residuals repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance at joint "
         f"'{joints[j]}'): ripple of the motors, cables or springs, which the model lacks. They repeat in every run, so "
