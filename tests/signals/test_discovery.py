@@ -306,3 +306,9 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
         Path("a.yaml").unlink()
     assert "--base is 'sideways'; write" in CliRunner().invoke(app, [*init, "--base", "sideways"]).output
     assert "name it too" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output
+
+
+def test_a_single_column_without_a_header_is_refused(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "positions.txt", Q.ravel())
+    with pytest.raises(GtauError, match="single column without a header; put time, positions and currents of a run"):
+        discover([tmp_path / "positions.txt"], load_robot("five-bar"), "five-bar")

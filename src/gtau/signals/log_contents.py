@@ -235,10 +235,16 @@ def _numbered(path: Path, table: Table, joints: int) -> LogContents:
             scores = [correlation(values[rest[k]], values[rest[n + k]]) for k in range(n)]
             if (score := float(np.median(scores))) > max(best, DERIVATIVE):
                 best, width = score, n
+    if not width and len(names) == 1:
+        raise GtauError(
+            f"{path} holds a single column without a header; put time, positions and currents of a run side by side in "
+            "one file, with names in its first line (t,q1,q2,current1,current2)."
+        )
     if not width:
         raise GtauError(
             f"{path} has no header, and among its {len(names)} columns no positions are recognised by their "
-            "velocities; write a first line with names (t,q1,q2,current1,current2), or give the robot (--robot)."
+            "velocities; write a first line with names (t,q1,q2,current1,current2)"
+            + ("." if joints else ", or give the robot (--robot).")
         )
     kinds = ["position", "velocity"]
     blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]
