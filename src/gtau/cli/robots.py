@@ -16,7 +16,7 @@ def robot(
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="[NAME_OR_FILE]",
+            metavar="NAME_OR_FILE",
             help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv). "
             "Without it the catalog is listed.",
             show_default=False,
