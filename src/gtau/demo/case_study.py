@@ -89,9 +89,9 @@ TABLE_3_NOTES = """\
 The differences, point by point:
 
 - **Gains.** Ours are the plant's own to some hundredths of a per cent; whether the paper's are right to its 0.39 %
-  nobody can know but by weighing. Our deviations are smaller because a simulated robot has no elasticity, backlash or
-  warm-up, and they are honest (a block jackknife), which the paper's formula (39) is not where residuals are
-  correlated.
+  nobody can know but by weighing. Our standard deviations are smaller because a simulated robot has no elasticity,
+  backlash or warm-up, and they are honest (a block jackknife), which the paper's formula (39) is not where residuals
+  are autocorrelated.
 - **Axes** (`m_11R` to `fs_13`, `m_PR`). They agree because the plant was given them.
 - **`mx_21`, `off_21R`, `off_23R`, `fv_21R`, `fv_33R`, the passive frictions.** The paper keeps values such as `fv_33R
   = -5.57`, a friction that drives, and opposite to `fv_21R = 5.57`: at the ratio 10 kept parameters take over what
@@ -100,12 +100,12 @@ The differences, point by point:
 - **The set.** Ours cancels what the Bayesian information criterion does not keep. A kept parameter absorbs what
   cancelled ones did, so its deviation here is the one with all parameters: above 100 % it means that only a sum with
   cancelled ones is known (`mx_21` and `mx_41`), though the torque needs the term. The paper's rule (`--ratio 10`) takes
-  cancelled ones for zero and compares each parameter with the most accurate one; with our smaller deviations it would
-  cancel even `m_PR`, and `m_11R` would take over its kilogram.
+  cancelled ones for zero and compares each parameter with the most accurate one; with our smaller standard
+  deviations it would cancel even `m_PR`, and `m_11R` would take over its kilogram.
 """
 PAYLOAD_NOTES = """\
 With the manufacturer's gains the payload is found too light by as much as the gains are too small: the paper's case
-1. With the identified gains it is right. That the deviations are smaller than the paper's 0.02 kg is again a
+1. With the identified gains it is right. That the standard deviations are smaller than the paper's 0.02 kg is again a
 simulated robot's smoothness.
 """
 TABLE_4_NOTES = """\
