@@ -49,7 +49,8 @@ class Alternative:
     hypothesis, subject : str
         What it is, in words, and the name of its hypothesis.
     size, std, unit : float, float, str
-        The unknown as the data find it; ``std`` is infinite where the other unknowns explain as much.
+        The unknown as the data find it; ``std`` is infinite where the other unknowns explain as much, and NaN where
+        the share of the residual variance alone shows how significant it is.
     plausible : float
         Standard deviation of the sizes that experience allows.
     group : str
@@ -90,6 +91,11 @@ class Alternative:
     def t(self) -> float:
         """Size in standard deviations."""
         return self.size / self.std if 0 < self.std < np.inf else 0.0
+
+    @property
+    def significant(self) -> bool:
+        """Whether it is no chance: by its size, or by the share that made it an alternative."""
+        return bool(np.isnan(self.std)) or abs(self.t) > REFUTED_STD
 
     @property
     def mean_square(self) -> float:
@@ -221,10 +227,9 @@ def _together(
     slopes = T @ (step[: J.shape[1]] - before)
     subject, advice = describe(step[J.shape[1] :], alone / share)
     moves = slopes[fit.system.problem.gain_rows] / fit.gains
-    # a share of the residual variance as large as this is significant by far
     return [
         Alternative(
-            hypothesis.name, subject, 1.0, 1 / (2 * REFUTED_STD), "", 1.0, subject, np.inf, 1.0, share, slopes, moves,
+            hypothesis.name, subject, 1.0, np.nan, "", 1.0, subject, np.inf, 1.0, share, slopes, moves,
             advice, hypothesis.description,
         )
     ]  # fmt: skip

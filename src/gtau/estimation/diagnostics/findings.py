@@ -24,7 +24,6 @@ from gtau.estimation.thresholds import (
     LACKING,
     PLAUSIBLE_GAIN_CHANGE,
     REFUTED_SHARE,
-    REFUTED_STD,
     SCALED,
 )
 from gtau.progress import Progress, silent
@@ -63,7 +62,7 @@ class Findings:
         Each is tried alone, so what a lag of the currents leaves, say, goes in part with gravity, with lengths and with
         currents that change: none of these refutes the description unless it explains more than the lag of all joints.
         """
-        held = [each for each in self.alternatives if each.probability > 0.5 and abs(each.t) > REFUTED_STD]
+        held = [each for each in self.alternatives if each.probability > 0.5 and each.significant]
         of_physics: dict[str, float] = {}
         for each in held:
             if not each.description:
@@ -132,8 +131,7 @@ def _of_lengths(fit: Fit, progress: Progress) -> list[Alternative]:
     if found is None:
         return []
     subject = f"another length, such as {found.what}"
-    # a share of the residual variance as large as this is significant by far
-    certain = _certain(fit, "lengths", subject, found.change, abs(found.change) / (2 * REFUTED_STD), found.moves)
+    certain = _certain(fit, "lengths", subject, found.change, np.nan, found.moves)
     return [replace(certain, share=found.share, advice="check the robot's geometry")]
 
 
