@@ -26,7 +26,8 @@ from gtau.estimation.regression.friction import Friction
 from gtau.model.home import load_robot
 from gtau.signals.decimation import Decimator
 from gtau.signals.payload import Payload
-from gtau.signals.preparation import Preparation, choose_preparation
+from gtau.signals.preparation import Preparation
+from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")

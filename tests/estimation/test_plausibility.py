@@ -16,7 +16,8 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.model.home import load_robot
 from gtau.robots.readers.read import CATALOG
-from gtau.signals.preparation import choose_preparation, prepare
+from gtau.signals.preparation import prepare
+from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run
 
 PLANT = Plant(noise=0.01)

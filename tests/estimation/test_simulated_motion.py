@@ -29,7 +29,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.signals.decimation import Decimator
 from gtau.signals.payload import Payload
-from gtau.signals.preparation import Preparation, choose_preparation, prepare
+from gtau.signals.preparation import Preparation, prepare
+from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run
 from gtau.simulation import plant
 from gtau.simulation.closed_loop import simulate

@@ -23,7 +23,8 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.dataset import cut, joined, reduce_runs, reduce_shard
 from gtau.estimation.regression.factors import STRETCHES, HuberWeights
 from gtau.signals.filters import position_filter
-from gtau.signals.preparation import Preparation, choose_preparation, prepare
+from gtau.signals.preparation import Preparation, prepare
+from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.quantiles import Quantiles, medians
 from gtau.signals.run import Run, arrange, read_run
 from gtau.signals.sizes import Sizes, working_with

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.preparation import choose_preparation, prepare
+from gtau.signals.preparation import prepare
+from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run, read_run
 
 RATE = 1000.0

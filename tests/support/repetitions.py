@@ -15,7 +15,8 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.forecast import expected_runs
 from gtau.excitation.task import DesignProblem
 from gtau.signals.filters import differentiate
-from gtau.signals.preparation import choose_preparation, prepare
+from gtau.signals.preparation import prepare
+from gtau.signals.preparation_choice import choose_preparation
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

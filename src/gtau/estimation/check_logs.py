@@ -31,7 +31,8 @@ from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.logged_run import LoggedRun
 from gtau.signals.notes import Kind, Note
-from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, moving_spectra
+from gtau.signals.preparation import Preparation, PreparedRun
+from gtau.signals.preparation_choice import choose_preparation, moving_spectra
 from gtau.signals.run import Run, arrange
 from gtau.signals.sizes import sizes
 from gtau.signals.storage import Store

@@ -27,7 +27,8 @@ from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import Prior
 from gtau.signals.notes import Kind, Note
 from gtau.signals.payload import Payload
-from gtau.signals.preparation import Preparation, PreparedRun, choose_preparation, prepare
+from gtau.signals.preparation import Preparation, PreparedRun, prepare
+from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run, arrange
 
 SHARD = 1 << 19  # samples of a shard, at least
