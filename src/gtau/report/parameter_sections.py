@@ -27,9 +27,7 @@ from gtau.report.html.elements import (
 from gtau.report.style import joint_label
 
 STRONG = 0.9  # correlation from which on a pair is listed
-
 LISTED = 20
-
 POORLY_KNOWN = 1000.0  # per cent: of a larger standard deviation the value says nothing
 
 

@@ -22,9 +22,7 @@ from gtau.report.html.series import (
 from gtau.report.style import joint_label
 
 OPEN_RUNS = 1  # of the runs used, and of the others: shown unfolded
-
 GROUPS = (("runs used", True), ("validation", False))
-
 SERIES_A_JOINT = 3  # measured, predicted, residual
 
 

@@ -23,7 +23,6 @@ from gtau.signals.storage import block, spans, stored
 
 SPEED_FRACTION = 0.05  # of a joint's rms speed
 CLOSE_TO_NYQUIST = 0.1  # of the sampling rate: bandwidths above are noted; speeds are then too small by 0.5 %
-
 NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than 0.1 % to the speed's power
 
 
