@@ -117,7 +117,7 @@ def test_a_spring_inside_the_robot_does_not_push_its_base(rng: np.random.Generat
 def test_platforms_that_the_ground_guides_cannot_float() -> None:
     from robots_for_tests import planar_3rrr
 
-    with pytest.raises(GtauError, match=r"moves in .* of the ground alone, which a floating base takes along"):
+    with pytest.raises(GtauError, match=r"moves in .* of the ground alone, which a floating base carries along"):
         float_base(planar_3rrr())
     with pytest.raises(GtauError, match="its base 'base' floats already"):
         float_base(float_base(seven_r()))
