@@ -285,6 +285,7 @@ def test_milliamperes_read_as_amperes_contradict_the_prior_gains(runs: list[Run]
     assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD
 
 
+@pytest.mark.slow
 def test_grams_read_as_kilograms_contradict_prior_gains_and_limits(runs: list[Run]) -> None:
     grams = [heavier(run, "1.983 kg", 1e3) for run in runs]
     assert "looks like g taken for kg" in sentences(identify(ROBOT, grams, prior_gains=per_ampere(0.9)))

@@ -151,6 +151,7 @@ def test_the_design_criterion_agrees_with_the_forecast(found: Design) -> None:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
+@pytest.mark.slow
 def test_a_design_tells_twice_as_much_as_the_best_of_200_random_motions(tmp_path: Path) -> None:
     task, _ = read_design(write(tmp_path, ORTHOGLIDE))
     found = design(task, starts=1)

@@ -56,6 +56,7 @@ def test_a_member_is_found_from_another_folder(tmp_path: Path, monkeypatch: pyte
     assert (member.name, member.experiment, member.logs) == ("one", tmp_path / "e.yaml", tmp_path / "logs")
 
 
+@pytest.mark.slow
 def test_the_two_that_are_off_are_found(cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     arguments = (str(cells / "*" / "experiment.yaml"), "--out", str(out))

@@ -209,6 +209,7 @@ def program(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
 
 
+@pytest.mark.slow
 def test_identify_on_a_scheduler(client, experiment: Path, tmp_path: Path) -> None:
     made = program(tmp_path, "identify", str(experiment), "--out", "out", "--dask", client.scheduler.address)
     assert (made.returncode, made.stderr) == (0, "")

@@ -233,7 +233,7 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
 def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:
     """Say that `what` is unknown, with the closest of `choices` to `name`, or with all of them."""
     choices = sorted(choices)
-    close = get_close_matches(name, choices, n=1, cutoff=0.52)
+    close = get_close_matches(name, choices, n=1, cutoff=0.5 if len(name) <= 2 else 0.52)  # one letter of two is close
     return f"unknown {what}; " + (f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(choices)}")
 
 
