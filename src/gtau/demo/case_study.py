@@ -98,10 +98,10 @@ The differences, point by point:
   cancelled ones did. Our plant has ordinary small frictions instead, the same in the three legs, and they are what is
   found.
 - **The set.** Ours cancels what the Bayesian information criterion does not keep. A kept parameter absorbs what
-  cancelled ones did, so its deviation here is the one with all parameters: above 100 % it means that only a sum with
-  cancelled ones is known (`mx_21` and `mx_41`), though the torque needs the term. The paper's rule (`--ratio 10`) takes
-  cancelled ones for zero and compares each parameter with the most accurate one; with our smaller standard
-  deviations it would cancel even `m_PR`, and `m_11R` would take over its kilogram.
+  cancelled ones did, so its standard deviation here is the one with all parameters: above 100 % it means that only a
+  sum with cancelled ones is known, though the torque needs the term. The paper's rule (`--ratio 10`) takes cancelled
+  ones for zero and compares each parameter with the most accurate one; with our smaller standard deviations it would
+  cancel even `m_PR`, and `m_11R` would take over its kilogram.
 """
 PAYLOAD_NOTES = """\
 With the manufacturer's gains the payload is found too light by as much as the gains are too small: the paper's case
@@ -193,7 +193,7 @@ def _table_3(found: Mapping[str, Any], result: Result) -> list[Sequence[str]]:
         sigma = None if each is None else each.rel_std
         rel = "" if sigma is None else f"{sigma:.2f}" if sigma <= NOT_SHOWN else f"> {NOT_SHOWN:g}"
         value = "cancelled" if each is None or each.value is None else f"{each.value:.4g}"
-        value = "not told" if (sigma or 0.0) > NOT_SHOWN else value
+        value = "not identifiable" if (sigma or 0.0) > NOT_SHOWN else value
         rows.append((label, unit, *published, f"{true[name]:.4g}", value, rel))
     return rows
 
