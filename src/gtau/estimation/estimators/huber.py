@@ -65,6 +65,16 @@ def sandwich_factor(factors: Sequence[Factors]) -> float:
 
     Leaving out a row changes the weights of the others as well: the curvature of Huber's loss is 1 for the rows below
     the limit and 0 above it, on average ``E[psi'] < E[w]``.
+
+    Parameters
+    ----------
+    factors : sequence of Factors
+        Of all runs, with the residuals (rows, c) of the last pass, A, of torque sensors N m or N.
+
+    Returns
+    -------
+    float
+        ``E[w] / E[psi']`` over all rows, at least 1.
     """
     limit = TUNING * MAD * medians(partial(_sizes, factors))
     weights, curvature = 0.0, 0
