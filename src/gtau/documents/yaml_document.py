@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 64
 
-Keys = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """The way to a value: keys of mappings and positions (from 0) in lists."""
 
 
@@ -37,15 +37,15 @@ class Document:
 
     path: Path
     data: dict[str, Any]
-    lines: Mapping[Keys, int]
+    lines: Mapping[KeyPath, int]
 
-    def line(self, keys: Keys) -> int | None:
+    def line(self, keys: KeyPath) -> int | None:
         """Find the line (from 1) of the value at `keys`, or of the nearest value around it that is written."""
         while keys and keys not in self.lines:
             keys = keys[:-1]
         return self.lines.get(keys) if keys else None
 
-    def error(self, keys: Keys, problem: str) -> GtauError:
+    def error(self, keys: KeyPath, problem: str) -> GtauError:
         """Make an error that names the file, the line and the dotted key; `problem` says what to write instead."""
         place = [str(self.path)]
         if (line := self.line(keys)) is not None:
@@ -102,7 +102,7 @@ class _Composer:
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         self.events: Iterator[Any] = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-        self.lines: dict[Keys, int] = {}
+        self.lines: dict[KeyPath, int] = {}
 
     def document(self) -> Document:
         try:
@@ -125,7 +125,7 @@ class _Composer:
             raise GtauError(f"{self.path} holds control characters; save it as plain text.") from None
         return Document(self.path, data, self.lines)
 
-    def value(self, event: Any, keys: Keys) -> Any:
+    def value(self, event: Any, keys: KeyPath) -> Any:
         self.lines[keys] = event.start_mark.line + 1
         if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
             raise self.error(event, "anchors (&) and aliases (*) are not read; write the value out")
@@ -237,7 +237,7 @@ def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:
     return f"unknown {what}; " + (f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(choices)}")
 
 
-def _written(location: Keys, data: Any) -> Keys:
+def _written(location: KeyPath, data: Any) -> KeyPath:
     """Drop from pydantic's location what is not in the file: names of union members and of missing keys."""
     keys: list[str | int] = []
     for key in location:
@@ -247,7 +247,7 @@ def _written(location: Keys, data: Any) -> Keys:
     return tuple(keys)
 
 
-def _fields(annotation: Any, keys: Keys) -> set[str]:
+def _fields(annotation: Any, keys: KeyPath) -> set[str]:
     """List the keys that the model accepts at a place."""
     from pydantic import BaseModel
 

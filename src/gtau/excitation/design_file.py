@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
+from gtau.documents.keys import Keys, Positive
 from gtau.documents.kinds import DESIGN, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
@@ -27,7 +28,6 @@ from gtau.robots.robot import Pose, Robot
 from gtau.signals.logged_run import file_or_name
 from gtau.signals.payload import Payload
 
-Positive = Annotated[FiniteFloat, Field(gt=0)]
 Interval = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 CONDITION = 100.0  # default of the largest condition number of the closures
@@ -35,23 +35,19 @@ TURN = np.pi  # rad, reach of a joint without position limits
 TURNING = 0.3  # rad, reach of a platform's turns
 
 
-class _Keys(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class PlannedRun(_Keys):
+class PlannedRun(Keys):
     """A run of the motion, with a payload or with none."""
 
     payload: Payload | Literal["none"]
 
 
-class DesignPrior(_Keys):
+class DesignPrior(Keys):
     """What is known beforehand: a model, or standard parameters and drive gains; and the currents' noise, A."""
 
     model: Path | None = None
-    gains: dict[str, FiniteFloat] = {}
-    parameters: dict[str, FiniteFloat] = {}
-    noise: dict[str, Positive] = {}
+    gains: dict[str, FiniteFloat] = Field(default_factory=dict)
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+    noise: dict[str, Positive] = Field(default_factory=dict)
 
     @field_validator("model")
     @classmethod
@@ -65,7 +61,7 @@ class DesignPrior(_Keys):
         return self
 
 
-class ShapeEntry(_Keys):
+class ShapeEntry(Keys):
     """A shape of a body, in its frame: a capsule about the line between two points, or the convex hull of a mesh."""
 
     capsule: tuple[Triple, Triple] | None = None
@@ -91,19 +87,19 @@ class ShapeEntry(_Keys):
         return self
 
 
-class LimitsEntry(_Keys):
+class LimitsEntry(Keys):
     """Limits in place of the robot's, by joint; and those of the motion as a whole."""
 
-    position: dict[str, Interval] = {}
-    velocity: dict[str, Positive] = {}
-    acceleration: dict[str, Positive] = {}
-    jerk: dict[str, Positive] = {}
-    current: dict[str, Positive] = {}
-    workspace: dict[Literal["x", "y", "z"], Interval] = {}
+    position: dict[str, Interval] = Field(default_factory=dict)
+    velocity: dict[str, Positive] = Field(default_factory=dict)
+    acceleration: dict[str, Positive] = Field(default_factory=dict)
+    jerk: dict[str, Positive] = Field(default_factory=dict)
+    current: dict[str, Positive] = Field(default_factory=dict)
+    workspace: dict[Literal["x", "y", "z"], Interval] = Field(default_factory=dict)
     condition: Annotated[FiniteFloat, Field(gt=1)] = CONDITION
     away_from_reversals: Annotated[FiniteFloat, Field(ge=0, lt=1)] = 0.3
     clearance: Positive = 0.02
-    shapes: dict[str, tuple[ShapeEntry, ...]] = {}
+    shapes: dict[str, tuple[ShapeEntry, ...]] = Field(default_factory=dict)
 
     @field_validator("position", "workspace")
     @classmethod
@@ -114,7 +110,7 @@ class LimitsEntry(_Keys):
         return intervals
 
 
-class DesignFile(_Keys):
+class DesignFile(Keys):
     """What stands in a design file."""
 
     robot: str
@@ -124,7 +120,7 @@ class DesignFile(_Keys):
     repetitions: Annotated[int, Field(ge=1)] = 1
     space: Literal["joint", "platform"] = "joint"
     approach: bool = True
-    rest: dict[str, FiniteFloat] = {}
+    rest: dict[str, FiniteFloat] = Field(default_factory=dict)
     runs: tuple[PlannedRun, ...] = Field(min_length=1)
     motions: Literal["one", "each run"] = "one"
     limits: LimitsEntry = LimitsEntry()

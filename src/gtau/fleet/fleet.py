@@ -10,9 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from gtau.documents.files import in_order, matching, write_atomically
+from gtau.documents.keys import Keys
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import model_text
@@ -73,14 +74,12 @@ Patterns = Annotated[
 ]
 
 
-class FleetFile(BaseModel):
+class FleetFile(Keys):
     """A fleet file: ``experiments``, one of each robot; or one ``experiment`` with the folders of all robots' logs.
 
     All are paths or patterns, relative to the file. The paths of the one experiment's logs are relative to each of
     the ``folders``.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     experiments: Patterns | None = None
     experiment: Path | None = None

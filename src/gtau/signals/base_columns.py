@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, FiniteFloat, model_validator
+from pydantic import FiniteFloat, model_validator
 
+from gtau.documents.keys import Keys
 from gtau.errors import GtauError
 from gtau.robots.geometry import turn
 from gtau.robots.robot import base_rows
@@ -23,11 +24,7 @@ Vector = tuple[str, str, str]
 Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
-class _Keys(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Wrench(_Keys):
+class Wrench(Keys):
     """Columns of a force (N) and a moment (N m) that act on the base, along the axes of the world or of the base.
 
     The moment is that about the point ``at`` (m), in the world or on the base: the origin of a force plate, or of a
@@ -40,7 +37,7 @@ class Wrench(_Keys):
     at: Point = (0.0, 0.0, 0.0)
 
 
-class BaseUnits(_Keys):
+class BaseUnits(Keys):
     """Unit of the position of a base."""
 
     length: str = "m"
@@ -53,7 +50,7 @@ class BaseUnits(_Keys):
         return self
 
 
-class BaseColumns(_Keys):
+class BaseColumns(Keys):
     """Columns of the pose of a floating ``body`` in a world whose z axis points up, and of the wrenches on it.
 
     ``position`` are x, y and z, ``quaternion`` w, x, y and z of its orientation; left out, it does not move so. ``yaw``

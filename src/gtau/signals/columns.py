@@ -9,8 +9,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Discriminator,
     Field,
     FiniteFloat,
@@ -19,13 +17,12 @@ from pydantic import (
     model_validator,
 )
 
+from gtau.documents.keys import Keys, Positive
 from gtau.documents.yaml_document import Document, validate
 from gtau.signals.base_columns import BaseColumns, BaseUnits
 from gtau.signals.pose_columns import PoseColumns, PoseUnits
 from gtau.signals.presets import expanded, time_unit
 from gtau.signals.units import SHARES, Kind, is_angle, si_factor
-
-Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
 def _text_or_group(value: Any) -> str:
@@ -36,12 +33,6 @@ def _kind_of_time(value: Any) -> str:
     if isinstance(value, StampsOfEach) or (isinstance(value, dict) and value.keys() & {"position", "command"}):
         return "each"
     return "text" if isinstance(value, str) else "pair" if isinstance(value, (list, tuple)) else "group"
-
-
-class Keys(BaseModel):
-    """A group of a file: a key that it does not know is an error."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class SampleRate(Keys):

@@ -13,12 +13,13 @@ from pydantic import (
     model_validator,
 )
 
+from gtau.documents.keys import Keys, Positive
 from gtau.documents.kinds import EXPERIMENT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
-from gtau.signals.columns import Keys, Positive, SampleRate, Signals, Units
+from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload

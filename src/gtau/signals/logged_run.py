@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from gtau.documents.files import matching
-from gtau.signals.columns import Keys, Positive
+from gtau.documents.keys import Keys, Positive
 from gtau.signals.formats import is_log_folder
 from gtau.signals.payload import Payload
 from gtau.signals.samples import Part

@@ -12,9 +12,10 @@ from pydantic import (
     model_validator,
 )
 
+from gtau.documents.keys import Keys, Positive
 from gtau.documents.yaml_document import validate
 from gtau.robots.robot import INERTIAL
-from gtau.signals.columns import Keys, Positive, document_of
+from gtau.signals.columns import document_of
 
 
 class Payload(Keys):

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from gtau.documents.keys import Keys
 from gtau.signals.units import is_angle, si_factor
 
 AXES = "xyz"
 
 
-class _Keys(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Angles(_Keys):
+class Angles(Keys):
     """Columns of angles about the axes of a ``sequence``, one for each.
 
     Capitals turn about axes that turn with the body (``YZ`` is Ry(first) Rz(second)), small letters about fixed ones
@@ -47,7 +44,7 @@ class Angles(_Keys):
         return sequence, self.columns[::-1] if fixed else self.columns
 
 
-class PoseColumns(_Keys):
+class PoseColumns(Keys):
     """The pose of a ``body`` (the tool, if left out), as far as it is logged.
 
     ``source`` says whose pose it is: of the body in the base (``controller``), of a tool whose place on the body is
@@ -104,7 +101,7 @@ def _unit(angle: bool) -> AfterValidator:
     return AfterValidator(checked)
 
 
-class PoseUnits(_Keys):
+class PoseUnits(Keys):
     """Units of the lengths and the angles of a pose."""
 
     length: Annotated[str, _unit(False)] = "m"

@@ -6,13 +6,13 @@ import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
+from gtau.documents.keys import Keys, Positive
 from gtau.documents.kinds import SIMULATION, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml, validate
 from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.columns import Positive
 from gtau.signals.logged_run import file_or_name
 from gtau.signals.payload import Payload
 from gtau.simulation.controllers import BANDWIDTH
@@ -23,11 +23,7 @@ NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 PerJoint = dict[str, FiniteFloat]
 
 
-class _Keys(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class JointHardware(_Keys):
+class JointHardware(Keys):
     """Drive and sensors of a joint; see :class:`gtau.simulation.drive.Drive` and ``Sensors``."""
 
     gain: FiniteFloat
@@ -51,7 +47,7 @@ class JointHardware(_Keys):
         return Sensors(self.position_quantum, self.delay, self.current_noise, self.current_quantum)
 
 
-class RandomMotion(_Keys):
+class RandomMotion(Keys):
     """A random trajectory within a share of the joints' limits."""
 
     seed: int = 0
@@ -59,7 +55,7 @@ class RandomMotion(_Keys):
     share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
 
 
-class Points(_Keys):
+class Points(Keys):
     """Fifth-order moves from point to point, each as fast as a share of the joints' limits allows."""
 
     through: tuple[PerJoint, ...] = Field(min_length=2)
@@ -67,7 +63,7 @@ class Points(_Keys):
     share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
 
 
-class Fourier(_Keys):
+class Fourier(Keys):
     """``center + sum amplitude sin(2 pi frequency t + phase)``, faded in and out; rad or m, Hz, rad, s."""
 
     duration: Annotated[FiniteFloat, Field(ge=3, le=3600)]
@@ -88,7 +84,7 @@ class Fourier(_Keys):
         return self
 
 
-class MotionEntry(_Keys):
+class MotionEntry(Keys):
     """A trajectory, of one kind; ``csv`` holds the columns ``t`` and ``q_<joint>``, as 'gtau excite' writes them."""
 
     sines: RandomMotion | None = None
@@ -112,7 +108,7 @@ class MotionEntry(_Keys):
         return self
 
 
-class SimulatedRun(_Keys):
+class SimulatedRun(Keys):
     """A run to be simulated; a payload with ``weigh: true`` is written into the experiment file without its mass."""
 
     name: str
@@ -136,14 +132,14 @@ class SimulatedRun(_Keys):
         return self
 
 
-class Friction(_Keys):
+class Friction(Keys):
     """Speeds over which Coulomb friction changes its sign, m/s and rad/s."""
 
     prismatic: Positive = WIDTH["prismatic"]
     revolute: Positive = WIDTH["revolute"]
 
 
-class Simulation(_Keys):
+class Simulation(Keys):
     """A simulation file; its paths are relative to it.
 
     ``control`` lists the trajectories on which control laws are compared; no logs are written of them.
@@ -157,7 +153,7 @@ class Simulation(_Keys):
     rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0
     bandwidth: Positive = BANDWIDTH
     seed: int = 0
-    prior_gains: PerJoint = {}
+    prior_gains: PerJoint = Field(default_factory=dict)
     runs: tuple[SimulatedRun, ...] = Field(min_length=1)
     validation: tuple[SimulatedRun, ...] = ()
     control: tuple[SimulatedRun, ...] = ()
