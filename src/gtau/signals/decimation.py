@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 MAX_FACTOR = 20
+PASSED = 0.8  # cut-off of the low-pass, of the Nyquist frequency of what is kept: that of MATLAB's ``decimate``
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class Decimator:
     ``fir`` is a Kaiser-windowed sinc of 3 ``factor`` samples with unit gain at zero frequency: an output
     rests on the samples of its ``support`` and on no others. ``chebyshev`` is MATLAB's ``decimate``, the
     paper's way: Chebyshev I of order 8, ripple 0.05 dB, forward and backward; its response never ends, and
-    180 ``factor`` samples of warm-up leave 1e-13 of it. Both cut off at 0.8 of the new Nyquist frequency.
-    With factor 1 nothing is filtered.
+    180 ``factor`` samples of warm-up leave 1e-13 of it. Both cut off at 0.8 of the new Nyquist frequency,
+    ``PASSED``. With factor 1 nothing is filtered.
     """
 
     factor: int
@@ -141,7 +142,7 @@ def _kernel(factor: int) -> np.ndarray:
 
     half = ceil(1.5 * factor)
     # beta = 5: side lobes 50 dB down, and a main lobe as narrow as so short a filter allows.
-    taps = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", 5.0))
+    taps = firwin(2 * half + 1, PASSED / factor, window=("kaiser", 5.0))
     return np.concatenate([np.zeros(-2 * half % factor), taps])
 
 
@@ -149,12 +150,13 @@ def _kernel(factor: int) -> np.ndarray:
 def _chebyshev(factor: int) -> np.ndarray:
     from scipy.signal import cheby1
 
-    return cheby1(8, 0.05, 0.8 / factor, output="sos")
+    return cheby1(8, 0.05, PASSED / factor, output="sos")
 
 
 def decimation_factor(rate: float, bandwidth: float, most: int = MAX_FACTOR) -> int:
-    """Factor that leaves five samples in a period of the fastest motion.
+    """Choose the factor that leaves five samples in a period of the fastest motion.
 
-    ``floor(0.4 rate / (2 bandwidth))``, at least 1 and at most ``most``; both in Hz.
+    ``floor(0.4 rate / (2 bandwidth))``, at least 1 and at most ``most``; both in Hz. The low-pass then cuts off at
+    twice the bandwidth.
     """
-    return int(min(max(0.4 * rate // (2 * bandwidth), 1), most))
+    return int(min(max(PASSED / 2 * rate // (2 * bandwidth), 1), most))

@@ -12,12 +12,16 @@ STENCIL = 2  # samples that a central difference reaches to either side
 # Periods of the cut-off after which a filter has forgotten its beginning to 1e-3: its slowest poles decay as
 # exp(-2.4 cutoff t). With two periods errors of the Panda rise from 2.0 to 2.2 % (geometric mean).
 EDGE = 3.0
+# Cut-offs from this share of the sampling rate on, 0.8 of the Nyquist frequency, are no filter. One there would leave
+# 94 % of the rms noise of the speeds and 64 % of that of the accelerations, of positions with white noise (one at 0.25:
+# 57 and 21 %), while its ends cost rows all the same.
+HIGHEST_CUTOFF = 0.4
 LARGEST_ENDS = 0.12  # share of the samples that may be lost at both ends
 FORGOTTEN = 18.0  # periods of the cut-off after which a filter has forgotten where it began, to 1e-18
 
 
 def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float = np.inf) -> float | None:
-    """Choose the cut-off of the position filter, Hz; None, no filter, unless below 0.8 of the Nyquist frequency.
+    """Choose the cut-off of the position filter, Hz; None for no filter.
 
     Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where the ``end`` of the signal lies
     below that it is taken: motion and noise are as strong there, and Wiener's filter, which makes the error of the
@@ -34,7 +38,12 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float =
     cutoff = max(10 * bandwidth, 5.0, ends)
     narrow = max(min(cutoff, end), 2.5 * bandwidth, ends)
     cutoff = narrow if narrow < 0.25 * rate else cutoff
-    return cutoff if cutoff < 0.4 * rate else None
+    return below_nyquist(cutoff, rate)
+
+
+def below_nyquist(cutoff: float, rate: float) -> float | None:
+    """Return the cut-off (Hz), or None where it is so near the Nyquist frequency that a filter gains nothing."""
+    return cutoff if cutoff < HIGHEST_CUTOFF * rate else None
 
 
 def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:

@@ -12,6 +12,7 @@ from gtau.signals.bandwidth import JointSpectrum, spectra
 from gtau.signals.decimation import Decimator
 from gtau.signals.filters import (
     STENCIL,
+    below_nyquist,
     differentiate,
     filter_edge,
     filter_margin,
@@ -59,8 +60,7 @@ class Preparation:
         cutoff = self.cutoff
         if "position_filter" not in self.given:
             cutoff = max(10 * self.bandwidth, 5.0) if cutoff is None else cutoff
-        if cutoff is not None and cutoff >= 0.4 * rate:
-            cutoff = None
+        cutoff = None if cutoff is None else below_nyquist(cutoff, rate)
         return replace(self, cutoff=cutoff, decimator=replace(self.decimator, factor=factor), rate=rate)
 
 

@@ -37,14 +37,15 @@ from gtau.estimation.regression.factors import CURRENTS
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds import NOISE_STD
+from gtau.signals.filters import below_nyquist
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation
 
 WINDOWS = 10  # of a run
 FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
-HALF = (
-    0.5  # of the position filter's cut-off: instruments above would share more than 3 % of the noise in accelerations
-)
+# and at most that of the position filter times this: instruments above would share more than 3 % of the noise of the
+# accelerations.
+HALF = 0.5
 SPANNED = 1e-6  # of the largest singular value: directions that the instruments do not reach are left as they are
 LISTED = 3.0  # standard deviations of a difference in a parameter, from which it is listed
 LISTED_PROBABILITY = 0.1
@@ -201,8 +202,7 @@ def _preparations(chosen: Preparation) -> list[tuple[str, Preparation, str]]:
     """List the preparations to try, by name, each with what to do where it matters."""
     found = []
     for factor in (0.7, 1.4):
-        cutoff = None if chosen.cutoff is None else factor * chosen.cutoff
-        cutoff = None if cutoff is not None and cutoff >= 0.4 * chosen.rate else cutoff
+        cutoff = None if chosen.cutoff is None else below_nyquist(factor * chosen.cutoff, chosen.rate)
         decimator = replace(chosen.decimator, factor=max(1, round(chosen.decimator.factor / factor)))
         other = replace(chosen, cutoff=cutoff, decimator=decimator)
         if other != chosen:
@@ -218,7 +218,7 @@ def _filtered_further(chosen: Preparation) -> Preparation | None:
     """Return the preparation of the instruments; None where the logs are too slow for a filter."""
     cutoff = FURTHER * chosen.bandwidth
     cutoff = cutoff if chosen.cutoff is None else min(cutoff, HALF * chosen.cutoff)
-    return replace(chosen, cutoff=cutoff) if cutoff < 0.4 * chosen.rate else None
+    return None if below_nyquist(cutoff, chosen.rate) is None else replace(chosen, cutoff=cutoff)
 
 
 def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:

@@ -27,7 +27,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
-from gtau.signals.filters import filter_edge, position_filter
+from gtau.signals.filters import below_nyquist, filter_edge, position_filter
 from gtau.signals.preparation import InMemoryRun, Preparation, PreparedRun, SampleWindow
 from gtau.signals.storage import Store, block, spans
 
@@ -78,7 +78,7 @@ def resimulated(
     """
     run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
     rate, edge = run.rate, filter_edge(run.rate, smooth * preparation.bandwidth)
-    cutoff = smooth * preparation.bandwidth if smooth * preparation.bandwidth < 0.4 * rate else None
+    cutoff = below_nyquist(smooth * preparation.bandwidth, rate)
     pole = 2 * np.pi * POLE * preparation.bandwidth
     motion: list[np.ndarray] = []
     for _ in range(PASSES):
