@@ -18,7 +18,7 @@ from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.thresholds import ALTERNATIVE_PRIOR
+from gtau.estimation.thresholds.plausible_sizes import ALTERNATIVE_PRIOR
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run

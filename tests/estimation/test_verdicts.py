@@ -18,7 +18,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.factors import STRETCHES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds import INFLATED
+from gtau.estimation.thresholds.lack_of_fit import INFLATED
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import Any
 
-from gtau.estimation.thresholds import COSTLY_REPAIR
+from gtau.estimation.thresholds.logs import COSTLY_REPAIR
 from gtau.signals.notes import Kind, Note
 
 

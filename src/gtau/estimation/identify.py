@@ -21,7 +21,7 @@ from gtau.estimation.regression.dataset import Mapper, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import require_scale
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds import ACCURACY
+from gtau.estimation.thresholds.accuracy import ACCURACY
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot

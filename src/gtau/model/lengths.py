@@ -19,6 +19,8 @@ from gtau.model.kinematics import Shifted, frames, twists
 from gtau.robots.geometry import characteristic_length, pose_of
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
 
+# Measured on 17 robots, those of the catalog and of robot files of other people: the shortest length is 0.046 of the
+# characteristic length and the closest two differ by 0.0013, while rounding parts equal ones by 1e-13 at most.
 SHORT = 1e-4  # of the characteristic length: what is shorter was not meant to be a length
 SAME = 1e-6  # relative difference of lengths that are meant to be the same
 HOLDING = 1e-6  # of a length's change: how far closures may be from following it

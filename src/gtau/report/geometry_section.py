@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from gtau.estimation.diagnostics.geometry_findings import MOST_UNCERTAIN, GeometryTest, late, percent
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, late, percent
+from gtau.estimation.thresholds.geometry import POSE_DELAY_STD
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Column, folded, number, paragraph, sentence, table, text, verdict
 from gtau.report.html.series import COLOURS, Arrays, Line, chart, key, zoom_tools
@@ -41,7 +42,7 @@ def _frames(test: GeometryTest) -> list[str]:
         "tool": "The position of the tool on the body was estimated too.",
         "tracker": "Where the tracker (in each run) and its marker stand was estimated beside the constants.",
     }[test.source]
-    return [estimated, *([sentence(late(test))] if test.delay_std < MOST_UNCERTAIN else [])]
+    return [estimated, *([sentence(late(test))] if test.delay_std < POSE_DELAY_STD else [])]
 
 
 def _residuals(test: GeometryTest) -> str:

@@ -17,7 +17,7 @@ from gtau.estimation.diagnostics.geometry_findings import to_document as geometr
 from gtau.estimation.grades import Grade, by_grade, from_document, to_document
 from gtau.estimation.results.singularity_distances import write_distances
 from gtau.estimation.results.summary import findings_lines, same_in_several
-from gtau.estimation.thresholds import NEAR_SINGULAR
+from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.report.style import BLACK, LINES, has_matplotlib, joint_label, light_grid, new_figure, save_figure, styled
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit

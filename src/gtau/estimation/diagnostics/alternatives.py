@@ -34,7 +34,8 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.diagnostics.score_test import ScoreTests, score_tests
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.thresholds import ALTERNATIVE_PRIOR, REFUTED_STD, TOGETHER_SHARE
+from gtau.estimation.thresholds.plausible_sizes import ALTERNATIVE_PRIOR
+from gtau.estimation.thresholds.refutation import REFUTED_STD, TOGETHER_SHARE
 
 CERTAIN = 1e9  # log factor that stands for certainty
 WINDOWS = 10  # of a run, within which residuals may be autocorrelated

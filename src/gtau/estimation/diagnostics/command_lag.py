@@ -13,7 +13,7 @@ import numpy as np
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds import DELAY_MOTION, LAG_LEAST, LAG_LOSS, LAG_SAMPLES, LAG_STD
+from gtau.estimation.thresholds.logs import DELAY_MOTION, LAG_LEAST, LAG_LOSS, LAG_SAMPLES, LAG_STD
 from gtau.signals.notes import Kind, Note
 
 

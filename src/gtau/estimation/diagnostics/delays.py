@@ -12,7 +12,7 @@ import numpy as np
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds import DELAY_MOTION, DELAY_STD
+from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 
 
 def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:

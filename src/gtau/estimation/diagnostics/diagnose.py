@@ -18,7 +18,7 @@ from gtau.estimation.diagnostics.sensor_checks import SensorScale, check_sensors
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds import MISFIT_GIVEN
+from gtau.estimation.thresholds.lack_of_fit import MISFIT_GIVEN
 from gtau.signals.notes import Kind, Note
 
 

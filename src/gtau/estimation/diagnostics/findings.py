@@ -19,13 +19,9 @@ from gtau.estimation.diagnostics.position_ripple import PositionRipple, position
 from gtau.estimation.diagnostics.swapped_channels import swapped_channels
 from gtau.estimation.diagnostics.verdict import Refutation
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds import (
-    DOMINANT,
-    LACKING,
-    PLAUSIBLE_GAIN_CHANGE,
-    REFUTED_SHARE,
-    SCALED,
-)
+from gtau.estimation.thresholds.lack_of_fit import LACKING
+from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_GAIN_CHANGE
+from gtau.estimation.thresholds.refutation import DOMINANT, PROBABLE, REFUTED_SHARE, SCALED
 from gtau.progress import Progress, silent
 
 
@@ -62,7 +58,7 @@ class Findings:
         Each is tried alone, so what a lag of the currents leaves, say, goes in part with gravity, with lengths and with
         currents that change: none of these refutes the description unless it explains more than the lag of all joints.
         """
-        held = [each for each in self.alternatives if each.probability > 0.5 and each.significant]
+        held = [each for each in self.alternatives if each.probability > PROBABLE and each.significant]
         of_physics: dict[str, float] = {}
         for each in held:
             if not each.description:

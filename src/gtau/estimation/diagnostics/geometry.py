@@ -16,7 +16,15 @@ import numpy as np
 from gtau.estimation.diagnostics.geometry_findings import ConstantChange, GeometryTest, PoseResidual, PoseTrace
 from gtau.estimation.diagnostics.pose_fit import PoseFit, fit_frames, fit_poses
 from gtau.estimation.diagnostics.poses import component_names
-from gtau.estimation.thresholds import GEOMETRY_CHANGE, GEOMETRY_RMS, GEOMETRY_SHARE, GEOMETRY_STD
+from gtau.estimation.thresholds.geometry import (
+    GEOMETRY_ALIKE,
+    GEOMETRY_CHANGE,
+    GEOMETRY_FREE,
+    GEOMETRY_LIKELY,
+    GEOMETRY_RMS,
+    GEOMETRY_SHARE,
+    GEOMETRY_STD,
+)
 from gtau.model.blas import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import Constant
@@ -26,11 +34,8 @@ from gtau.robots.robot import Robot
 from gtau.signals.pose import LoggedPoses
 from gtau.signals.pose_columns import PoseColumns
 
-TRIED = 4  # constants that are fitted beyond the first order,
-LIKELY = 0.5  # if to first order they explain this part of what makes one the explanation
-MOST = 4  # constants that explain the residuals together
-ALIKE = 1.5  # times the squares that the best leaves: a constant that leaves less is as likely
-FREE = 1e-3  # share of a constant's effect that the frames leave: with less it has none of its own
+TRIED = 4  # constants that are fitted beyond the first order at each step; one that is the explanation was the first
+MOST = 4  # constants that may explain the residuals together: the effort of the search; three were the most found
 
 
 @single_threaded_blas
@@ -91,7 +96,7 @@ def _tried(fit: PoseFit) -> list[_Candidate]:
     for k in range(len(fit.poses.geometry.constants)):
         column = fit.column(k)
         own = fit.beyond(column)
-        if not np.isfinite(own).all() or own @ own <= FREE**2 * (column @ column):
+        if not np.isfinite(own).all() or own @ own <= GEOMETRY_FREE**2 * (column @ column):
             continue
         change = float(own @ residual / (own @ own))
         left = residual - change * own
@@ -100,7 +105,7 @@ def _tried(fit: PoseFit) -> list[_Candidate]:
         std = float(np.sqrt(np.sum(parts**2) * len(parts) / (len(parts) - 1)) / (own @ own))
         candidates.append(_Candidate(k, change, std, float(left @ left)))
     candidates.sort(key=lambda each: each.left)
-    likely = [each for each in candidates[:TRIED] if 1 - each.left / fit.left > GEOMETRY_SHARE * LIKELY]
+    likely = [each for each in candidates[:TRIED] if 1 - each.left / fit.left > GEOMETRY_SHARE * GEOMETRY_LIKELY]
     fitted = [_fitted(fit, each) for each in likely]
     return sorted([*fitted, *candidates[len(likely) :]], key=lambda each: each.left)
 
@@ -144,7 +149,7 @@ def _tested(
     explained = []
     for k, std in zip(found.chosen, found.std[len(found.std) - len(found.chosen) :], strict=True):
         alone = next(each for each in tried if each.constant == k)
-        alike = [each for each in tried if each.constant != k and each.left < ALIKE * alone.left]
+        alike = [each for each in tried if each.constant != k and each.left < GEOMETRY_ALIKE * alone.left]
         alike = alike if len(found.chosen) == 1 else []
         change, share = float(found.state.change[k]), 1 - alone.left / given.left
         explained.append(_change(constants[k], change, float(std), share, [constants[each.constant] for each in alike]))

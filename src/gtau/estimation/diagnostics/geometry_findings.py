@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.estimation.thresholds.geometry import POSE_DELAY_STD
 from gtau.signals.notes import Kind, Note
 
 WIDTH = 80
@@ -16,7 +17,6 @@ CORRECT = {True: "correct the robot file", False: "correct the positions by the 
 NAME = 36
 LISTED = 5
 ROUNDING = 1e-3  # of the rms: a smaller bias is written as zero
-MOST_UNCERTAIN = 0.02  # s: a delay whose standard deviation is larger is not shown
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def geometry_lines(test: GeometryTest) -> list[str]:
         unit = f"m{each.unit}"
         bias = 1e3 * each.bias if abs(each.bias) > ROUNDING * each.rms else 0.0
         lines.append(f"  {f'{each.run}  {each.name}':<48}{1e3 * each.rms:>11.3g}{bias:>11.2g}   {unit}")
-    lines += [] if test.delay_std > MOST_UNCERTAIN else [f"  {late(test)}"]
+    lines += [] if test.delay_std > POSE_DELAY_STD else [f"  {late(test)}"]
     lines.append(f"{'Constant, by itself':<36}{'in file':>9}{'change':>10}{'std':>10}{'explains':>10} unit")
     for constant in test.tried[:LISTED]:
         name = f"  {constant.name:<34}"

@@ -24,18 +24,16 @@ from gtau.estimation.diagnostics.linearisation import (
     stack,
 )
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds import LENGTH_CHANGE, LENGTH_SHARE
+from gtau.estimation.thresholds.geometry import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_SHARE, LENGTH_TRIED
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.lengths import SAME
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
 
 Tie = TypeVar("Tie", Closure, Spring)
 
 STEP = 0.01  # relative change of a length
-SHORT = 0.02  # lengths below this share of the longest are not tried
-SAME = 1e-6  # relative difference of lengths that are meant to be the same
-NEARLY = 0.8  # of the largest share: lengths that explain as much are equally likely
-MOST = 12  # lengths that are tried, the longest first
+MOST = 12  # lengths that are tried, the longest first: the effort of the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ def other_length(fit: Fit, progress: Progress = silent) -> OtherLength | None:
     """Find the length that explains most of the residuals, of several the one that is least wrong; None without one."""
     found = [each for each in _tried(fit, progress) if each.share > LENGTH_SHARE and abs(each.change) > LENGTH_CHANGE]
     most = max((each.share for each in found), default=0.0)
-    likely = (each for each in found if each.share > NEARLY * most)
+    likely = (each for each in found if each.share > LENGTH_ALIKE * most)
     return min(likely, key=lambda each: abs(each.change), default=None)
 
 
@@ -101,7 +99,7 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[str, Robot]]:
             same = next((known for known in lengths if abs(known - length) < SAME * known), length)
             if name not in lengths.setdefault(same, []):
                 lengths[same].append(name)
-    longest = sorted((length for length in lengths if length > SHORT * max(lengths)), reverse=True)[:MOST]
+    longest = sorted((length for length in lengths if length > LENGTH_TRIED * max(lengths)), reverse=True)[:MOST]
     for length in longest:
         joints = tuple(replace(joint, placement=_scaled(joint.placement, length, step)) for joint in robot.joints)
         closures, springs = _moved(robot.closures, length, step), _moved(robot.springs, length, step)

@@ -36,7 +36,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.thresholds import NOISE_STD
+from gtau.estimation.thresholds.refutation import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD
 from gtau.signals.filters import below_nyquist
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation
@@ -47,8 +47,6 @@ FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
 # accelerations.
 HALF = 0.5
 SPANNED = 1e-6  # of the largest singular value: directions that the instruments do not reach are left as they are
-LISTED = 3.0  # standard deviations of a difference in a parameter, from which it is listed
-LISTED_PROBABILITY = 0.1
 GROUP = "estimator of "  # and what it estimates: differences in one estimate compete
 INSTRUMENTS = "instrumental variables"
 TWO_STAGE = "two-stage least squares"
@@ -91,7 +89,7 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
     for each in differences:
         for k, name in enumerate(names):
             value, size, std = solution.stacked[k], each.moves[k], each.std[k]
-            if not (std > 0 and plausible[k] > 0 and value) or (k < n_theta and abs(size) < LISTED * std):
+            if not (std > 0 and plausible[k] > 0 and value) or (k < n_theta and abs(size) < DIFFERENT_STD * std):
                 continue
             found_size = float(size / value), float(std / abs(value)), float(plausible[k] / abs(value))
             factor, moment = support(*found_size)
@@ -115,7 +113,7 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
                     description=False,
                 )
             )
-    return [each for each in compete(found) if each.moves.any() or each.probability > LISTED_PROBABILITY]
+    return [each for each in compete(found) if each.moves.any() or each.probability > DIFFERENT_PROBABILITY]
 
 
 def noise_note(fit: Fit, alternatives: Sequence[Alternative]) -> list[Note]:

@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.motion_limits import clock_advice
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds import UNFELT_PAYLOAD
+from gtau.estimation.thresholds.refutation import UNFELT_PAYLOAD
 from gtau.signals.run import Run
 
 

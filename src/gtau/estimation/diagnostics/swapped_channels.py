@@ -10,7 +10,7 @@ from gtau.estimation.diagnostics.linearisation import central_windows, least_squ
 from gtau.estimation.diagnostics.verdict import Refutation
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.thresholds import SWAPPED
+from gtau.estimation.thresholds.refutation import SWAPPED
 
 
 def unexplained(dataset: Dataset) -> np.ndarray:

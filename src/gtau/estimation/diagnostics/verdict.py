@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from gtau.estimation.thresholds import APART, WEAK_PARAMETER
+from gtau.estimation.thresholds.accuracy import WEAK_PARAMETER
+from gtau.estimation.thresholds.refutation import APART
 
 
 class Outcome(StrEnum):

@@ -8,6 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.thresholds.motion_limits import (
+    BEYOND_LIMITS,
+    FAR_BEYOND_LIMITS,
+    FARTHEST_SLIDE,
+    FARTHEST_TURN,
+    FASTEST_SLIDE,
+    FASTEST_TURN,
+    LEAST_SLIDE,
+    LEAST_TURN,
+    TOO_FAST,
+)
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.columns import SampleRate
@@ -16,13 +27,9 @@ from gtau.signals.preparation import PreparedRun
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
-BEYOND = 0.02  # of a joint's range outside its limits, which a user may want to know
-FAR_BEYOND = 1.0  # and so much that it is another unit, another joint or another robot
-TOO_FAST = 3.0  # rms speed in limits of speed, which no controller lets pass
-USUAL = {"revolute": 30.0, "prismatic": 10.0}  # rms speed, rad/s or m/s, where no limit is given; fast deltas reach 10
-FAR = {"revolute": 40.0, "prismatic": 30.0}  # rad or lengths of the robot: what spans more is in deg or mm
-NARROW = {"revolute": 0.06, "prismatic": 3e-3}  # rad or lengths of the robot: what spans less and is said to be in deg
-# or mm is in rad or m. The logs of UR10e, TX40, Panda and Orthoglide span 0.3 to 6 rad, or a third of the lengths.
+FASTEST = {"revolute": FASTEST_TURN, "prismatic": FASTEST_SLIDE}
+FARTHEST = {"revolute": FARTHEST_TURN, "prismatic": FARTHEST_SLIDE}
+LEAST = {"revolute": LEAST_TURN, "prismatic": LEAST_SLIDE}
 UNITS = {"revolute": ("rad", "deg"), "prismatic": ("m", "mm")}
 
 
@@ -59,13 +66,13 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
         declared = {run.log.units.of_position(run.joints[j]) or basic for j in joints} if run.log else {basic}
         size = 1.0 if kind == "revolute" else characteristic_length(robot)
         moved = f"{span[widest]:.3g} {basic}"
-        if 0 < span[widest] < NARROW[kind] * size and declared == {other}:
+        if 0 < span[widest] < LEAST[kind] * size and declared == {other}:
             raise GtauError(
                 f"run '{run.name}': no {kind} joint moves by more than {moved}, too little for robot "
                 f"'{robot.name}', so its positions look like {basic} declared as {other}; write {basic} under "
                 "units.position."
             )
-        if span[widest] > FAR[kind] * size and declared == {basic}:
+        if span[widest] > FARTHEST[kind] * size and declared == {basic}:
             raise GtauError(
                 f"run '{run.name}': joint '{run.joints[widest]}' moves by {moved}, too far for robot "
                 f"'{robot.name}', so its positions look like {other} taken for {basic}; write {other} "
@@ -73,7 +80,7 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
             )
         unlimited = [j for j in joints if robot.joint(run.joints[j]).limits.velocity is None]
         fastest = max(unlimited, key=lambda j: speeds[j], default=None)
-        if fastest is not None and speeds[fastest] > USUAL[kind]:
+        if fastest is not None and speeds[fastest] > FASTEST[kind]:
             raise GtauError(
                 f"run '{run.name}': joint '{run.joints[fastest]}' has an rms speed of {speeds[fastest]:.3g} {basic}/s "
                 f"over a motion of {span[fastest]:.3g} {basic}, which no robot has; {clock_advice(run)}."
@@ -99,9 +106,9 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
         moved = f"joint '{joint.name}' goes from {low:.4g} to {high:.4g} {unit}"
         limits = f"its limits {lower:.4g} to {upper:.4g} {unit}"
         excess = max(lower - low, high - upper) / (upper - lower)
-        if excess > FAR_BEYOND:
+        if excess > FAR_BEYOND_LIMITS:
             raise GtauError(f"run '{run}': {moved}, far outside {limits}; {repair}")
-        if excess > BEYOND:
+        if excess > BEYOND_LIMITS:
             action = "check the zero of its position, or correct the limits in the robot file"
             yield Note(Kind.LIMITS, f"{moved}, outside {limits}", action, joint=joint.name)
     if joint.limits.velocity is not None and speed > TOO_FAST * joint.limits.velocity:

@@ -13,7 +13,7 @@ from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypoth
 from gtau.estimation.diagnostics.hypotheses.window_motion import window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds import PLAUSIBLE_LAG
+from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_LAG
 from gtau.signals.filters import differentiate
 from gtau.signals.preparation import InMemoryRun
 

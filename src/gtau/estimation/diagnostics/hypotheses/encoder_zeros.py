@@ -9,7 +9,7 @@ from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypoth
 from gtau.estimation.diagnostics.hypotheses.window_motion import shifted_motion, window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds import PLAUSIBLE_ZERO
+from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_ZERO
 from gtau.signals.preparation import InMemoryRun
 
 DEGREE, MILLIMETRE = np.pi / 180, 1e-3

@@ -7,7 +7,7 @@ import numpy as np
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis, friction_levels
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds import PLAUSIBLE_FRICTION_DRIFT
+from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_FRICTION_DRIFT
 from gtau.signals.preparation import InMemoryRun
 
 

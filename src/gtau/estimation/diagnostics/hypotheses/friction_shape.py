@@ -19,7 +19,12 @@ from gtau.estimation.diagnostics.hypotheses.window_motion import window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.friction import transmitted
-from gtau.estimation.thresholds import PLAUSIBLE_CUBIC, PLAUSIBLE_LOAD_FRICTION, PLAUSIBLE_STRIBECK, STRIBECK_SPEED
+from gtau.estimation.thresholds.plausible_sizes import (
+    PLAUSIBLE_CUBIC,
+    PLAUSIBLE_LOAD_FRICTION,
+    PLAUSIBLE_STRIBECK,
+    STRIBECK_SPEED,
+)
 from gtau.signals.preparation import InMemoryRun
 
 

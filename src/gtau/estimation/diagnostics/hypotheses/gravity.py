@@ -11,7 +11,8 @@ from gtau.estimation.diagnostics.hypotheses.window_motion import window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.diagnostics.plausibility import other_clock
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds import CLOCK_REVERSED, CLOCK_SIZE, PLAUSIBLE_GRAVITY, PLAUSIBLE_TILT
+from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_GRAVITY, PLAUSIBLE_TILT
+from gtau.estimation.thresholds.refutation import CLOCK_REVERSED, CLOCK_SIZE
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.preparation import InMemoryRun
 

@@ -14,7 +14,7 @@ from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypoth
 from gtau.estimation.diagnostics.linearisation import CandidateColumns
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Rows
-from gtau.estimation.thresholds import PLAUSIBLE_GAIN_DRIFT, PLAUSIBLE_SATURATION
+from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_GAIN_DRIFT, PLAUSIBLE_SATURATION
 from gtau.signals.preparation import InMemoryRun
 
 LARGE = 2.0  # rms currents: where the fall is stated
