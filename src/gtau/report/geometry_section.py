@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest, late, percent
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, percent
+from gtau.estimation.results.geometry_text import late
 from gtau.estimation.thresholds.geometry import POSE_DELAY_STD
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Column, folded, number, paragraph, sentence, table, text, verdict

@@ -12,9 +12,9 @@ import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry_findings import from_document as read_geometry
-from gtau.estimation.diagnostics.geometry_findings import geometry_lines
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.grades import Grade, by_grade, from_document, to_document
+from gtau.estimation.results.geometry_text import geometry_lines
 from gtau.estimation.results.singularity_distances import write_distances
 from gtau.estimation.results.summary import findings_lines, same_in_several
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR

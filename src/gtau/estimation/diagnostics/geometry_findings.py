@@ -1,22 +1,16 @@
-"""What logged poses say of a robot's geometry, as data, as a note and as text."""
+"""What logged poses say of a robot's geometry, as data, as a note and as a document."""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from gtau.estimation.thresholds.geometry import POSE_DELAY_STD
 from gtau.signals.notes import Kind, Note
 
-WIDTH = 80
 CORRECT = {True: "correct the robot file", False: "correct the positions by the encoder's zero"}
-NAME = 36
-LISTED = 5
-ROUNDING = 1e-3  # of the rms: a smaller bias is written as zero
 
 
 @dataclass(frozen=True)
@@ -157,40 +151,6 @@ def from_document(document: Mapping[str, Any]) -> GeometryTest:
     residuals = tuple(PoseResidual(**each) for each in fields["residuals"])
     fields |= {"explained_by": explained, "tried": tried, "residuals": residuals}
     return GeometryTest(**fields | {"unseen": tuple(fields["unseen"]), "traces": ()})
-
-
-def geometry_lines(test: GeometryTest) -> list[str]:
-    """Tabulate pose residuals and changes of the constants as text, 80 columns wide."""
-    head = f"Pose of '{test.body}' ({test.source})"
-    lines = [f"{head:<50}{'rms':>11}{'bias':>11}   unit"]
-    for each in test.residuals:
-        unit = f"m{each.unit}"
-        bias = 1e3 * each.bias if abs(each.bias) > ROUNDING * each.rms else 0.0
-        lines.append(f"  {f'{each.run}  {each.name}':<48}{1e3 * each.rms:>11.3g}{bias:>11.2g}   {unit}")
-    lines += [] if test.delay_std > POSE_DELAY_STD else [f"  {late(test)}"]
-    lines.append(f"{'Constant, by itself':<36}{'in file':>9}{'change':>10}{'std':>10}{'explains':>10} unit")
-    for constant in test.tried[:LISTED]:
-        name = f"  {constant.name:<34}"
-        if len(name) > NAME:  # on a line of its own
-            lines.append(name)
-            name = ""
-        numbers = f"{1e3 * constant.value:>9.5g}{1e3 * constant.change:>10.3g}{1e3 * constant.std:>10.2g}"
-        lines.append(f"{name:<{NAME}}{numbers}{percent(constant.share, 2):>10} m{constant.unit}")
-    if len(test.tried) > LISTED:
-        lines.append(f"  and {len(test.tried) - LISTED} more, which explain less: --json")
-    if test.unseen:
-        lines += textwrap.wrap(
-            f"not identifiable by this pose: {', '.join(test.unseen)}",
-            WIDTH,
-            initial_indent="  ",
-            subsequent_indent="  ",
-        )
-    return lines
-
-
-def late(test: GeometryTest) -> str:
-    """Say by how much the poses lag behind the positions."""
-    return f"the poses lag {1e3 * test.delay:.1f} +- {1e3 * test.delay_std:.1g} ms behind the positions"
 
 
 def _sizes(position: float | None, angle: float | None) -> str:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gtau.estimation.diagnostics.geometry_findings import geometry_lines
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.grades import by_grade
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
+from gtau.estimation.results.geometry_text import geometry_lines
 from gtau.estimation.results.headline import headline
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.remarks import VISIBLE, findings
