@@ -52,7 +52,7 @@ def alarms_of(result: Result) -> list[str]:
         for verdict in verdicts
         if verdict.outcome == Outcome.CONTRADICTORY
     ]
-    claimed = [note for note in findings(result) if note.kind in CLAIMS and not note.startswith(LEGS)]
+    claimed = [note for note in findings(result) if note.kind in CLAIMS and not note.what.startswith(LEGS)]
     return said + [f"{note.kind}: {note.what}" for note in claimed]
 
 

@@ -118,7 +118,9 @@ def numbers(found: Result) -> str:
 
 def said(found: Result) -> str:
     """The notes, the first clause of each."""
-    notes = [re.split(r"[:;(]|, (?:so|which|as) ", note.split(": ", 1)[-1])[0].strip() for note in found.notes]
+    notes = [
+        re.split(r"[:;(]|, (?:so|which|as) ", note.split(": ", 1)[-1])[0].strip() for note in map(str, found.notes)
+    ]
     return "; ".join(dict.fromkeys(notes)) or "nothing"
 
 

@@ -207,7 +207,7 @@ def test_a_link_two_per_cent_off_is_found_and_the_intervals_hold(names: list[str
     """It moves no gain by as much as 3 %, so that no gain is contradictory; the summary names the length."""
     result = identify(longer(names, 1.02), runs)
     assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in result.drive_gains.values()}
-    note = next(note for note in result.notes if "another length" in note)
+    note = next(note for note in map(str, result.notes) if "another length" in note)
     assert "check the robot's geometry" in note
     if len(names) == 1:
         assert f"such as the length of 316.2 mm at '{names[0]}'" in note
@@ -363,7 +363,7 @@ def test_clipped_currents_are_masked_and_said(runs: list[Run], tmp_path: Path) -
     clipped = [logged(tmp_path / f"run_{k}.csv", limited(run, 0.85)) for k, run in enumerate(runs)]
     masked = [int((~run.valid).sum()) for run in clipped]
     assert min(masked) > 0
-    assert all("is clipped at" in " ".join(run.notes) for run in clipped)
+    assert all("is clipped at" in " ".join(map(str, run.notes)) for run in clipped)
     result = identify(ROBOT, clipped)
     assert "is clipped at" in " ".join(result.summary().split())
     for (joint, gain), truth in zip(result.drive_gains.items(), DRIVE_GAINS.values(), strict=True):
@@ -380,7 +380,7 @@ def test_good_currents_are_not_taken_for_clipped(runs: list[Run], tmp_path: Path
     for k, run in enumerate(runs):
         assert logged(tmp_path / f"run_{k}.csv", run).notes == ()
         coarse = replace(run, command=0.02 * np.round(run.command / 0.02))
-        assert "clipped" not in " ".join(logged(tmp_path / "coarse.csv", coarse).notes)
+        assert "clipped" not in " ".join(map(str, logged(tmp_path / "coarse.csv", coarse).notes))
 
 
 @pytest.mark.parametrize("slip", [0.001, 0.005])

@@ -82,7 +82,7 @@ def test_what_is_known_only_in_sums_is_marked(result: gtau.Result) -> None:
 
 
 def test_legs_that_are_not_built_alike_get_one_note(result: gtau.Result) -> None:
-    (note,) = [note for note in result.notes if "same geometry" in note]
+    (note,) = [note for note in map(str, result.notes) if "same geometry" in note]
     assert re.search(r"differ, most in \w+ of leg '\w+' \(\d+ % off the mean of the others\)", note)
     assert "fv_" not in note
     assert "fs_" not in note

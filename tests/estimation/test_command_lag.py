@@ -62,7 +62,7 @@ def test_currents_before_the_motion_are_a_delay_and_those_after_it_are_late(late
 def test_torques_are_judged_alike_and_the_grade_follows_what_is_lost() -> None:
     strong, weak = (logged(lag, kind="torque") for lag in (0.02, 0.005))
     (note,) = lag_notes(strong, strong.system(Friction()))
-    assert note.startswith("the torques lag behind the motion by ")
+    assert str(note).startswith("the torques lag behind the motion by ")
     assert (note.kind, grade_of(note)) == (Kind.FILTERED, Grade.MEND)
     (note,) = lag_notes(weak, weak.system(Friction()))
     assert grade_of(note) == Grade.INFORMATION

@@ -197,7 +197,7 @@ def test_a_reversed_current(runs: list[Run], result: Result) -> None:
     assert found.drive_gains["right"].value == pytest.approx(-result.drive_gains["right"].value, rel=1e-8)
     assert found.drive_gains["left"].value == pytest.approx(result.drive_gains["left"].value, rel=1e-8)
     assert found.residuals[1].rms == pytest.approx(result.residuals[1].rms, rel=1e-6)
-    assert not any("negative" in note for note in found.notes)
+    assert not any("negative" in note for note in map(str, found.notes))
     both = identify(FIVE_BAR, [replace(run, command=-run.command) for run in runs])
     assert "all drive gains are negative" in " ".join(both.summary().split())
 

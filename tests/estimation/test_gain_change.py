@@ -62,13 +62,13 @@ def test_runs_in_scale_are_good(runs: list[Run]) -> None:
 def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run]) -> None:
     """Not taken for ripple, which it looks like: a torque that lifts is a function of the position."""
     result = identify(ARM, scaled(runs, which, factor))
-    said = " ".join([*(gain.verdict.sentence for gain in result.drive_gains.values()), *result.notes])
+    said = " ".join([*(gain.verdict.sentence for gain in result.drive_gains.values()), *map(str, result.notes)])
     way = "larger" if factor > 1 else "smaller"
     assert f"being {way} in run 'run {which}' than the other runs say" in said
     for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
         low, high = gain.interval() or (0.0, 0.0)
         assert low < truth < high or gain.verdict.outcome == Outcome.CONTRADICTORY
-    assert not any("repeat at the same positions" in note for note in result.notes)
+    assert not any("repeat at the same positions" in note for note in map(str, result.notes))
 
 
 def test_the_difference_is_measured(runs: list[Run]) -> None:

@@ -149,7 +149,7 @@ def test_a_tracker_anywhere_with_a_marker_anywhere(rng: np.random.Generator) -> 
     assert change.value + change.change == pytest.approx(0.571, abs=4 * change.std)
     taken_for_the_base = result_of(right, "controller", found)
     assert taken_for_the_base.outcome == "unexplained"
-    assert "source: tracker" in taken_for_the_base.note
+    assert "source: tracker" in str(taken_for_the_base.note)
 
 
 def test_a_tool_of_unknown_place(rng: np.random.Generator) -> None:

@@ -47,7 +47,7 @@ def test_within_limits_nothing_is_said(run: Run) -> None:
 def test_a_little_outside_is_a_note(run: Run) -> None:
     low, high = run.position[:, 0].min(), run.position[:, 0].max()
     (note,) = prepared(limited(Limits(position=(low + 0.1 * (high - low), high))), run).notes
-    assert note.startswith(f"joint '{run.joints[0]}' goes from {low:.4g} to {high:.4g} rad, outside its limits")
+    assert str(note).startswith(f"joint '{run.joints[0]}' goes from {low:.4g} to {high:.4g} rad, outside its limits")
 
 
 @pytest.mark.parametrize(

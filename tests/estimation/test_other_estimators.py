@@ -74,7 +74,7 @@ def test_instruments_undo_what_noise_of_the_encoders_does(noisy: Fit) -> None:
 
 def test_the_summary_names_the_noise_and_the_intervals_allow_for_it(noisy: Fit) -> None:
     alternatives = alternatives_of(noisy, other_estimators(noisy))
-    assert "noise of the positions biases" in noise_note(noisy, alternatives)[0]
+    assert "noise of the positions biases" in str(noise_note(noisy, alternatives)[0])
     of_first_moment = [each for each in alternatives if each.group.endswith("my_L2")]
     assert sum(each.probability for each in of_first_moment) > 0.8
     assert other_estimators(replace(noisy, noise_free=True))[0].estimator != INSTRUMENTS

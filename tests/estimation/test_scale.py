@@ -262,7 +262,7 @@ def test_a_sensor_column_is_read_like_a_current(tmp_path: Path) -> None:
     cells = text[500].split(",")
     text[500] = ",".join([*cells[:-1], ""])
     log.write_text("\n".join(text))
-    assert any("missing" in note for note in read_run(log, signals).notes)
+    assert any("missing" in note for note in map(str, read_run(log, signals).notes))
 
 
 def test_every_command_takes_a_sensor_column(tmp_path: Path) -> None:

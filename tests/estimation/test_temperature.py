@@ -131,7 +131,7 @@ def test_a_run_without_temperature_among_others_is_refused() -> None:
 def test_logs_without_temperatures_are_said_to_be_taken_at_the_reference(found: Result) -> None:
     signals = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
     (note,) = without_temperature(found, as_signals(signals))
-    assert f"'left' {found.temperatures.of_joint['left']:.4g}" in note
+    assert f"'left' {found.temperatures.of_joint['left']:.4g}" in str(note)
     assert not without_temperature(found, as_signals(signals | {"temperature": "T"}))
     run = warm("check", seconds=6.0)
     in_kelvin = replace(run, temperature=replace(run.temperature, unit="K"))

@@ -124,7 +124,7 @@ def test_identification_says_what_is_odd_in_the_robot() -> None:
     forearm = replace(five_bar.joints[1], limits=Limits((-130.0, 130.0)))
     robot = replace(five_bar, joints=(five_bar.joints[0], forearm, *five_bar.joints[2:]), named_tool="")
     loaded = replace(Plant().run("loaded", payload=STEEL, seed=1), payload=Payload(name="steel", mass=STEEL["m"]))
-    notes = identify(robot, [Plant().run("free"), loaded]).notes
+    notes = list(map(str, identify(robot, [Plant().run("free"), loaded]).notes))
     assert any(note.startswith("robot 'five-bar': position limits of many turns") for note in notes)
     assert any(note.startswith("robot 'five-bar': a payload is assumed to sit on 'right_forearm'") for note in notes)
 

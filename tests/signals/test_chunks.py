@@ -95,7 +95,7 @@ def test_only_the_joint_that_is_clipped_loses_its_samples(tmp_path: Path, rng: n
     pl.DataFrame(table).write_csv(tmp_path / "log.csv")
     run = read_run(tmp_path / "log.csv", SIGNALS)
     np.testing.assert_array_equal(~run.valid, np.column_stack([np.zeros(N, dtype=bool), table["vb"] == -1.99]))
-    assert run.notes == (
+    assert tuple(map(str, run.notes)) == (
         f"the command of joint 'b' is clipped at -1.99: masked {(table['vb'] == -1.99).sum()} samples; log again with "
         "smaller accelerations, or a higher limit of the drive",
     )

@@ -101,7 +101,7 @@ def test_packets(tmp_path: Path, rng: np.random.Generator) -> None:
     kept[4000:4040] = kept[9000:9080] = False
     run = read_run(write(tmp_path / "p.csv", stamps[kept], logged(time)[kept], currents(time)[kept]), SIGNALS)
     assert run.rate == pytest.approx(2500, rel=1e-3)
-    assert "time stamps come in packets" in " ".join(run.notes)
+    assert "time stamps come in packets" in " ".join(map(str, run.notes))
     shift = run.time[0]  # when the first sample was taken is not known
     found = np.abs(run.position - motion(run.time - shift))[run.valid.all(axis=1)]
     assert found.max() < 0.01
@@ -115,7 +115,7 @@ def test_stale_samples_are_interpolated(tmp_path: Path, rng: np.random.Generator
     for each in (position, command):
         each[stale] = each[stale - 1]
     run = read_run(write(tmp_path / "s.csv", time, position, command), SIGNALS)
-    assert any("samples of the positions are stale" in note for note in run.notes)
+    assert any("samples of the positions are stale" in str(note) for note in run.notes)
     moving = (
         np.abs(np.diff(motion(time), axis=0, prepend=0)).max(axis=1) > 1e-4
     )  # slow ones cannot be told from rounding
@@ -146,7 +146,7 @@ def test_a_few_stale_samples_of_a_short_log_are_found(tmp_path: Path) -> None:
     for each in (position, command):
         each[stale] = each[stale - 1]
     run = read_run(write(tmp_path / "s.csv", time, position, command), SIGNALS)
-    assert any("3 samples of the positions are stale" in note for note in run.notes)
+    assert any("3 samples of the positions are stale" in str(note) for note in run.notes)
     assert off(run) < 1e-3
 
 
@@ -155,7 +155,7 @@ def test_a_log_that_freezes_for_some_samples_is_bridged(tmp_path: Path) -> None:
     for start, count in ((400, 6), (5200, 9), (9300, 15)):
         position[start : start + count], command[start : start + count] = position[start - 1], command[start - 1]
     run = read_run(write(tmp_path / "f.csv", time, position, command), SIGNALS)
-    assert any("30 samples of the positions are stale" in note for note in run.notes)
+    assert any("30 samples of the positions are stale" in str(note) for note in run.notes)
     assert 20 < (~run.valid.all(axis=1)).sum() < 40
     assert off(run) < 2e-5
 
@@ -164,7 +164,7 @@ def test_currents_that_are_held_are_recognised(tmp_path: Path) -> None:
     time = regular()
     command = currents(time)[np.arange(SAMPLES) // 10 * 10]
     run = read_run(write(tmp_path / "h.csv", time, logged(time), command), SIGNALS)
-    assert any("commands are held: new ones come at about 100 Hz" in note for note in run.notes)
+    assert any("commands are held: new ones come at about 100 Hz" in str(note) for note in run.notes)
     np.testing.assert_allclose(run.command[:-10], currents(time)[:-10], atol=2e-4)
     assert run.valid.all()
 
@@ -198,7 +198,7 @@ def test_a_delay_that_is_given_moves_the_commands(tmp_path: Path) -> None:
     path = write(tmp_path / "d.csv", time, logged(time), currents(time - 0.0035))
     run = read_run(path, SIGNALS, settings=PreparationSettings(delay=0.0035))
     np.testing.assert_allclose(run.command[:-10], currents(time)[:-10], atol=1e-5)
-    assert "moved the commands 3.5 ms forward, as preparation.delay says" in run.notes
+    assert "moved the commands 3.5 ms forward, as preparation.delay says" in map(str, run.notes)
 
 
 def test_the_panda_was_polled_at_a_regular_rate(shared: Path) -> None:

@@ -62,10 +62,10 @@ def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
     assert described.expected_parameters["ia_arm"].value == pytest.approx(0.05)
     found = identify(path)
     assert found.drive_gains["arm"].value == pytest.approx(2.1, rel=0.01)
-    (note,) = (note for note in found.notes if "data sheet" in note)
-    assert note.startswith("gain of 'arm': 2.")
-    assert "2 +- 0.2 N m/A is by the data sheet" in note
-    assert note in " ".join(found.summary(verbose=False).split())
+    (note,) = (note for note in found.notes if "data sheet" in str(note))
+    assert str(note).startswith("gain of 'arm': 2.")
+    assert "2 +- 0.2 N m/A is by the data sheet" in str(note)
+    assert str(note) in " ".join(found.summary(verbose=False).split())
 
 
 def test_a_gain_far_off_the_data_sheet_is_contradictory(tmp_path: Path) -> None:

@@ -249,7 +249,7 @@ def test_a_bag_with_commands_in_another_topic(tmp_path: Path) -> None:
     (tmp_path / "e.yaml").write_text(draft_text(draft, tmp_path))
     experiment = read_experiment(tmp_path / "e.yaml")
     run = read_run(experiment.runs[0].log, experiment.signals, units=experiment.units)
-    assert "aligned the currents with the positions" in run.notes[0]
+    assert "aligned the currents with the positions" in str(run.notes[0])
     np.testing.assert_allclose(run.position, Q[1:], atol=1e-9)
     np.testing.assert_allclose(run.command[:, 1], 0.75 * V[1:, 1] + 0.25 * V[:-1, 1], atol=1e-6)
 

@@ -53,9 +53,11 @@ def grade_of(note: Note) -> Grade:
 
 
 def by_grade(notes: Iterable[Note]) -> dict[Grade, list[Note]]:
-    """Group notes by grade, the worst first, each once and in order; no grade without notes."""
-    listed = list(dict.fromkeys(notes))
-    found = {grade: [note for note in listed if grade_of(note) == grade] for grade in Grade}
+    """Group notes by grade, the worst first, each sentence once and in order; no grade without notes."""
+    listed: dict[str, Note] = {}
+    for note in notes:
+        listed.setdefault(str(note), note)
+    found = {grade: [note for note in listed.values() if grade_of(note) == grade] for grade in Grade}
     return {grade: members for grade, members in found.items() if members}
 
 

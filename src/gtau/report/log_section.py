@@ -58,7 +58,7 @@ def logs_section(runs: Sequence[Run], robot: Robot, bandwidth: float, cutoff: fl
 
 def clock_notes(run: Run) -> list[str]:
     """List the repairs of a run as it was read."""
-    return list(run.notes)
+    return list(map(str, run.notes))
 
 
 def _log_spectrum(

@@ -1,9 +1,9 @@
-"""Notes on logs: sentences that know what they are about."""
+"""Notes on logs and robots: what was found, where, and what to do about it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 
 class Kind(StrEnum):
@@ -30,8 +30,9 @@ class Kind(StrEnum):
     GEOMETRY = "geometry"  # what logged poses say against it
 
 
-class Note(str):
-    """A sentence without its full stop: what was found, and what to do about it.
+@dataclass(frozen=True)
+class Note:
+    """What was found, and what to do about it; as text, a sentence without its full stop.
 
     Attributes
     ----------
@@ -51,35 +52,16 @@ class Note(str):
 
     kind: Kind
     what: str
-    action: str
-    source: str
-    joint: str
-    time: float | None
-    share: float | None
+    action: str = ""
+    source: str = ""
+    joint: str = ""
+    time: float | None = None
+    share: float | None = None
 
-    def __new__(
-        cls,
-        kind: Kind,
-        what: str,
-        action: str = "",
-        *,
-        source: str = "",
-        joint: str = "",
-        time: float | None = None,
-        share: float | None = None,
-    ) -> Note:
+    def __str__(self) -> str:
         """Put the sentence together."""
-        note = super().__new__(cls, (f"{source}: " if source else "") + what + (f"; {action}" if action else ""))
-        note.kind, note.what, note.action, note.source = kind, what, action, source
-        note.joint, note.time, note.share = joint, time, share
-        return note
-
-    def __getnewargs_ex__(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
-        """Return the arguments with which copy and pickle rebuild the note."""
-        where = {"source": self.source, "joint": self.joint, "time": self.time, "share": self.share}
-        return (self.kind, self.what, self.action), where
+        return (f"{self.source}: " if self.source else "") + self.what + (f"; {self.action}" if self.action else "")
 
     def of(self, source: str) -> Note:
         """Return the same note on a run or robot of this name."""
-        what = f"{self.source}: {self.what}" if self.source else self.what
-        return Note(self.kind, what, self.action, source=source, joint=self.joint, time=self.time, share=self.share)
+        return replace(self, what=f"{self.source}: {self.what}" if self.source else self.what, source=source)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -271,18 +272,13 @@ def findings_lines(notes: Sequence[Note], most: int | None = None) -> list[str]:
 
 
 def same_in_several(notes: Sequence[Note]) -> list[Note]:
-    """Merge notes that say the same of several logs."""
+    """Merge notes that say the same of several logs; they keep no time, as each log has its own."""
     groups: dict[tuple[str, str], list[Note]] = {}
     for note in notes:
         groups.setdefault((note.what, note.action), []).append(note)
     return [
-        _on_all(group[0], ", ".join(dict.fromkeys(each.source for each in group if each.source)))
+        replace(group[0], source=", ".join(dict.fromkeys(each.source for each in group if each.source)), time=None)
         if len(group) > 1
         else group[0]
         for group in groups.values()
     ]
-
-
-def _on_all(note: Note, source: str) -> Note:
-    """Apply a note to other logs too; it keeps no time, as each log has its own."""
-    return Note(note.kind, note.what, note.action, source=source, joint=note.joint, share=note.share)
