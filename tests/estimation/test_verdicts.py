@@ -13,7 +13,7 @@ from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.physical_plausibility import cannot_be_negative, judge_parameter
-from gtau.estimation.diagnostics.verdict import Outcome, known_verdict, parameter_verdict, worst
+from gtau.estimation.diagnostics.verdict import Outcome, known_verdict, parameter_verdict, percent_text, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.factors import STRETCHES
 from gtau.estimation.results.estimate import Estimate
@@ -51,6 +51,39 @@ def test_intervals_are_those_of_the_t_distribution(freedom: int | None, level: f
     estimate = Estimate("k", 3.0, 0.2, "N m", freedom=freedom)
     law = scipy.stats.norm(3.0, 0.2) if freedom is None else scipy.stats.t(freedom, 3.0, 0.2)
     assert estimate.interval(level) == pytest.approx(law.interval(level))
+
+
+@pytest.mark.parametrize(
+    ("share", "accuracy", "words"),
+    [
+        (0.0, None, "0.00"),
+        (0.004, None, "<0.01"),
+        (0.2, None, "0.20"),
+        (3.002, None, "3.0"),
+        (3.002, 3.0, "3.1"),
+        (2.98, 3.0, "3.0"),
+        (9.96, None, "10"),
+        (99.7, 3.0, "100"),
+        (123.4, 3.0, "123"),
+        (0.2201, 0.22, "0.23"),
+    ],
+)
+def test_shares_have_two_digits_and_none_that_exceeds_the_accuracy_rounds_to_it(
+    share: float, accuracy: float | None, words: str
+) -> None:
+    assert percent_text(share, accuracy) == words
+
+
+def test_the_width_of_an_interval_is_rounded_alike_everywhere(runs: list[Run], result: Result) -> None:
+    half = result.drive_gains["left"].half_width
+    assert half is not None
+    weak = identify(FIVE_BAR, runs, accuracy=(1 - 1e-6) * half / 100)
+    shown = percent_text(half, (1 - 1e-6) * half)
+    assert float(shown) >= half - 0.005
+    assert weak.drive_gains["left"].verdict.why.startswith(f"its 95 % interval is +-{shown} %")
+    headline, table = weak.summary().split("Drive gains ", 1)
+    assert f"'left' is known to +-{shown} %" in " ".join(headline.split())
+    assert next(line for line in table.splitlines() if line.startswith("  left")).split("m/A")[1].split()[0] == shown
 
 
 def test_what_is_known_or_unknown_has_no_interval() -> None:

@@ -89,6 +89,8 @@ addEventListener("load", async () => {
   say.themes = [background()];
   document.getElementById("theme").click();
   say.themes.push(background());
+  const seen = (each) => each.getBoundingClientRect().right <= document.documentElement.clientWidth;
+  say.verdicts = [...document.querySelectorAll("td .badge")].map(seen);
   say.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
   say.problems = problems;
   console.log("probe" + JSON.stringify(say));
@@ -222,6 +224,8 @@ def test_a_report_in_a_browser(probed: dict[str, dict], command: str) -> None:
     assert said["synced"]
     assert said["themes"][0] != said["themes"][1]
     assert said["wide"] <= 0  # nothing sticks out at the width of a phone
+    assert all(said["verdicts"])  # and no verdict is out of sight
+    assert said["verdicts"] or command not in ("identify", "compare", "fleet")
 
 
 def test_the_table_of_parameters_searches_and_sorts(probed: dict[str, dict]) -> None:

@@ -21,6 +21,7 @@ from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 from gtau.simulation import experiment_files
 from gtau.simulation.closed_loop import simulate, write_log
+from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, Tracking, table
 from gtau.simulation.controllers import Reference, pid_with_velocity, simple_pid
 from gtau.simulation.drive import Drive, Sensors, hardware
 from gtau.simulation.experiment_files import simulate_experiment
@@ -344,6 +345,23 @@ def test_passive_joints_keep_to_their_limits_too(tmp_path):
     (tmp_path / "narrow.yaml").write_text(narrow, encoding="utf-8")
     with pytest.raises(GtauError, match=r"run 'a': joint '31' is to move from -0\.\d+ to 0\.\d+, beyond its limits"):
         simulate_experiment(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
+
+
+@pytest.mark.parametrize("joints", [("11", "12", "13"), tuple(f"shoulder_{k}_joint" for k in range(6))])
+def test_tables_of_tracking_errors_fit_a_terminal_and_have_every_error_once(joints):
+    n = len(joints)
+    errors = 1e-6 * np.arange(1000, 1000 + 20 * n).reshape(2, 5, 2, n)
+    tracking = tuple(
+        Tracking(name, strategy, *errors[i, k], np.zeros(1), np.zeros((1, n)))
+        for i, name in enumerate(("one", "two"))
+        for k, strategy in enumerate(STRATEGIES)
+    )
+    shown = table(ControlComparison(joints, ("m",) * n, tracking, {"one": None, "two": None}, {}))
+    assert max(map(len, shown.splitlines())) <= 80
+    assert sorted(word for word in shown.split() if len(word) == 4 and word.isdigit()) == [
+        str(1000 + k) for k in range(20 * n)
+    ]
+    assert shown.count("largest error") == shown.count("rms") == (2 if n == 3 else 6)  # blocks
 
 
 def test_the_mujoco_engine_makes_the_same_run(tmp_path):

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau import display
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Outcome, worst
+from gtau.estimation.diagnostics.verdict import Outcome, percent_text, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.experiment_runs import read_runs
@@ -144,7 +144,7 @@ def table(found: EstimatorComparison) -> str:
             lines += textwrap.wrap(f"{row.method:<8}{row.refusal}", WIDTH, subsequent_indent=" " * 8)
             continue
         verdict = "gains given" if row.outcome is None else row.outcome.value
-        lines.append(f"{row.method:<8}{row.residuals.max():>9.3g} %{row.seconds:>8.2f} s   {verdict}")
+        lines.append(f"{row.method:<8}{row.residuals.max():>9.2f} %{row.seconds:>8.2f} s   {verdict}")
     lines += textwrap.wrap("residual: of the worst joint, in % of its current; time: of the estimation alone", WIDTH)
     entries = {row.method: _gains(row) for row in found.rows if row.gains is not None}
     heads = [f"{joint}, {unit}" for joint, unit in zip(found.joints, found.units, strict=False)] or list(found.joints)
@@ -163,7 +163,7 @@ def _gains(row: Row) -> list[str]:
         return []
     if row.std is None:
         return [f"{gain:.5g} given" for gain in row.gains]
-    return [f"{g:.5g} +- {100 * s / abs(g):.2g} %" for g, s in zip(row.gains, row.std, strict=True)]
+    return [f"{g:.5g} +- {percent_text(100 * s / abs(g))} %" for g, s in zip(row.gains, row.std, strict=True)]
 
 
 def to_document(found: EstimatorComparison) -> dict[str, Any]:

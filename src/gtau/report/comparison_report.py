@@ -7,10 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.estimation.compare import EstimatorComparison, Row
+from gtau.estimation.diagnostics.verdict import percent_text
 from gtau.report import provenance
 from gtau.report.html.document import Section
 from gtau.report.html.drawings import Interval, interval_rows
-from gtau.report.html.elements import Cell, Column, badge, escape, number, paragraph, plain, table, text, verdict
+from gtau.report.html.elements import Cell, Column, badge, escape, paragraph, plain, table, text, verdict
 from gtau.report.html.series import Arrays
 from gtau.report.identification_report import page
 from gtau.report.provenance import Provenance
@@ -43,8 +44,8 @@ def headline(found: EstimatorComparison) -> str:
     spread = 100 * np.ptp(gains, axis=0) / np.abs(np.median(gains, axis=0))
     j = int(np.argmax(spread))
     return (
-        f"{len(believed)} of {len(rows)} estimators find gains that can be believed; these agree to {spread[j]:.2g} % "
-        f"or better, and differ most at {found.joints[j]}."
+        f"{len(believed)} of {len(rows)} estimators find gains that can be believed; these agree to "
+        f"{percent_text(spread[j])} % or better, and differ most at {found.joints[j]}."
     )
 
 
@@ -60,30 +61,30 @@ def remarks(found: EstimatorComparison) -> list[str]:
 
 
 def comparison_table(found: EstimatorComparison, units: Mapping[str, str]) -> str:
-    """Tabulate each estimator: gains with their relative standard deviations, residual, time and worst verdict."""
+    """Tabulate each estimator: worst verdict, gains with relative standard deviations, residual and time."""
     columns = [
         Column("estimator"),
+        Column("worst verdict"),
         *(Column(f"{joint_label(joint)}, {units.get(joint, 'N m/A or N/A')}", True) for joint in found.joints),
         Column("residual, % of the current", True),
         Column("time, s", True),
-        Column("worst verdict"),
     ]
     return table(columns, [_row(row, len(found.joints)) for row in found.rows])
 
 
 def _row(row: Row, n: int) -> list[Cell]:
     if row.gains is None or row.residuals is None:
-        return [text(row.method, "mono"), *([Cell("–", True)] * (n + 2)), badge("refused")]
+        return [text(row.method, "mono"), badge("refused"), *([Cell("–", True)] * (n + 2))]
     cells = []
     for j, gain in enumerate(row.gains):
-        more = " given" if row.std is None else f" ± {100 * row.std[j] / abs(gain):.2g} %"
+        more = " given" if row.std is None else f" ± {percent_text(100 * row.std[j] / abs(gain))} %"
         cells.append(Cell(escape(plain(float(gain), 5) + more), True, float(gain)))
     return [
         text(row.method, "mono"),
-        *cells,
-        number(float(row.residuals.max()), 3),
-        Cell(f"{row.seconds:.2f}", True, row.seconds),
         text("given") if row.outcome is None else badge(row.outcome.value),
+        *cells,
+        Cell(f"{row.residuals.max():.2f}", True, float(row.residuals.max())),
+        Cell(f"{row.seconds:.2f}", True, row.seconds),
     ]
 
 

@@ -128,12 +128,12 @@ def _gains(found: FleetTable) -> Section:
         [
             text(g.robot),
             text(joint_label(g.joint), "unit"),
+            badge("outlier") if g.outlier else badge(g.outcome),
             number(g.gain),
             number(g.std, 2),
             text(g.unit, "unit"),
             number(g.difference_percent, 3),
             number(g.z, 3),
-            badge("outlier") if g.outlier else badge(g.outcome),
             text(g.why),
         ]
         for g in found.gains
@@ -141,12 +141,12 @@ def _gains(found: FleetTable) -> Section:
     columns = [
         Column("robot"),
         Column("joint"),
+        Column("verdict"),
         Column("gain", True),
         Column("std", True),
         Column("unit"),
         Column("from median, %", True),
         Column("z", True),
-        Column("verdict"),
         Column("why"),
     ]
     return Section("gains", "All gains", table(columns, rows, sortable="gains-table"))

@@ -70,13 +70,13 @@ def _worst_errors(evidence: Evidence) -> dict[str, str]:
     found = {}
     if evidence.result.residuals:
         worst = max(evidence.result.residuals, key=lambda each: each.relative)
-        found["largest torque error of the fit"] = f"{worst.relative:.2g} % ({worst.joint})"
+        found["largest torque error of the fit"] = f"{worst.relative:.2f} % ({worst.joint})"
     unused = [error for run in evidence.runs if not run.used for error in run.errors]
     if unused:
         worst = max(unused, key=lambda each: each.relative)
         whole = worst.relative_all
-        more = "" if whole is None else f", {whole:.2g} % with reversals"
-        found["largest torque error of validation"] = f"{worst.relative:.2g} %{more} ({worst.joint})"
+        more = "" if whole is None else f", {whole:.2f} % with reversals"
+        found["largest torque error of validation"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
     return found
 
 
@@ -93,13 +93,13 @@ def gains_section(evidence: Evidence) -> Section:
         rows.append(
             [
                 Cell(f'<span class="name">{escape(joint_label(joint))}</span>'),
+                badge(gain.verdict.outcome.value),  # before what a phone scrolls out of sight
                 number(gain.value),
                 interval_cell(whole),
                 *([interval_cell(inner)] if split else []),
                 text(gain.unit, "unit"),
                 *_prior_cells(gain, given if prior else None, bool(prior)),
                 *_delay_cells(result.delays.get(joint)),
-                badge(gain.verdict.outcome.value),
             ]
         )
         bars.append(
@@ -109,13 +109,13 @@ def gains_section(evidence: Evidence) -> Section:
         )
     columns = [
         Column("joint"),
+        Column("verdict"),
         Column("gain", True),
         Column("95 % interval", True),
         *([Column("random part", True)] if split else []),
         Column("unit"),
         *([Column("prior", True), Column("prior off by", True)] if prior else []),
         Column("delay, ms", True),
-        Column("verdict"),
     ]
     shown = table(columns, rows)
     if any(bar.outer or bar.other is not None for bar in bars):

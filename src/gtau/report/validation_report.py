@@ -49,8 +49,8 @@ def headline(evidence: Evidence) -> str:
         return "No joint moves in these runs, so there is no torque error."
     worst = max(errors, key=lambda each: each.relative)
     words = (
-        f"The predicted torques differ from the measured ones by {min(error.relative for error in errors):.2g} to "
-        f"{worst.relative:.2g} % away from reversals, most at {worst.joint}"
+        f"The predicted torques differ from the measured ones by {min(error.relative for error in errors):.2f} to "
+        f"{worst.relative:.2f} % away from reversals, most at {worst.joint}"
     )
     whole = [error.relative_all for error in errors if error.relative_all is not None]
-    return words + (f"; over all samples by {min(whole):.2g} to {max(whole):.2g} %." if whole else ".")
+    return words + (f"; over all samples by {min(whole):.2f} to {max(whole):.2f} %." if whole else ".")

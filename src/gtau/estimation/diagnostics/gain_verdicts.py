@@ -16,7 +16,7 @@ from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.findings import Findings
 from gtau.estimation.diagnostics.other_estimators import TWO_STAGE
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, percent_text
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.accuracy import LOST_GAIN, NAMED_SHARE
 from gtau.estimation.thresholds.lack_of_fit import MISFIT
@@ -120,7 +120,8 @@ def _verdict(
             apart[0].advice,
         )
     if half > accuracy:
-        found = _weak(findings, uncertainty, problem.n_theta + j, half, NORMAL * std > accuracy)
+        width = percent_text(100 * half, 100 * accuracy)
+        found = _weak(findings, uncertainty, problem.n_theta + j, width, NORMAL * std > accuracy)
         if fit.system.payloads:
             return found
         advice = found.advice.replace("use a heavier payload and longer runs, too", "use longer runs, too")
@@ -143,9 +144,9 @@ def _why(found: Alternative, j: int) -> str:
     )
 
 
-def _weak(findings: Findings, uncertainty: Uncertainty, row: int, half: float, random_alone: bool) -> Verdict:
+def _weak(findings: Findings, uncertainty: Uncertainty, row: int, width: str, random_alone: bool) -> Verdict:
     random, model = uncertainty.random[row, row], uncertainty.model[row, row]
-    why = f"its 95 % interval is +-{100 * half:.2g} %"
+    why = f"its 95 % interval is +-{width} %"
     if model < NAMED_SHARE * (random + model):
         return Verdict(
             Outcome.WEAK,

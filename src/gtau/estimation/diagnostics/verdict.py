@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from math import ceil, floor, log10
 
 from gtau.estimation.thresholds.accuracy import WEAK_PARAMETER
 from gtau.estimation.thresholds.refutation import APART
@@ -44,6 +45,20 @@ class Refutation:
 
 
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
+
+
+def percent_text(share: float, accuracy: float | None = None) -> str:
+    """Write a share (per cent) in two significant digits and at most two decimals, without the sign of per cent.
+
+    A share that exceeds the ``accuracy`` (per cent) is rounded up where it would be rounded to it or below.
+    """
+    if 0 < share < 0.005:
+        return "<0.01"
+    decimals = min(max(1 - floor(log10(float(f"{share:.2g}"))), 0), 2) if share else 2
+    shown = f"{share:.{decimals}f}"
+    if accuracy is not None and share > accuracy >= float(shown):
+        shown = f"{ceil(share * 10**decimals) / 10**decimals:.{decimals}f}"
+    return shown
 
 
 def parameter_verdict(value: float | None, std: float | None) -> Verdict:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, floor, log10
 
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.verdict import Outcome, percent_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import IdentifiedModel
 
@@ -45,7 +44,7 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
     if len(good) == len(gains):
         widest = max(gain.half_width or 0.0 for gain in good)
         which = {1: "The drive gain is", 2: "Both drive gains are"}.get(len(gains), f"All {total} drive gains are")
-        return f"{which} known to within {widest:.2g} % (95 % intervals)."
+        return f"{which} known to within {percent_text(widest)} % (95 % intervals)."
     if not good:
         return f"No drive gain is known to {100 * accuracy:g} %."
     verb = "is" if len(good) == 1 else "are"
@@ -58,20 +57,11 @@ def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
     if not gains:
         return []
     widths = [(gain.half_width or 0.0, gain) for gain in gains]
-    known = [f"'{gain.name}' to +-{_wider(width, accuracy)} %" for width, gain in widths]
+    known = [f"'{gain.name}' to +-{percent_text(width, accuracy)} %" for width, gain in widths]
     known[0] = known[0].replace(" to ", " is known to ", 1)
     listed = known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]
     worst = max(widths, key=lambda pair: pair[0])[1]
     return [f"{listed}. Joint '{worst.name}': {worst.verdict.why}; {worst.verdict.advice}."]
-
-
-def _wider(width: float, accuracy: float) -> str:
-    """Format a width in two digits, rounded up where it would round to the accuracy that it exceeds."""
-    shown = f"{width:.2g}"
-    if width > accuracy >= float(shown) > 0:
-        step = 10.0 ** (floor(log10(width)) - 1)
-        shown = f"{ceil(width / step) * step:.2g}"
-    return shown
 
 
 def _sentence(outcome: Outcome, gains: Sequence[Estimate], why: str, advice: str) -> str:

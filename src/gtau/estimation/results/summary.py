@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.verdict import Outcome, percent_text
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.grades import by_grade
@@ -20,6 +20,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.remarks import VISIBLE, findings
 from gtau.estimation.results.scale_text import all_sources, scale_lines
 from gtau.estimation.results.singularity_distances import NearestPose
+from gtau.estimation.thresholds import ACCURACY
 from gtau.signals.notes import Note
 
 WIDTH = 80
@@ -105,7 +106,7 @@ def short_summary(result: IdentifiedModel) -> str:
         best, worst = (chosen(result.residuals, key=lambda each: each.relative) for chosen in (min, max))
         lines += [
             "-" * WIDTH,
-            f"Torque residuals: {best.relative:.2g} to {worst.relative:.2g} % rms, the largest at '{worst.joint}'.",
+            f"Torque residuals: {best.relative:.2f} to {worst.relative:.2f} % rms, the largest at '{worst.joint}'.",
         ]
     if result.consistency is not None:
         lines.append(f"Physically consistent parameters: torque residuals {_growth(_overall(result.consistency))}.")
@@ -147,13 +148,15 @@ def gain_lines(result: IdentifiedModel) -> list[str]:
             ),
         ]
     lines = [f"{'Drive gains':<22}{'value':>8} {'unit':<6}{'+-95 %':>8}{'random':>8}{'model':>8}{'delay':>9} verdict"]
+    accuracy = 100 * result.statistics.get("accuracy", ACCURACY)
     for joint, gain in result.drive_gains.items():
         delay = result.delays[joint]
         shown = (
             f"{1e3 * delay.value:.1f} ms" if delay.verdict.outcome == Outcome.GOOD and delay.value is not None else "-"
         )
-        parts = (gain.half_width, _relative(gain, gain.random_std), _relative(gain, gain.model_std))
-        half, random, model = ("" if part is None else _percent(part) for part in parts)
+        half = "" if gain.half_width is None else _percent(gain.half_width, accuracy)
+        parts = (_relative(gain, gain.random_std), _relative(gain, gain.model_std))
+        random, model = ("" if part is None else _percent(part) for part in parts)
         lines.append(
             f"  {joint[:20]:<20}{gain.value or 0.0:>8.5g} {gain.unit:<6}{half:>8}{random:>8}{model:>8}{shown:>9} "
             f"{gain.verdict.outcome}"
@@ -188,9 +191,9 @@ def _fit_row(each: TorqueError) -> str:
     return f"  {each.joint:<24}{each.rms:>12.4g}{each.signal:>10.4g}{each.relative:>8.2f}   {each.unit}"
 
 
-def _percent(part: float) -> str:
+def _percent(part: float, accuracy: float | None = None) -> str:
     """Print a share in at most seven characters."""
-    return f">{NOT_SHOWN:g} %" if part > NOT_SHOWN else f"{part:.2f} %" if part < 100 else f"{part:.0f} %"
+    return f">{NOT_SHOWN:g} %" if part > NOT_SHOWN else f"{percent_text(part, accuracy)} %"
 
 
 def _relative(gain: Estimate, std: float | None) -> float | None:
