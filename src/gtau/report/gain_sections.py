@@ -92,7 +92,7 @@ def gains_section(evidence: Evidence) -> Section:
         given = prior.get(joint)
         rows.append(
             [
-                Cell(f'<span class="name">{escape(joint_label(joint))}</span>'),
+                text(joint_label(joint), "unit"),
                 badge(gain.verdict.outcome.value),  # before what a phone scrolls out of sight
                 number(gain.value),
                 interval_cell(whole),
