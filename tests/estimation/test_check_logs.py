@@ -10,6 +10,7 @@ import pytest
 from tests.support.five_bar_logs import STEEL, Plant, write_log
 from typer.testing import CliRunner
 
+import gtau
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
@@ -84,6 +85,33 @@ def test_every_log_that_is_refused_is_a_finding_in_the_words_of_identify(folder:
     assert stops[0].action.startswith("give the column")
     assert "back.csv, line 1002: time goes back from" in stops[1].what
     assert (checked.worst, checked.logs, checked.preparation) == (Grade.STOPS, (), None)
+
+
+def test_what_is_wrong_with_all_logs_is_listed_once_with_their_names(folder: Path) -> None:
+    path = damaged(folder, "column", "right: v2", "right: v9")
+    done = CliRunner().invoke(app, ["check", str(path)])
+    assert done.exit_code == 2
+    said = " ".join(done.stdout.split())
+    assert said.count("there is no column 'v9'; the columns are t, q1, q2, v1, v2") == 1
+    assert f"- {folder / 'free.csv'}, {folder / 'loaded.csv'}: there is no column" in said
+    assert "1 finding to resolve first" in said
+
+
+def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(folder: Path) -> None:
+    robot = (Path(gtau.__file__).parent / "robots/catalog/five-bar.yaml").read_text()
+    speeds = [joint.speed_rms for log in check_logs(folder / "good.yaml").logs for joint in log.joints]
+    for limit, worst in ((f"{0.9 * min(speeds):.4f}", Grade.MEND), (f"{0.3 * min(speeds):.4f}", Grade.STOPS)):
+        (folder / "limited.yaml").write_text(robot.replace("velocity: 6", f"velocity: {limit}"))
+        path = damaged(folder, "fast", "five-bar", "limited.yaml")
+        checked = check_logs(path)
+        assert checked.worst == worst
+        limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in note]
+        assert len(limits) >= 2
+        if worst == Grade.MEND:
+            assert set(limits) <= set(findings(identify(path)))
+        else:
+            with pytest.raises(GtauError, match=f"times its limit of {float(limit):.4g} rad/s"):
+                identify(path)
 
 
 def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Path) -> None:

@@ -305,6 +305,7 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
         assert load_robot(read_experiment(Path("a.yaml")).robot).actuated == ("j1", "j2")
         Path("a.yaml").unlink()
     assert "--base is 'sideways'; write" in CliRunner().invoke(app, [*init, "--base", "sideways"]).output
+    assert "--base is '0,0,x': unknown name 'x'" in CliRunner().invoke(app, [*init, "--base", "0,0,x"]).output
     assert "name it too" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output
 
 

@@ -233,9 +233,19 @@ def _scaled(factor: float) -> Callable[[list[str]], list[str]]:
 
 # name, change to the lines, header, what the error says
 BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
-    ("column missing", lambda x: x, "t,qa,q_b,va,vb", "has no column 'qb'; did you mean 'q_b'? Its columns are t, qa,"),
-    ("no match", lambda x: x, "t,qa,velocity,va,vb", "has no column 'qb'; its columns are t, qa, velocity, va, vb."),
-    ("no header", lambda x: x, "", "has no column 't': it has no header, so its 5 columns are named 1 to 5"),
+    (
+        "column missing",
+        lambda x: x,
+        "t,qa,q_b,va,vb",
+        "there is no column 'qb'; did you mean 'q_b'? The columns are t, qa,",
+    ),
+    (
+        "no match",
+        lambda x: x,
+        "t,qa,velocity,va,vb",
+        "there is no column 'qb'; the columns are t, qa, velocity, va, vb.",
+    ),
+    ("no header", lambda x: x, "", "there is no column 't'; the file has no header, so its 5 columns are named 1 to 5"),
     ("column twice", lambda x: x, "t,qa,qb,va,qb", "has 2 columns named 'qb'; rename them"),
     ("no samples", lambda x: [], HEADER, "has 0 samples"),
     ("short", lambda x: x[:60], HEADER, "has 60 samples; an identification needs a log of some seconds"),
@@ -293,7 +303,7 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
         "t,qa,qb,va",
         "line 2 has 5 columns where the header in line 1 has 4",
     ),
-    ("only a header, torn", lambda x: [], HEADER[:-4], "has no column 'va'"),
+    ("only a header, torn", lambda x: [], HEADER[:-4], "there is no column 'va'"),
     ("empty", lambda x: [], "\n", "is empty or begins with an empty line"),
 ]
 

@@ -123,8 +123,8 @@ LOGS = [
         "no joint's motion stands out from the noise",
         numbers(lambda x: x * [1, 0, 0, 1, 1] + np.random.default_rng(1).normal(size=x.shape) * [0, 1e-3, 1e-3, 0, 0]),
     ),
-    Case("a column renamed", "has no column 'q1'; did you mean 'q_1'?", lines(lambda x: ["t,q_1,q2,v1,v2", *x[1:]])),
-    Case("no header", "it has no header, so its 5 columns are named 1 to 5", lines(lambda x: x[1:])),
+    Case("a column renamed", "no column 'q1'; did you mean 'q_1'?", lines(lambda x: ["t,q_1,q2,v1,v2", *x[1:]])),
+    Case("no header", "the file has no header, so its 5 columns are named 1 to 5", lines(lambda x: x[1:])),
     Case(
         "a column twice",
         "free.csv has 2 columns named 'q1'; rename them",
@@ -234,7 +234,7 @@ EXPERIMENTS = [
         "there is no file 'fre.csv'; did you mean 'free.csv'?",
         experiment((FREE, "log: fre.csv")),
     ),
-    Case("a column missing in the log", "has no column 'v3'", experiment(("right: v2", "right: v3"))),
+    Case("a column missing in the log", "there is no column 'v3'", experiment(("right: v2", "right: v3"))),
     Case(
         "one mass, two values",
         "the payload 'steel' is described differently in two runs",

@@ -49,9 +49,19 @@ def base_choice(text: str | None) -> Any:
     """Read ``--base``: a word, or three angles in rad."""
     if text is None or text in ("fixed", "floating"):
         return text
-    angles = [angle.strip() for angle in text.split(",")]
+    angles, choices = (
+        [angle.strip() for angle in text.split(",")],
+        "write fixed, floating, or three angles in rad, such as 0,0,deg(90)",
+    )
     if len(angles) != 3:
-        raise GtauError(f"--base is '{text}'; write fixed, floating, or three angles in rad, such as 0,0,deg(90).")
+        raise GtauError(f"--base is '{text}'; {choices}.")
+    from gtau.robots.readers.expressions import evaluate
+
+    try:
+        for angle in angles:
+            evaluate(angle)
+    except ValueError as error:
+        raise GtauError(f"--base is '{text}': {error}; {choices}.") from None
     return {"rpy": angles}
 
 

@@ -179,13 +179,17 @@ def _read(
             runs.append(run)
         except GtauError as error:
             runs.append(None)
-            notes.append(refusal(error, kinds[k]))
+            notes.append(refusal(error, kinds[k], logs=each.log))
     return runs, notes
 
 
-def refusal(error: GtauError, kind: Kind = Kind.REFUSED, source: str = "") -> Note:
-    """Note why an identification refuses a log; the sentence names the log itself where no ``source`` is given."""
-    what, _, action = str(error).rstrip(".").rpartition("; ")
+def refusal(error: GtauError, kind: Kind = Kind.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Note:
+    """Note why an identification refuses a log; where no ``source`` is given, the sentence may name one of its logs."""
+    sentence = str(error).rstrip(".")
+    for log in logs:  # what is wrong with several logs is listed once, with all their names
+        if not source and sentence.startswith(f"{log}: "):
+            sentence, source = sentence.removeprefix(f"{log}: "), str(log)
+    what, _, action = sentence.rpartition("; ")
     return Note(kind, what or action, action if what else "", source="" if source in what else source)
 
 

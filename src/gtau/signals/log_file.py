@@ -136,10 +136,10 @@ def _refuse_missing(path: Path, names: Iterable[str], table: Table) -> None:
             continue
         if table.numbered:
             raise GtauError(
-                f"{path} has no column '{name}': it has no header, so its {len(columns)} columns are named "
+                f"{path}: there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
                 f"1 to {len(columns)}."
             )
         close = get_close_matches(name, columns, n=1)
-        hint = f"did you mean '{close[0]}'? Its" if close else "its"
+        hint = f"did you mean '{close[0]}'? The" if close else "the"
         listed = ", ".join(columns[:40]) + (", ..." if len(columns) > 40 else "")
-        raise GtauError(f"{path} has no column '{name}'; {hint} columns are {listed}.")
+        raise GtauError(f"{path}: there is no column '{name}'; {hint} columns are {listed}.")

@@ -111,8 +111,10 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
         if excess > BEYOND_LIMITS:
             action = "check the zero of its position, or correct the limits in the robot file"
             yield Note(Kind.LIMITS, f"{moved}, outside {limits}", action, joint=joint.name)
-    if joint.limits.velocity is not None and speed > TOO_FAST * joint.limits.velocity:
-        raise GtauError(
-            f"run '{run}': joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), "
-            f"{speed / joint.limits.velocity:.3g} times its limit of {joint.limits.velocity:.4g} {unit}/s; {repair}"
-        )
+    if joint.limits.velocity is not None and speed > joint.limits.velocity:
+        moved = f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / joint.limits.velocity:.3g} times"
+        limit = f"its limit of {joint.limits.velocity:.4g} {unit}/s"
+        if speed > TOO_FAST * joint.limits.velocity:
+            raise GtauError(f"run '{run}': {moved} {limit}; {repair}")
+        action = "check the columns and the time, or correct the limits in the robot file"
+        yield Note(Kind.LIMITS, f"{moved} {limit}", action, joint=joint.name)

@@ -29,7 +29,7 @@ def scale_lines(result: IdentifiedModel) -> list[str]:
 
 
 def all_sources(result: IdentifiedModel) -> str:
-    """List all sources of the scale, those on which most gains rest first; torque sensors are listed together."""
+    """List all sources of the scale, those on which most gains rest first; torque sensors together, joint by joint."""
     totals: dict[str, float] = {}
     for gain in result.drive_gains.values():
         for source, share in gain.scale.items():
@@ -37,7 +37,7 @@ def all_sources(result: IdentifiedModel) -> str:
     found: Sequence[str] = [
         source for source, each in sorted(totals.items(), key=lambda each: -each[1]) if each >= LEAST
     ]
-    sensors = [each.removeprefix(SENSOR) for each in found if each.startswith(SENSOR)]
+    sensors = [f"'{joint}'" for joint in result.robot.actuated if f"{SENSOR}'{joint}'" in found]
     if len(sensors) > 1:
         others = [each for each in found if not each.startswith(SENSOR)]
         found = [f"torque sensors of {', '.join(sensors)}", *others]

@@ -20,7 +20,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.remarks import VISIBLE, findings
 from gtau.estimation.results.scale_text import all_sources, scale_lines
 from gtau.estimation.results.singularity_distances import NearestPose
-from gtau.estimation.thresholds import ACCURACY
+from gtau.estimation.thresholds.accuracy import ACCURACY
 from gtau.signals.notes import Note
 
 WIDTH = 80
@@ -270,7 +270,7 @@ def findings_lines(notes: Sequence[Note], most: int | None = None) -> list[str]:
         shown, left = members[:left], max(left - len(members), 0)
         lines += [f"{grade.value.capitalize()}:"] if shown else []
         for note in shown:
-            lines += textwrap.wrap(f"- {note}", WIDTH, subsequent_indent="  ")
+            lines += textwrap.wrap(f"- {note}", WIDTH, subsequent_indent="  ", break_on_hyphens=False)
     return lines
 
 
