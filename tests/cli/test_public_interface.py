@@ -101,7 +101,7 @@ def test_columns_of_a_comparison_do_not_touch_and_fit_a_terminal() -> None:
     lines = table(EstimatorComparison(names, rows, ("N/A",) * 3)).splitlines()
     assert max(map(len, lines)) <= 80
     shown = "\n".join(lines)
-    for entry in ("20009 +- 0.035 %", "1.4992e+05 +- 0.11 %", "1.5 +- 6.7 %", "20009 given"):
+    for entry in ("20009 +- 0.03 %", "1.4992e+05 +- 0.11 %", "1.5 +- 6.7 %", "20009 given"):
         assert re.search(rf"(^|\s{{2}}){re.escape(entry)}(\s{{2}}|$)", shown, re.MULTILINE)
     for name in names:
         (head,) = (line for line in lines if re.search(rf"\s{name}, N/A", line))

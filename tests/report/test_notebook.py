@@ -65,7 +65,7 @@ def test_a_comparison_shows_itself_and_is_a_table() -> None:
         JOINTS, (Row("ml", gains, std, residuals, 0.1, Outcome.GOOD), Row("iv", refusal="no motion can be simulated"))
     )
     page = Frame(found._repr_html_()).page
-    assert "2.5 ± 0.4 %" in page
+    assert "2.5 ± 0.40 %" in page
     assert "refused" in page
     frame = found.to_frame()
     assert frame["gain"].to_list() == [2.5, 4.0, None, None]
