@@ -105,7 +105,7 @@ def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(fold
         path = damaged(folder, "fast", "five-bar", "limited.yaml")
         checked = check_logs(path)
         assert checked.worst == worst
-        limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in note]
+        limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in str(note)]
         assert len(limits) >= 2
         if worst == Grade.MEND:
             assert set(limits) <= set(findings(identify(path)))
