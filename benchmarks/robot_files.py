@@ -178,6 +178,9 @@ def mujoco_torques(path: Path, robot: Robot, motion: Motion, rng: np.random.Gene
         body.ipos, body.iquat, body.gravcomp = rng.uniform(-0.1, 0.1, 3), rng.normal(size=4), 0.0
     for site in spec.sites:
         site.material = ""
+    for joint in (each for each in spec.joints if each.type == mujoco.mjtJoint.mjJNT_FREE):  # as said in a note
+        joint.armature, joint.frictionloss = 0.0, 0.0
+        joint.damping, joint.stiffness = 0.0 * joint.damping, 0.0 * joint.stiffness
     spec.option.density = spec.option.viscosity = 0.0
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     model = spec.compile()
@@ -191,7 +194,9 @@ def mujoco_torques(path: Path, robot: Robot, motion: Motion, rng: np.random.Gene
             number[row] = names.index(joint.name)
         elif joint.name not in {coupling.joint for coupling in robot.couplings}:
             return None
-    if constant or robot.platforms or (loose and len(free) != 1):
+    if loose and len(free) != 1:
+        raise ValueError("no free joint, or several, in the file")
+    if constant or robot.platforms:
         return None
     data = mujoco.MjData(model)
     tau = np.zeros((len(robot.joints), motion.c.shape[1]))

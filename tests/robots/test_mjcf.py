@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,15 +43,16 @@ def load(text: str, tmp_path: Path) -> Robot:
     return load_robot(tmp_path / "robot.xml")
 
 
-def read(text: str, tmp_path: Path) -> Robot:
+def read(text: str, tmp_path: Path, base: str | None = None) -> Robot:
     """Without assembly, which would refuse what can still move."""
     from gtau.robots.readers.mjcf import _robot
     from gtau.robots.readers.mjcf_file import compile_mjcf
+    from gtau.robots.readers.source import RobotSource
     from gtau.robots.readers.xml_document import read_xml
 
     path = tmp_path / "robot.xml"
     path.write_text(text)
-    return _robot(compile_mjcf(read_xml(path), path), path, None)
+    return _robot(compile_mjcf(read_xml(path), path), path, RobotSource(file="", base=base).base)
 
 
 @pytest.mark.parametrize(
@@ -125,6 +127,24 @@ def test_meshes_are_not_needed(tmp_path: Path) -> None:
       <worldbody><body><joint name="j"/><geom type="mesh" mesh="m"/></body></worldbody>
       <sensor><jointpos joint="j"/></sensor></mujoco>"""
     assert [joint.name for joint in load(text, tmp_path).joints] == ["j"]
+
+
+def test_a_quaternion_of_zeros_in_a_keyframe_is_no_rotation(tmp_path: Path) -> None:
+    """As MuJoCo takes it, of a free body and of a ball."""
+    text = """<mujoco><worldbody><body name="b" euler="40 0 0"><freejoint/><geom size="1"/><body name="c" pos="1 0 0">
+      <joint name="j" pos="0 1 0"/><geom size="1"/><body name="d" pos="0 0 1" euler="0 30 0">
+      <joint name="k" type="ball"/><geom size="1"/></body></body></body></worldbody>
+      <actuator><motor joint="j"/></actuator>
+      <keyframe><key name="home" qpos="0.3 0.2 1 0 0 0 0 0.5 0 0 0 0"/></keyframe></mujoco>"""
+    (tmp_path / "robot.xml").write_text(text)
+    robot = replace(read(text, tmp_path, "fixed"), home_given=True)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    R, p = poses(coordinates(robot), coordinates(robot).home)["k"]
+    np.testing.assert_allclose(R, data.body("d").xmat.reshape(3, 3), atol=1e-12)
+    np.testing.assert_allclose(p, data.body("d").xpos, atol=1e-12)
 
 
 # One robot in three formats: a five-bar in a tilted plane, closed by a point
@@ -576,3 +596,23 @@ def test_loops_without_actuators_are_refused(tmp_path: Path) -> None:
       <equality><connect body1="bar" body2="crank" anchor="-0.5 0 -0.1"/></equality></mujoco>"""
     with pytest.raises(GtauError, match="it has loops and no actuators, so it is not known which joints have motors"):
         load(text, tmp_path)
+
+
+def test_springs_that_leave_joints_free_are_to_be_held(tmp_path: Path) -> None:
+    """As in a leg whose shin bends: the refusal says how to hold it, and then it loads."""
+    text = as_mjcf().replace('<position joint="right"/>', "").replace('"right" axis', '"right" stiffness="9" axis')
+    (tmp_path / "robot.xml").write_text(text)
+    with pytest.raises(GtauError) as refused:
+        _ = InverseDynamics(load_robot(tmp_path / "robot.xml")).loops
+    assert "hold the springs right if they hardly give, by 'held: {right: POSITION}' or a list" in str(refused.value)
+    model = InverseDynamics(load_robot(tmp_path / "robot.xml", held={"right": 0.1}))
+    assert model.loops is not None
+    assert model.actuated == ("left",)
+
+
+def test_what_brakes_a_floating_base_in_the_simulator_is_said(tmp_path: Path) -> None:
+    path = legs_of(tmp_path)
+    path.write_text(path.read_text().replace("<freejoint/>", '<joint type="free" damping="2"/>'))
+    note = "damping, friction or armature of the floating 'trunk' acts in the simulator and is not modelled"
+    assert note in load_robot(path, base="floating").notes
+    assert note not in load_robot(path, base="fixed").notes

@@ -138,22 +138,7 @@ def close_loops(robot: Robot) -> Loops:
     total = int(np.linalg.matrix_rank(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), tol=1e-7))
     n, n_passive = len(layout.actuated), len(layout.passive)
     if rank < n_passive:
-        free = np.abs(np.linalg.svd(G_p[:, :, 0])[2][rank:]).max(axis=0) > 1e-6
-        names = ", ".join(layout.names[k] for k in layout.passive[free])
-        held = np.abs(G_p[:, :, 0]).max(axis=0, initial=0.0) > 1e-7  # a turret under a loop turns, and closes none
-        alone = [layout.names[k] for k in layout.passive[free & ~held]]
-        if alone:
-            raise GtauError(
-                f"robot '{robot.name}': no motor moves {', '.join(alone)} and no closure holds "
-                f"{'them' if len(alone) > 1 else 'it'}; hold what stands still in the logs, by 'held: {{{alone[0]}: "
-                "POSITION}' beside the robot's 'file', fix a base that floats by 'base: fixed', or mark the joint "
-                "actuated."
-            )
-        raise GtauError(
-            f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home "
-            f"configuration {names} can still move ({n_passive - rank} dof); actuate more joints, or move home away "
-            "from a singular pose."
-        )
+        _refuse_free(robot, layout, G_p[:, :, 0], rank)
     if total > rank:
         free = np.linalg.svd(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]))[2][total:, n_passive:]
         stuck = [
@@ -166,6 +151,31 @@ def close_loops(robot: Robot) -> Loops:
             "or check the closures and the dof of platforms."
         )
     return Loops(layout, equations, home, rank)
+
+
+def _refuse_free(robot: Robot, layout: Coordinates, G_p: np.ndarray, rank: int) -> None:
+    """Refuse passive coordinates that the columns ``G_p`` of the loop equations, of a lower rank, leave free."""
+    free = np.abs(np.linalg.svd(G_p)[2][rank:]).max(axis=0) > 1e-6
+    held = np.abs(G_p).max(axis=0, initial=0.0) > 1e-7  # a turret under a loop turns, and closes none
+    names = [layout.names[k] for k in layout.passive[free]]
+    if alone := [layout.names[k] for k in layout.passive[free & ~held]]:
+        raise GtauError(
+            f"robot '{robot.name}': no motor moves {', '.join(alone)} and no closure holds "
+            f"{'them' if len(alone) > 1 else 'it'}; hold what stands still in the logs, {_by_held(alone[0])}, fix a "
+            "base that floats by 'base: fixed', or mark the joint actuated."
+        )
+    stiff = ""
+    if sprung := [joint.name for joint in robot.joints if joint.spring is not None and joint.name in names]:
+        stiff = f"hold the springs {', '.join(sprung)} if they hardly give, {_by_held(sprung[0])}, "
+    raise GtauError(
+        f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home configuration "
+        f"{', '.join(names)} can still move ({len(layout.passive) - rank} dof); {stiff}actuate more joints, or move "
+        "home away from a singular pose."
+    )
+
+
+def _by_held(name: str) -> str:
+    return f"by 'held: {{{name}: POSITION}}' or a list of the moving 'joints' beside the robot's 'file'"
 
 
 def _follower(loops: Loops, shortest: float) -> Follower:

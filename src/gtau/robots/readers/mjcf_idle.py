@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 
 from gtau.robots.robot import GROUND, Robot
 
@@ -26,7 +27,7 @@ def moving_base(robot: Robot) -> set[str]:
     return found
 
 
-def with_linkages(robot: Robot, pulled: set[str]) -> set[str]:
+def with_linkages(robot: Robot, pulled: AbstractSet[str]) -> set[str]:
     """List the joints that tendons pull, and those of their loops, where no motor moves them."""
     found = set(pulled)
     for group in _groups(robot):

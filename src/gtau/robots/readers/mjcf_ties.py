@@ -1,27 +1,54 @@
-"""What ties the joints of an MJCF file, and what drives them: equalities, fixed tendons and actuators."""
+"""What ties the bodies and joints of an MJCF file: equalities, fixed tendons, and springs between two sites."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import compose, pose_of
-from gtau.robots.parts import listed
 from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons
+from gtau.robots.readers.mjcf_model import name_in, pose_in
 from gtau.robots.readers.xml_document import numbers
-from gtau.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Pose, Spring
+from gtau.robots.robot import Attachment, Closure, Coupling, Spring
 
 if TYPE_CHECKING:
     import mujoco
 
-Kind = Literal["revolute", "prismatic"]
+
+@dataclass(frozen=True)
+class Ties:
+    """Closures, couplings, and the positions at which an equality holds joints."""
+
+    closures: tuple[Closure, ...]
+    couplings: tuple[Coupling, ...]
+    held: dict[str, float]
 
 
-def equalities(
-    model: mujoco.MjModel, carried: dict[int, Attachment]
+def read_ties(file: MjcfFile, carried: Mapping[int, Attachment]) -> Ties:
+    """Read the active equalities; ``carried`` says where the frames of the bodies are.
+
+    Raises
+    ------
+    GtauError
+        One is no closure and no linear coupling.
+    """
+    closures, couplings, held = _equalities(file.model, carried)
+    tendons = fixed_tendons(file)
+    for each in file.tied_tendons:
+        coupling = _tendon_coupling(file.model, tendons, each)
+        if coupling.ratios:
+            couplings.append(coupling)
+        else:
+            held[coupling.joint] = coupling.offset
+    return Ties(tuple(closures), tuple(couplings), held)
+
+
+def _equalities(
+    model: mujoco.MjModel, carried: Mapping[int, Attachment]
 ) -> tuple[list[Closure], list[Coupling], dict[str, float]]:
     """Read closures, couplings, and the positions of joints that an equality holds."""
     import mujoco
@@ -92,7 +119,7 @@ def fixed_tendons(file: MjcfFile) -> dict[str, dict[str, float]]:
     }
 
 
-def tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, float]], tied: TiedTendons) -> Coupling:
+def _tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, float]], tied: TiedTendons) -> Coupling:
     """Make the coupling of joints by two fixed tendons whose lengths are tied, or by one of constant length."""
     constant, factor, *higher = tied.polynomial
     known = tied.tendon in tendons and (not tied.other or tied.other in tendons)
@@ -108,65 +135,3 @@ def tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, fl
     offset = constant + sum(value * zeros[name] for name, value in terms.items())
     (first, own), *rest = [(name, value) for name, value in terms.items() if value]
     return Coupling(first, tuple((name, -value / own) for name, value in rest), offset / own)
-
-
-def actuated_joints(
-    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], notes: list[str]
-) -> tuple[set[str], set[str]]:
-    """Name the joints that actuators drive, and those that they pull by fixed tendons; add notes."""
-    import mujoco
-
-    model, others = file.model, []
-    driven: set[str] = set()
-    pulled: set[str] = set()
-    turning_or_sliding = {
-        name_in(model, "joint", k)
-        for k in range(model.njnt)
-        if mujoco.mjtJoint(int(model.jnt_type[k])) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    }
-    for name, transmission, target, gear in file.actuators:
-        of_joint = transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-        if of_joint and target in turning_or_sliding:
-            driven.add(target)
-            if gear != 1.0:
-                notes.append(
-                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are those of the "
-                    "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
-                )
-        elif transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
-            pulled |= tendons[target].keys()
-        else:
-            others.append(name or target)
-    if others:
-        s = "s" * (len(others) > 1)
-        notes.append(f"actuator{s} {listed(others)} on no hinge, slide or fixed tendon: left out")
-    return driven, pulled
-
-
-def tendon_motors(
-    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], kinds: Mapping[str, Kind]
-) -> Iterator[tuple[Joint, Coupling]]:
-    """Convert motors that pull fixed tendons to shafts on the ground whose position is the tendon's length.
-
-    The force along a tendon acts on a joint by the coefficient of the joint in the tendon's length.
-    """
-    import mujoco
-
-    for number, (name, transmission, target, _) in enumerate(file.actuators, start=1):
-        if transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
-            ratios = tuple((joint, factor) for joint, factor in tendons[target].items() if factor)
-            shaft = name if name and name not in kinds else f"motor {number}"
-            yield Joint(shaft, GROUND, kinds[ratios[0][0]], parameters="drive"), Coupling(shaft, ratios)
-
-
-def pose_in(position: np.ndarray, quaternion: np.ndarray) -> Pose:
-    """Make the pose of a position (3,) and a unit quaternion (4,), w first."""
-    from scipy.spatial.transform import Rotation
-
-    return pose_of(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
-
-
-def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
-    """Return the name of an element, or its kind and number where it has none."""
-    element: Any = getattr(model, kind)(number)
-    return element.name or f"{kind} {number + 1}"
