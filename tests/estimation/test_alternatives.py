@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 
-from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, support
+from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, model_covariance, support
 from gtau.estimation.diagnostics.findings import Findings
+from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
+from gtau.estimation.diagnostics.hypotheses.registry import HYPOTHESES
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
 from gtau.estimation.diagnostics.position_ripple import PositionRipple
+from gtau.estimation.diagnostics.same_effect import Tried, same_effects
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
@@ -21,6 +25,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds.plausible_sizes import ALTERNATIVE_PRIOR
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
+from gtau.signals.preparation import InMemoryRun
 from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")
@@ -82,6 +87,52 @@ def test_clean_logs_support_no_alternative(runs: list[Run]) -> None:
     assert alternatives
     assert max(each.share for each in alternatives) < 0.02
     assert all(np.isfinite(each.slopes).all() for each in alternatives)
+
+
+def under_another_name(hypothesis: Hypothesis) -> Hypothesis:
+    """The same effects in other words, and sizes in another unit."""
+
+    def candidates(fit: Fit) -> Candidates | None:
+        made = hypothesis.candidates(fit)
+        assert made is not None
+
+        def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+            columns = made.offer(window, values)
+            return lambda rows: 3.0 * columns(rows)
+
+        names = [f"another {name}" for name in made.names]
+        return Candidates(names, made.units, made.plausible / 3.0, offer, made.describe)
+
+    return replace(hypothesis, name=f"another {hypothesis.name}", candidates=candidates)
+
+
+@pytest.mark.parametrize("fall", [0.0, 0.05])
+def test_effects_that_are_offered_twice_count_once(runs: list[Run], fall: float) -> None:
+    """Neither a hypothesis listed twice nor its copy in other words changes the intervals, asked for or not."""
+    rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
+    fit = fit_of(currents(runs, lambda run: run.command * (1 + fall * np.abs(run.command) / (2 * rms))))
+    once = compete(find_alternatives(fit))
+    expected = model_covariance(once, len(fit.solution.stacked))
+    assert (max(each.t for each in once if each.hypothesis == "saturation") > 6) == (fall > 0)
+    for more in (HYPOTHESES, [under_another_name(each) for each in HYPOTHESES]):
+        twice = compete(find_alternatives(fit, [*HYPOTHESES, *more]))
+        np.testing.assert_allclose(model_covariance(twice, len(expected)), expected, rtol=1e-6)
+        assert [each.probability for each in twice if each.significant] == pytest.approx(
+            [each.probability for each in once if each.significant]
+        )
+
+
+def test_hypotheses_have_names_of_their_own() -> None:
+    assert len({each.name for each in HYPOTHESES}) == len(HYPOTHESES)
+
+
+def test_one_effect_of_two_causes_is_named_by_both() -> None:
+    """A tilt of its base and its encoder's zero are the same to a pendulum; the larger one stands for both."""
+    columns = np.random.default_rng(3).standard_normal((2, 50, 3))
+    windows = [LinearisedWindow(np.zeros((2, 50)), np.zeros((2, 50, 1)), columns[..., [0, 1, 2, 0, 0]])]
+    tried = [Tried(column, None, plausible, True) for column, plausible in ((0, 0.5), (1, 0.1), (2, 1.0), (3, 1.0))]
+    groups = same_effects([*tried, Tried(4, None, 2.0, False), Tried(4, 0, 2.0, True)], windows)
+    assert sorted(groups) == [[1], [2], [3, 0], [4], [5]]
 
 
 def test_support_by_the_data() -> None:

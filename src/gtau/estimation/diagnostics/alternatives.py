@@ -31,6 +31,7 @@ from gtau.estimation.diagnostics.linearisation import (
     side_by_side,
     stack,
 )
+from gtau.estimation.diagnostics.same_effect import Tried, same_effects
 from gtau.estimation.diagnostics.score_test import ScoreTests, score_tests
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
@@ -157,24 +158,27 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     columns = [slice(*pair) for pair in pairwise(ends.tolist())]
     shared = [hypothesis.shared for hypothesis, _ in tried]
     tests = score_tests(lambda: linear, list(zip(columns, shared, strict=True)), known[1])
-    for (hypothesis, candidates), mine, of_columns in zip(tried, columns, tests, strict=True):
-        found += _alternatives(fit, hypothesis, candidates, of_columns)
-        if candidates.describe is not None:
+    alone = [
+        _alternatives(fit, hypothesis, candidates, of_columns)
+        for (hypothesis, candidates), of_columns in zip(tried, tests, strict=True)
+    ]
+    for (hypothesis, candidates), mine, kept in zip(tried, columns, _counted_once(alone, columns, linear), strict=True):
+        found += kept
+        if candidates.describe is not None and kept:
             windows_of = [replace(each, offered=each.offered[..., mine]) for each in linear]
             found += _together(fit, hypothesis, candidates.describe, windows_of, known)
     return tuple(found)
 
 
-def _alternatives(
-    fit: Fit,
-    hypothesis: Hypothesis,
-    candidates: Candidates,
-    tests: ScoreTests,
-) -> list[Alternative]:
+Alone = tuple[int, int | None, Alternative]
+"""An alternative, after the number of its column in its hypothesis and that of its joint, None where it acts on all."""
+
+
+def _alternatives(fit: Fit, hypothesis: Hypothesis, candidates: Candidates, tests: ScoreTests) -> list[Alone]:
     problem, joints = fit.system.problem, fit.dataset.model.actuated
     T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
     gains = problem.gain_rows
-    found = []
+    found: list[Alone] = []
     for m, (name, unit) in enumerate(zip(candidates.names, candidates.units, strict=True)):
         for j in range(1 if hypothesis.shared else len(joints)):
             if not (hypothesis.shared or problem.free[j]):
@@ -182,24 +186,39 @@ def _alternatives(
             slopes = T @ tests.slopes[m, j]
             size, std = float(tests.size[m, j]), float(tests.std[m, j])
             plausible = float(candidates.plausible[m, j])
-            found.append(
-                Alternative(
-                    hypothesis.name,
-                    name.format(subject=f"'{joints[j]}'"),
-                    size,
-                    std,
-                    unit,
-                    plausible,
-                    name if hypothesis.shared else joints[j],
-                    *support(size, std, plausible),
-                    float(tests.share[m, j]),
-                    slopes,
-                    slopes[gains] * size / fit.gains,
-                    hypothesis.advice,
-                    hypothesis.description,
-                )
+            alternative = Alternative(
+                hypothesis.name,
+                name.format(subject=f"'{joints[j]}'"),
+                size,
+                std,
+                unit,
+                plausible,
+                name if hypothesis.shared else joints[j],
+                *support(size, std, plausible),
+                float(tests.share[m, j]),
+                slopes,
+                slopes[gains] * size / fit.gains,
+                hypothesis.advice,
+                hypothesis.description,
             )
+            found.append((m, None if hypothesis.shared else j, alternative))
     return found
+
+
+def _counted_once(
+    alone: Sequence[Sequence[Alone]], columns: Sequence[slice], windows: Sequence[LinearisedWindow]
+) -> list[list[Alternative]]:
+    """Keep, of all that have the same effect, the alternative with the largest plausible one, and name the others."""
+    flat = [(k, column, joint, each) for k, members in enumerate(alone) for column, joint, each in members]
+    tried = [Tried(columns[k].start + m, joint, each.plausible, each.description) for k, m, joint, each in flat]
+    kept = {}
+    for group in same_effects(tried, windows):
+        subjects = dict.fromkeys(flat[position][-1].subject for position in group)
+        kept[group[0]] = replace(flat[group[0]][-1], subject=" or ".join(subjects))
+    return [
+        [kept[position] for position, (k, *_) in enumerate(flat) if k == number and position in kept]
+        for number in range(len(alone))
+    ]
 
 
 def _together(

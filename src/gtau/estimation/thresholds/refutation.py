@@ -33,6 +33,13 @@ TOGETHER_SHARE = Threshold(
     "0.9 (gravity along another axis)",
     "faults, clean",
 )
+SAME_EFFECT = Threshold(
+    1e-5,
+    "1 - cos2 of the torques of two alternatives, below which they count once",
+    "0.0009 (two encoder zeros, slow logs), 0.005 and more elsewhere (alternatives to 60 fits of seven robots)",
+    "8e-7 (the zero of a leg's first encoder and a tilt of its base), rounding (a hypothesis listed twice)",
+    "tests/acceptance, tests/estimation/test_alternatives.py",
+)
 SWAPPED = Threshold(
     0.5,
     "unexplained share with the other joint's current over that with its own",
