@@ -8,6 +8,9 @@ IDM_t is never formed, and the Lagrange multipliers of eqs. (11) and (12) need n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
 
@@ -15,7 +18,15 @@ from gtau.model.coordinates import Coordinates
 from gtau.model.kinematics import Frame, Twist, accelerations, attached_frame, attached_velocity, frames, twists
 from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robot, Spring
 
+WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 TOUCHING = 1e-9  # m: the length of a spring whose points coincide, where the line between them has no direction
+
+
+class WrenchFrame(NamedTuple):
+    """The body on which a wrench acts, and whether its axes and origin are those of the world, or of the body."""
+
+    body: str
+    of_world: bool = False
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
@@ -112,5 +123,37 @@ def torques(
                     power += J[row, k] * chi[f"{kind}_{joint.name}"] * terms[kind]
         for spring, direction, pull in pulls:
             power += pull * _lengthening(spring, direction, frame, partial)
+        tau.append(power)
+    return ca.vertcat(*tau)
+
+
+def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[WrenchFrame], wrenches: ca.SX) -> ca.SX:
+    """Express what wrenches on bodies from outside add to the torques of the actuated joints, ``J^T w`` (n,).
+
+    By the principle of virtual power (eq. 14), as in :func:`torques`: the motors' torques are less by these.
+
+    Parameters
+    ----------
+    layout : Coordinates
+        Of the robot.
+    c, J : SX
+        Configuration (n_c,), and ``dy/dq`` (n_y, n).
+    frames_of : sequence of WrenchFrame
+        Of each wrench.
+    wrenches : SX
+        Moment (N m) and force (N) of each, (6 k,).
+    """
+    frame = frames(layout, c)
+    tau = []
+    for k in range(J.shape[1]):
+        partial = twists(layout, frame, J[:, k])
+        power = ca.SX(0)
+        for each, (body, of_world) in enumerate(frames_of):
+            moment, force = wrenches[6 * each : 6 * each + 3], wrenches[6 * each + 3 : 6 * each + 6]
+            angular, linear = partial[body].angular, partial[body].linear
+            if of_world:
+                angular, linear = frame[body].R_0 @ angular, frame[body].R_0 @ linear
+                linear += ca.cross(frame[body].p_0, angular)  # of the point that is at the origin of the world
+            power += ca.dot(moment, angular) + ca.dot(force, linear)
         tau.append(power)
     return ca.vertcat(*tau)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.coordinates import Coordinates, coordinates
-from gtau.model.dynamics import parameter_names, torques
+from gtau.model.dynamics import WRENCH, WrenchFrame, parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.interpreter.threads import share
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
@@ -111,6 +111,7 @@ class InverseDynamics:
         self.actuated = robot.actuated
         self._kind = parameters
         self._regressors: dict[tuple[str, ...], Regressor] = {}
+        self._wrenches: dict[tuple[WrenchFrame, ...], Regressor] = {}
 
     def __reduce__(self) -> tuple[type[InverseDynamics], tuple[Robot, str]]:
         """Pickle what the model is made of: compiled programs hold symbols of CasADi, which cannot be pickled."""
@@ -163,18 +164,40 @@ class InverseDynamics:
             self._regressors[names] = Regressor(names, inputs, W, rows, columns)
         return self._regressors[names]
 
+    def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
+        """Return the columns of wrenches on bodies, six of each: their product with the wrenches are torques ``J^T w``.
+
+        Columns of a wrench are its moment (x, y, z) and its force (x, y, z); see
+        :func:`gtau.model.dynamics.wrench_torques`.
+        """
+        frames = tuple(frames)
+        if frames not in self._wrenches:
+            (c, yd, ydd, passive), J = self._inputs
+            wrench = ca.SX.sym("w", 6 * len(frames))
+            matrix = ca.jacobian(wrench_torques(self.layout, c, J, frames, wrench), wrench)
+            rows, columns = (np.array(index, dtype=int) for index in matrix.sparsity().get_triplet())
+            names = tuple(f"{kind}_{frame.body}" for frame in frames for kind in WRENCH)
+            self._wrenches[frames] = Regressor(names, [c, yd, ydd, passive], matrix, rows, columns)
+        return self._wrenches[frames]
+
     @cached_property
-    def _symbolic(self) -> tuple[list[ca.SX], ca.SX]:
-        """The inputs c, yd, ydd and the passive rows of J, and the regressor (n, n_st)."""
+    def _inputs(self) -> tuple[list[ca.SX], ca.SX]:
+        """Symbols of c, yd, ydd and the passive rows of J, and J (n_y, n) itself."""
         layout, n = self.layout, len(self.actuated)
         c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
         passive = ca.SX.sym("J", len(layout.passive), n)
         J = ca.SX(layout.n_y, n)
         J[layout.actuated.tolist(), :] = ca.SX.eye(n)
         J[layout.passive.tolist(), :] = passive
+        return [c, yd, ydd, passive.T], J
+
+    @cached_property
+    def _symbolic(self) -> tuple[list[ca.SX], ca.SX]:
+        """The inputs, and the regressor (n, n_st)."""
+        inputs, J = self._inputs
         chi = {name: ca.SX.sym(name) for name in self.parameter_names}
-        tau = torques(layout, c, yd, ydd, J, chi)
-        return [c, yd, ydd, passive.T], ca.jacobian(tau, ca.vertcat(*chi.values()))
+        tau = torques(self.layout, *inputs[:3], J, chi)
+        return inputs, ca.jacobian(tau, ca.vertcat(*chi.values()))
 
     @property
     def full(self) -> Regressor:
