@@ -61,7 +61,7 @@ def result(runs: list[Run]) -> Result:
 
 
 def all_rows(data: Dataset, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Every decimated row [W terms v v' v''] of a run (n, K, p), which are kept (n, K), and their stretches (K,).
+    """Every decimated row [W terms push v v' v''] of a run (n, K, p), which are kept (n, K), and their stretches (K,).
 
     Evaluated, filtered and decimated as one block, standard column by standard column.
     """
@@ -71,7 +71,8 @@ def all_rows(data: Dataset, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarra
     columns = [model.parameter_names.index(name) for name in data.base.standard]
     terms = np.stack([prepared.qd**3, np.abs(prepared.command) * np.sign(prepared.qd)], axis=-1)
     currents = np.stack([prepared.command, prepared.command_d, prepared.command_dd], axis=-1)
-    rows = np.concatenate([W[:, :, columns], terms, currents], axis=-1)
+    pushes = np.zeros((*prepared.q.shape, 1))  # no wrenches
+    rows = np.concatenate([W[:, :, columns], terms, pushes, currents], axis=-1)
     rows = decimator.apply(np.ascontiguousarray(np.moveaxis(rows, 0, -1))).swapaxes(1, 2)
     instants = rows.shape[1]
     return rows, decimator.keep(prepared.usable).T, np.arange(instants) * STRETCHES // instants

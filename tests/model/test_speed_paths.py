@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 from robots_for_tests import hexapod, seven_r, trajectory
 
-from gtau.estimation.regression.factors import reduce_run
+from gtau.estimation.regression.factors import EXTRA, reduce_run
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.triangle import triangle
 from gtau.model import inverse_dynamics as inverse_dynamics_module
@@ -220,14 +220,14 @@ def test_factors_are_those_of_all_rows(rng):
     (whole,) = [*stream_rows(idm, idm.columns(names), prepared, Decimator(5))][:1]
     assert whole.entries.shape[1] < 1000
     regressor = idm.columns(names)
-    n, p = 6, len(names) + 5
+    n, p = 6, len(names) + EXTRA
     gram, kept = np.zeros((n, p, p)), np.zeros(n, dtype=int)
     for part in stream_rows(idm, regressor, prepared, decimator):
         for j in range(n):
             A = np.zeros((len(part.time), p))
             mine = np.flatnonzero(regressor.rows == j)
             A[:, regressor.columns[mine]] = part.entries[mine].T
-            A[:, -5:] = np.concatenate([part.terms[:, j], part.currents[:, j]]).T
+            A[:, -EXTRA:] = np.concatenate([part.terms[:, j], part.pushes[[j]], part.currents[:, j]]).T
             A = A[part.keep[j]]
             gram[j] += A.T @ A
             kept[j] += len(A)

@@ -10,7 +10,6 @@ import pytest
 from free_flyer import free_flyer_model, free_state, pinocchio_state
 from robots_for_tests import four_bar, hexapod, planar_3rrr, seven_r, tree, two_platforms
 
-from gtau.model.dynamics import WrenchFrame
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import poses
@@ -18,6 +17,7 @@ from gtau.model.loops import Motion
 from gtau.model.random_states import random_motion
 from gtau.robots.floating import float_base
 from gtau.robots.robot import Robot
+from gtau.robots.wrench import WrenchFrame
 
 ROBOTS = [
     seven_r(),

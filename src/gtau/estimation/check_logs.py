@@ -253,11 +253,11 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         still = np.zeros_like(q)
         distances.append(singularities(model).distances(model.rates(path, still, still, labels)).T)
         positions.append(of.q[at])
-        power += (of.command[at] ** 2).sum(axis=0)
+        power += (of.command[at, :c] ** 2).sum(axis=0)
         lowest.append(of.q.min(axis=0))
         highest.append(of.q.max(axis=0))
         fastest.append(np.abs(of.qd).max(axis=0))
-        strongest.append(np.abs(of.command).max(axis=0))
+        strongest.append(np.abs(of.command[:, :c]).max(axis=0))
     values, used, found = distances.array(), masks.array()[:, :n], spectra(run)  # of the joints, not their sensors
     columns = zip(
         run.joints,

@@ -184,6 +184,7 @@ def require_joint(
     for what, key, there in (
         ("torque sensors", "joint_torque", runs[0].sensors),
         ("known parameters", "priors", known),
+        ("wrenches on bodies", "wrenches", runs[0].wrenches),
     ):
         if there:
             raise GtauError(

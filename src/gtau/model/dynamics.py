@@ -9,7 +9,6 @@ IDM_t is never formed, and the Lagrange multipliers of eqs. (11) and (12) need n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -17,16 +16,9 @@ import numpy as np
 from gtau.model.coordinates import Coordinates
 from gtau.model.kinematics import Frame, Twist, accelerations, attached_frame, attached_velocity, frames, twists
 from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robot, Spring
+from gtau.robots.wrench import WrenchFrame
 
-WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 TOUCHING = 1e-9  # m: the length of a spring whose points coincide, where the line between them has no direction
-
-
-class WrenchFrame(NamedTuple):
-    """The body on which a wrench acts, and whether its axes and origin are those of the world, or of the body."""
-
-    body: str
-    of_world: bool = False
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:

@@ -12,11 +12,12 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.coordinates import Coordinates, coordinates
-from gtau.model.dynamics import WRENCH, WrenchFrame, parameter_names, torques, wrench_torques
+from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.interpreter.threads import share
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
 from gtau.robots.robot import Robot
+from gtau.robots.wrench import WRENCH, WrenchFrame
 
 PATH = 65536  # samples whose loops are closed together, in parallel segments
 BLOCK = 2048  # samples whose motion is computed together: enough to amortise Python, few enough for the cache
@@ -196,7 +197,8 @@ class InverseDynamics:
         """The inputs, and the regressor (n, n_st)."""
         inputs, J = self._inputs
         chi = {name: ca.SX.sym(name) for name in self.parameter_names}
-        tau = torques(self.layout, *inputs[:3], J, chi)
+        c, yd, ydd, _ = inputs
+        tau = torques(self.layout, c, yd, ydd, J, chi)
         return inputs, ca.jacobian(tau, ca.vertcat(*chi.values()))
 
     @property

@@ -6,8 +6,6 @@ A pose and wrenches become positions and forces of the six joints by which the b
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from pydantic import FiniteFloat, model_validator
 
@@ -16,25 +14,10 @@ from gtau.errors import GtauError
 from gtau.robots.geometry import turn
 from gtau.robots.robot import base_rows
 from gtau.signals.units import is_angle, si_factor
+from gtau.signals.wrench_columns import VERTICAL, BaseWrench, Vector
 
 STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times those of the base
 UNIT = 0.01  # by which the length of a quaternion may differ from 1: logs round to 2 digits and more
-
-Vector = tuple[str, str, str]
-Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-
-
-class Wrench(Keys):
-    """Columns of a force (N) and a moment (N m) that act on the base, along the axes of the world or of the base.
-
-    The moment is that about the point ``at`` (m), in the world or on the base: the origin of a force plate, or of a
-    sensor between a hook and the base. Without columns of the moment it is zero there.
-    """
-
-    force: Vector
-    moment: Vector | None = None
-    axes: Literal["world", "base"] = "world"
-    at: Point = (0.0, 0.0, 0.0)
 
 
 class BaseUnits(Keys):
@@ -61,7 +44,7 @@ class BaseColumns(Keys):
     position: Vector | None = None
     quaternion: tuple[str, str, str, str] | None = None
     yaw: FiniteFloat = 0.0
-    wrenches: tuple[Wrench, ...] = ()
+    wrenches: tuple[BaseWrench, ...] = ()
 
     @model_validator(mode="after")
     def _each_column_once(self) -> BaseColumns:
@@ -86,7 +69,7 @@ class BaseColumns(Keys):
     @property
     def forces(self) -> tuple[str, ...]:
         """Columns of the wrenches, (w,)."""
-        return tuple(column for each in self.wrenches for column in (*each.force, *(each.moment or ())))
+        return tuple(column for each in self.wrenches for column in each.columns)
 
     def scale(self, units: BaseUnits) -> list[float]:
         """Return the factors to SI units of the pose's columns."""
@@ -111,14 +94,13 @@ class BaseColumns(Keys):
         """
         p = np.zeros((len(pose), 3)) if self.position is None else pose[:, :3]
         angles = np.zeros((len(pose), 3)) if self.quaternion is None else self._angles(pose[:, -4:])
-        yaw = turn(np.array([0.0, 0.0, 1.0]), self.yaw)
+        yaw = turn(VERTICAL, self.yaw)
         p = p @ yaw.T
         R = _rotations(angles)
         force, moment = np.zeros((2, len(pose), 3))
         start = 0
         for each in self.wrenches:
-            count = 6 if each.moment else 3
-            values, start = forces[:, start : start + count], start + count
+            values, start = forces[:, start : start + len(each.columns)], start + len(each.columns)
             turned = np.broadcast_to(yaw, R.shape) if each.axes == "world" else R
             f = np.einsum("mij,mj->mi", turned, values[:, :3])
             arm = np.einsum("mij,j->mi", turned, each.at) - (p if each.axes == "world" else 0.0)

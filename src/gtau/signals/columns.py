@@ -23,6 +23,7 @@ from gtau.signals.base_columns import BaseColumns, BaseUnits
 from gtau.signals.pose_columns import PoseColumns, PoseUnits
 from gtau.signals.presets import expanded, time_unit
 from gtau.signals.units import SHARES, Kind, is_angle, si_factor
+from gtau.signals.wrench_columns import BodyWrench
 
 
 def _text_or_group(value: Any) -> str:
@@ -57,8 +58,8 @@ class Signals(Keys):
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
     the gears, of all joints or some. A ``pose`` tests the robot's geometry, friction may depend on a ``temperature``.
-    ``base`` is the pose of a base that floats, and what holds it. A ``preset`` has filled in the columns of a maker's
-    log.
+    ``base`` is the pose of a base that floats, and what holds it; ``wrenches`` act on other bodies from outside. A
+    ``preset`` has filled in the columns of a maker's log.
     """
 
     time: Annotated[
@@ -75,6 +76,7 @@ class Signals(Keys):
     gear_ratio: dict[str, FiniteFloat] | None = None
     joint_torque: dict[str, str] | None = None
     base: BaseColumns | None = None
+    wrenches: tuple[BodyWrench, ...] = ()
     preset: str | None = None
     pose: PoseColumns | None = None
     temperature: (
@@ -104,9 +106,13 @@ class Signals(Keys):
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Columns of the commands, then of the torque sensors."""
+        """Columns of the commands, then of the torque sensors, then of the wrenches."""
         sensed = self.joint_torque or {}
-        return (*(self.command[joint] for joint in self.position), *(sensed[joint] for joint in self.sensors))
+        return (
+            *(self.command[joint] for joint in self.position),
+            *(sensed[joint] for joint in self.sensors),
+            *(column for each in self.wrenches for column in each.columns),
+        )
 
     @property
     def temperature_columns(self) -> dict[str, str]:
@@ -169,6 +175,20 @@ class Signals(Keys):
             raise ValueError(
                 "a 'pose' tests the geometry of a robot whose base is fixed, and 'base' is of one that floats; remove "
                 "'pose'"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _each_wrench_of_its_own(self) -> Signals:
+        others = [*self.command.values(), *(self.joint_torque or {}).values(), *(self.base.forces if self.base else ())]
+        columns = [column for each in self.wrenches for column in each.columns]
+        for column in columns:
+            if columns.count(column) > 1 or column in others:
+                raise ValueError(f"the column '{column}' under 'wrenches' is given twice; give each component its own")
+        if self.base is not None and any(each.body == self.base.body for each in self.wrenches):
+            raise ValueError(
+                f"'wrenches' names the floating base '{self.base.body}'; write what acts on it under "
+                "'wrenches' of 'base'"
             )
         return self
 
@@ -280,6 +300,7 @@ class Units(Keys):
         positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
         commands = [self._of_command(joint, signals) for joint in signals.position]
         commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
+        commands += [1.0 for each in signals.wrenches for _ in each.columns]
         return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
 
     def _of_command(self, joint: str, signals: Signals) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -20,12 +22,12 @@ LONGEST = 200  # samples for which a slower signal is held, at most
 REGULAR = 0.6  # share of the samples in runs of equal ones of nearly one length, where a signal is slower than the log
 JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded goes by one
 REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
-GROUPS = ("positions", "commands", "torque sensors")
+GROUPS = ("positions", "commands", "torque sensors", "wrenches")
 
 
 @dataclass(frozen=True)
 class Held:
-    """How the columns of a group, positions, commands or torque sensors, are held.
+    """How the columns of a group, positions, commands, torque sensors or wrenches, are held.
 
     ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
     ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` says that repeated values are no more than noise
@@ -68,12 +70,20 @@ class Held:
 
 @dataclass(frozen=True)
 class Holds:
-    """How the positions, commands and torque sensors of a log are held, and the samples of each that are stale."""
+    """How the groups of columns of a log are held, in the order of :data:`GROUPS`; None where it has no such columns.
 
-    position: Held
-    command: Held
-    sensor: Held | None = None
-    stale: tuple[int, ...] = (0, 0)
+    ``stale`` are the samples of each that repeat the one before, and ``widths`` its columns.
+    """
+
+    groups: tuple[Held | None, ...]
+    stale: tuple[int, ...]
+    widths: tuple[int, ...]
+
+    @property
+    def position(self) -> Held:
+        """How the positions are held."""
+        assert self.groups[0] is not None
+        return self.groups[0]
 
     @property
     def none(self) -> bool:
@@ -83,18 +93,21 @@ class Holds:
     @property
     def longest(self) -> int:
         """Longest runs of equal samples that count as held, of all groups together."""
-        return sum(each.longest for each in (self.position, self.command, self.sensor) if each is not None)
+        return sum(each.longest for each in self.groups if each is not None)
 
-    def fresh_commands(self, values: np.ndarray, n: int) -> list[tuple[slice, np.ndarray]]:
-        """Pair the columns of the commands of ``n`` joints, and of the sensors, with their new samples (M,)."""
-        found = [(slice(0, n), self.command.fresh(values[:, :n]))]
-        return found if self.sensor is None else [*found, (slice(n, None), self.sensor.fresh(values[:, n:]))]
+    def fresh_commands(self, values: np.ndarray) -> list[tuple[slice, np.ndarray]]:
+        """Pair the columns of the commands, and of the sensors and wrenches, with their new samples (M,)."""
+        spans = _spans(self.widths[1:])
+        return [
+            (span, each.fresh(values[:, span]))
+            for span, each in zip(spans, self.groups[1:], strict=True)
+            if each is not None
+        ]
 
     def notes(self, count: int, rate: float) -> list[Note]:
         """List what to report of a log of ``count`` samples at ``rate`` Hz."""
         found = []
-        groups = zip((self.position, self.command, self.sensor), self.stale, GROUPS, strict=False)
-        for each, stale, what in groups:
+        for each, stale, what in zip(self.groups, self.stale, GROUPS, strict=True):
             if each is None or not stale:
                 continue
             if each.period > 1:
@@ -111,17 +124,24 @@ class Holds:
 
 def holds_of(samples: Samples) -> Holds:
     """Find how the signals of a log are held; it goes by three times."""
-    n = len(samples.source.joints)
-    positions, commands = _held(samples.position, slice(None)), _held(samples.command, slice(0, n))
-    if not samples.source.sensors:
-        return Holds(positions[0], commands[0], None, (positions[1], commands[1]))
-    sensors = _held(samples.command, slice(n, None))
-    return Holds(positions[0], commands[0], sensors[0], (positions[1], commands[1], sensors[1]))
+    n, source = len(samples.source.joints), samples.source
+    widths = (n, n, len(source.sensors), source.components)
+    found = [_held(samples.position, slice(None)), *(_held(samples.command, each) for each in _spans(widths[1:]))]
+    groups = tuple(held if width else None for (held, _), width in zip(found, widths, strict=True))
+    return Holds(groups, tuple(stale for _, stale in found), widths)
+
+
+def _spans(widths: Sequence[int]) -> list[slice]:
+    """Find the columns of groups that stand side by side."""
+    ends = np.cumsum([0, *widths]).tolist()
+    return [slice(*pair) for pair in pairwise(ends)]
 
 
 def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
     """Find how a group's columns (N, n) are held, and count its stale samples."""
     n = len(range(array.shape[1])[columns])
+    if not n:
+        return Held(1, ()), 0
     smallest = np.full(n, np.inf)
     for span in ahead(len(array)):
         change = np.abs(np.diff(block(array, *span)[:, columns], axis=0))

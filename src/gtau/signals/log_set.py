@@ -17,6 +17,7 @@ from gtau.signals.formats.table import Place
 from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Note
 from gtau.signals.samples import Source
+from gtau.signals.wrench_columns import BodyWrench, at_origins, components
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +40,7 @@ class Logged:
     aligned: Aligned | None
     notes: tuple[Note, ...]
     base: BaseColumns | None = None
+    wrenches: tuple[BodyWrench, ...] = ()
 
     @property
     def places(self) -> tuple[tuple[Place, ...], ...]:
@@ -51,7 +53,7 @@ class Logged:
         places: Sequence[Place] | None = None,
         progress: Callable[[float], None] = lambda done: None,
     ) -> Iterator[np.ndarray]:
-        """Read samples (M, n + c + 1) in order: positions, commands, torque sensors and time.
+        """Read samples (M, n + c + 1) in order: positions, commands, torque sensors, wrenches and time.
 
         Parameters
         ----------
@@ -83,16 +85,22 @@ class Logged:
                 commands[np.isnan(found).all(axis=1)] = np.nan  # rows that hold other topics
                 found = np.hstack([found, commands])
             row += len(values)
-            yield np.column_stack([self._with_base(found * self.scale), time])
+            yield np.column_stack([self._converted(found * self.scale), time])
 
-    def _with_base(self, values: np.ndarray) -> np.ndarray:
-        """Put positions and forces of a floating base before those of the joints, from its pose and wrenches."""
-        if self.base is None:
-            return values
-        n = len(self.source.joints) - len(self.base.joints)
-        pose, wrenches = len(self.base.pose), values.shape[1] - len(self.base.forces)
-        six, forces = self.base.converted(values[:, n : n + pose], values[:, wrenches:])
-        return np.hstack([six, values[:, :n], forces, values[:, n + pose : wrenches]])
+    def _converted(self, values: np.ndarray) -> np.ndarray:
+        """Put a floating base before the joints, from its pose and what acts on it, and wrenches about their origins.
+
+        The columns (M, .) are those of positions, pose, commands and sensors, wrenches, and wrenches on the base.
+        """
+        base, joints = self.base, len(self.source.joints) - len(self.source.base)
+        ends = [0, joints, len(base.pose) if base else 0, joints + len(self.source.sensors)]
+        ends.append(sum(len(each.columns) for each in self.wrenches))
+        q, pose, commands, pushes, held = np.split(values, np.cumsum(ends)[1:], axis=1)
+        wrenches = at_origins(self.wrenches, pushes, base.yaw if base else 0.0)
+        if base is None:
+            return np.hstack([q, commands, wrenches])
+        six, forces = base.converted(pose, held)
+        return np.hstack([six, q, forces, commands, wrenches])
 
 
 def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
@@ -101,10 +109,12 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     times, stamps = signals.time_columns, signals.command_time_columns
     positions, commands, base = list(signals.position.values()), list(signals.measured), signals.base
-    labels = (*positions, *commands)
+    channels = list(commands[: len(commands) - sum(len(each.columns) for each in signals.wrenches)])
+    channels += [label for each in signals.wrenches for label in each.labels]
+    labels = (*positions, *channels)
     position_scale, command_scale, time_scale = units.scale(signals)
     if base is not None:
-        labels = (*base.labels[:6], *positions, *base.labels[6:], *commands)
+        labels = (*base.labels[:6], *positions, *base.labels[6:], *channels)
         position_scale, command_scale = (
             position_scale + base.scale(units.base),
             command_scale + [1.0] * len(base.forces),
@@ -136,6 +146,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         line_word=first.line_word,
         sensors=signals.sensors,
         base=() if base is None else base.joints,
+        components=components(signals.wrenches),
     )
     notes = [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
     return Logged(
@@ -149,6 +160,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         aligned=aligned,
         notes=(*notes, *([aligned.note] if aligned and aligned.note else [])),
         base=base,
+        wrenches=signals.wrenches,
     )
 
 

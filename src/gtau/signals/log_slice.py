@@ -134,7 +134,9 @@ def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
     instants = clock.instants(samples.time, excerpt.first)
     order = [logged.source.joints.index(joint) for joint in excerpt.joints]
     n = len(order)
+    wrenches = n + len(excerpt.sensors)
     measured = [*order, *(n + logged.source.sensors.index(joint) for joint in excerpt.sensors)]
+    measured += range(wrenches, wrenches + logged.source.components)
     columns = {"position": order, "command": measured, "valid": measured}
     times = Placed(clock.count)
     places = {"position": Placed(clock.count, (n,)), "command": Placed(clock.count, (len(measured),))}

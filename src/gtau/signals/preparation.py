@@ -68,8 +68,9 @@ class Preparation:
 class SampleWindow:
     """Consecutive samples of a run, ready for the model; arrays share the sample axis M.
 
-    ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, c), of the joints and then of the torque sensors, and
-    its time derivatives ``command_d``, ``command_dd``, the columns of a delay. ``usable`` (M, c) is False where a row
+    ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, c + 6 k), of the joints, then of the torque sensors,
+    then of k wrenches, and its time derivatives ``command_d``, ``command_dd``, the columns of a delay. ``usable``
+    (M, c) is False where a row
     must not be used: around the joint's reversals and rests, at gaps, at the ends of the filter, and
     always for a joint that does not move. ``time`` (M,) in s.
     """
@@ -139,9 +140,13 @@ class PreparedRun:
         at = self.kept[start:stop]
         run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
         q, qd, qdd = position_filter(run.position, run.rate, preparation.cutoff, at.start, at.stop)
-        command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
+        command, c = block(run.command, begin, min(len(run.time), at.stop + STENCIL)), len(run.measured_joints)
         mine = slice(at.start - begin, at.stop - begin)
-        command_d, command_dd = (each[mine] for each in differentiate(command, run.rate))
+        command, command_d, command_dd = (each[mine] for each in (command, *differentiate(command, run.rate)))
+        if run.wrenches:  # their noise is in the model's side of the equations, as that of the positions
+            pushes = position_filter(run.command[:, c:], run.rate, preparation.cutoff, at.start, at.stop)
+            for each, filtered in zip((command, command_d, command_dd), pushes, strict=True):
+                each[:, c:] = filtered
         limit = preparation.speed_fraction * np.sqrt(
             np.einsum("yi,ij,yj->y", self.friction_speed_ratios, self.speeds, self.friction_speed_ratios)
         )
@@ -149,9 +154,11 @@ class PreparedRun:
         rubbing = np.abs(self.friction_speed_ratios) > 1e-9
         # joints without friction may rest
         moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
-        usable = moving[:, run.measured_joints] & self.valid(start, stop)
+        valid = self.valid(start, stop)
+        # a wrench acts on all joints
+        usable = moving[:, run.measured_joints] & valid[:, :c] & valid[:, c:].all(axis=1, keepdims=True)
         return SampleWindow(
-            block(run.time, at.start, at.stop), q, qd, qdd, command[mine], command_d, command_dd, usable
+            block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
         )  # fmt: skip
 
 

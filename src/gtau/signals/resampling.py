@@ -199,7 +199,7 @@ def resampled(
     values = np.column_stack(
         [
             np.interp(grid + resampling.delay, known[later & new], each)
-            for columns, new in holds.fresh_commands(command, len(samples.source.joints))
+            for columns, new in holds.fresh_commands(command)
             for each in command[later & new, columns].T
         ]
     )

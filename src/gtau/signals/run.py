@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.robots.wrench import WRENCH, WrenchFrame
 from gtau.signals.checks import check
 from gtau.signals.columns import Signals, Units, as_signals, as_units
 from gtau.signals.frames import as_log
@@ -27,11 +28,11 @@ from gtau.signals.temperature import Temperature, read_temperature
 class Run:
     """Sampled positions and commands of the actuated joints, and torques of sensors behind their gears.
 
-    ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, c), the current
-    references in A or, where ``kind`` says so, torques in N m (forces in N), and then those of the torque ``sensors``
-    (names of c - n joints). Where ``valid`` (N, c) is false the sample was interpolated or clipped. ``notes`` say what
-    was repaired, ``settings`` what is given of the preparation,
-    ``temperature`` that of the joints, which other processes do not get.
+    ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, c), the current references in A or,
+    where ``kind`` says so, torques in N m (forces in N), then those of the torque ``sensors`` (names of joints), and
+    then moments and forces of the ``wrenches`` on bodies, six of each about the origin of its axes. Where ``valid``
+    (N, c) is false the sample was interpolated or clipped. ``notes`` say what was repaired, ``settings`` what is given
+    of the preparation, ``temperature`` that of the joints, which other processes do not get.
 
     The arrays of a long log lie in a file, of which NumPy reads what is looked at. A run that was read from a ``log``
     is pickled as that, and read again where it arrives.
@@ -49,17 +50,20 @@ class Run:
     settings: PreparationSettings = CHOSEN
     sensors: tuple[str, ...] = ()
     temperature: Temperature | None = None
+    wrenches: tuple[WrenchFrame, ...] = ()
     # What is made by dataclasses.replace has neither:
     log: Log | None = field(default=None, init=False, repr=False)
     pickled: range | None = field(default=None, init=False, repr=False)  # samples that other processes get
 
     def __post_init__(self) -> None:
         shape = (len(self.time), len(self.joints))
-        measured = (len(self.time), len(self.joints) + len(self.sensors))
+        channels = len(self.joints) + len(self.sensors)
+        measured = (len(self.time), channels + len(WRENCH) * len(self.wrenches))
         if self.valid.size == 0:
             object.__setattr__(self, "valid", np.broadcast_to(True, measured))
         if self.position.shape != shape or self.command.shape != measured or self.valid.shape != measured:
-            also = f"; commands and what is valid {measured}, with the torque sensors" if self.sensors else ""
+            more = " and ".join([*["the torque sensors"] * bool(self.sensors), *["the wrenches"] * bool(self.wrenches)])
+            also = f"; commands and what is valid {measured}, with {more}" if more else ""
             raise GtauError(
                 f"run '{self.name}': positions {self.position.shape}, commands {self.command.shape} and what is valid "
                 f"{self.valid.shape} must all have the shape {shape}, samples by joints{also}."
@@ -67,7 +71,7 @@ class Run:
 
     @property
     def measured_joints(self) -> list[int]:
-        """The joint of each column of ``command``, by its number, (c,)."""
+        """The joint of each column of ``command`` but those of wrenches, by its number: one for each channel."""
         return [*range(len(self.joints)), *map(self.joints.index, self.sensors)]
 
     @property
@@ -83,7 +87,7 @@ class Run:
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         samples = range(len(self.time)) if self.pickled is None else self.pickled
-        known = (self.name, self.joints, self.kind, self.payload, self.notes, self.sensors)
+        known = Known(self.name, self.joints, self.kind, self.payload, self.notes, self.sensors, self.wrenches)
         if self.log is not None:
             return _again, (known, self.log.excerpt(self.joints, self.sensors, samples))
         if self.pickled is None:
@@ -151,6 +155,7 @@ def read_run(
         settings=settings,
         sensors=signals.sensors,
         temperature=read_temperature(paths, signals, units, part),
+        wrenches=tuple(each.frame for each in signals.wrenches),
     )
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
 
@@ -164,21 +169,28 @@ def _from(log: Log | None, run: Run) -> Run:
     return run
 
 
-Known = tuple[str, tuple[str, ...], Literal["current", "torque"], Payload | None, tuple[Note, ...], tuple[str, ...]]
+class Known(NamedTuple):
+    """What is sent of a run beside its samples."""
+
+    name: str
+    joints: tuple[str, ...]
+    kind: Literal["current", "torque"]
+    payload: Payload | None
+    notes: tuple[Note, ...]
+    sensors: tuple[str, ...]
+    wrenches: tuple[WrenchFrame, ...]
 
 
 def _again(known: Known, excerpt: Excerpt) -> Run:
     """Read a run again in this process; raises GtauError where its logs have changed since."""
-    name, joints, kind, payload, notes, sensors = known
     arrays: dict[str, Any] = read_excerpt(excerpt)
-    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, sensors=sensors, **arrays)
+    return Run(**known._asdict(), **arrays)
 
 
 def _put_back(
     known: Known, samples: int, first: int, times: Sequence[tuple[int, np.ndarray]], parts: Mapping[str, np.ndarray]
 ) -> Run:
     """Restore a run of which some samples were sent."""
-    name, joints, kind, payload, notes, sensors = known
     places = {"time": Placed(samples)}
     for start, time in times:
         places["time"].put(start, time)
@@ -186,15 +198,15 @@ def _put_back(
         places[column] = Placed(samples, rows.shape[1:], rows.dtype.type)
         places[column].put(first, rows)
     arrays: dict[str, Any] = {column: place.array() for column, place in places.items()}
-    return Run(name=name, joints=joints, kind=kind, payload=payload, notes=notes, sensors=sensors, **arrays)
+    return Run(**known._asdict(), **arrays)
 
 
 def without_sensors(run: Run) -> Run:
     """Return the run without its torque sensors."""
     if not run.sensors:
         return run
-    n = list(range(len(run.joints)))
-    bare = replace(run, sensors=(), command=_columns(run.command, n), valid=_columns(run.valid, n))
+    kept = [*range(len(run.joints)), *_wrench_columns(run)]
+    bare = replace(run, sensors=(), command=_columns(run.command, kept), valid=_columns(run.valid, kept))
     return _from(run.log, bare)
 
 
@@ -213,7 +225,7 @@ def arrange(run: Run, joints: Sequence[str]) -> Run:
         )
     order = [run.joints.index(joint) for joint in joints]
     sensors = tuple(joint for joint in joints if joint in run.sensors)
-    measured = [*order, *(len(order) + run.sensors.index(joint) for joint in sensors)]
+    measured = [*order, *(len(order) + run.sensors.index(joint) for joint in sensors), *_wrench_columns(run)]
     if measured == list(range(len(measured))):
         return run
     ordered = replace(
@@ -225,6 +237,10 @@ def arrange(run: Run, joints: Sequence[str]) -> Run:
         valid=_columns(run.valid, measured),
     )
     return _from(run.log, ordered)
+
+
+def _wrench_columns(run: Run) -> range:
+    return range(len(run.joints) + len(run.sensors), run.command.shape[1])
 
 
 def _columns(array: np.ndarray, order: list[int]) -> np.ndarray:

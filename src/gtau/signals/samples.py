@@ -20,9 +20,10 @@ MAX_MISSING = 0.05  # part of a log that may be bad or missing
 class Source:
     """What messages about a log say of it.
 
-    ``columns`` are the names of the position columns, the command columns, those of the torque ``sensors`` (by joint)
-    and the time column; ``texts`` their first entries that are no numbers, as far as they have been read. Row 0 stands
-    in ``first_line``. The joints of a floating ``base`` stand first; their commands are forces from outside.
+    ``columns`` are the names of the position columns, the command columns, those of the torque ``sensors`` (by joint),
+    those behind the ``components`` of wrenches and the time column; ``texts`` their first entries that are no numbers,
+    as far as they have been read. Row 0 stands in ``first_line``. The joints of a floating ``base`` stand first; their
+    commands are forces from outside.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Source:
     line_word: str = "line"
     sensors: tuple[str, ...] = ()
     base: tuple[str, ...] = ()
+    components: int = 0
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -50,7 +52,7 @@ class Source:
 class Samples:
     """Complete samples of a log, SI units: ``time`` and ``rows`` (N,), ``position`` (N, n) and ``command`` (N, c).
 
-    The commands of the n joints come first, then the torques of the sensors, c - n of them.
+    The commands of the n joints come first, then the torques of the sensors, then the components of wrenches.
     """
 
     source: Source
@@ -136,7 +138,7 @@ class Incomplete:
 def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -> tuple[Samples, Incomplete]:
     """Collect the samples of a log, or of a part of it, none of whose values is missing."""
     n, count = len(source.joints), 0
-    wide = 2 * n + len(source.sensors)  # columns before the time
+    wide = 2 * n + len(source.sensors) + source.components  # columns before the time
     stores = Store(dtype=int), Store(), Store((n,)), Store((wide - n,))
     numbers = np.zeros(wide + 1, dtype=int)  # in each column
     bad: list[int] = []

@@ -1,9 +1,9 @@
 """What the scale of each drive gain rests on.
 
 Currents alone leave the scale open: gains and parameters may all be twice as large. It comes from what is known in N m
-or kg: payloads, torque sensors, the wrench on a floating base, known parameters. With all of it larger by one per cent,
-every gain and parameter is larger by one per cent too; so the shares by which a gain grows with each source alone add
-up to one.
+or kg: payloads, torque sensors, wrenches from outside, known parameters. With all of it larger by one per cent, every
+gain and parameter is larger by one per cent too; so the shares by which a gain grows with each source alone add up to
+one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gtau.estimation.estimators.newton import (
     to_gains,
     whitening,
 )
-from gtau.estimation.regression.problem import delayed
+from gtau.estimation.regression.problem import Problem, delayed
 
 
 def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
@@ -39,23 +39,35 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
     back = whitening(rows, curvature_of_delays(triangles, state, problem, weights))
     slopes = (to_gains(state, n_theta, True) @ back)[problem.gain_rows] / fit.gains[:, None]
 
+    pushes = fit.system.pushes
     sides: dict[str, np.ndarray] = {}  # J^T de for what each source says, were it larger by all of itself
     for name in dict.fromkeys(each.payload.name for each in fit.system.payloads if each.known_column.any()):
         carriers = [each.run for each in fit.system.payloads if each.payload.name == name]
         mine = np.isin(fit.system.block_positions[:, 0].astype(int), carriers)
         of_blocks = jacobian(problem.blocks[mine], state, problem, free_gains=True)
-        change = -state.b[:, None] * problem.blocks[mine][..., n_theta]
+        change = -state.b[:, None] * (problem.blocks[mine][..., n_theta] + (0.0 if pushes is None else pushes[mine]))
         sides[f"payload '{name}'"] = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2)
     for k, joint in enumerate(problem.sensors, start=len(problem.joints)):
         torque = triangles[k][:, n_theta + 1 :] @ delayed(state.delays[k])
         sides[f"torque sensor of '{joint}'"] = J[k].T @ torque * weights[k]
-    if problem.driveless:
+    if problem.driveless or pushes is not None:
         acting = [k for k, joint in enumerate(problem.joints) if joint in problem.driveless]
-        forces = np.array([triangles[k][:, n_theta + 1 :] @ delayed(state.delays[k]) for k in acting])
-        side = np.einsum("jpk,jp,j->k", J[acting], forces, weights[acting])
-        sides[f"wrench on '{problem.driveless[-1]}'"] = side
+        forces = [triangles[k][:, n_theta + 1 :] @ delayed(state.delays[k]) * weights[k] for k in acting]
+        side = sum((J[k].T @ force for k, force in zip(acting, forces, strict=True)), np.zeros(J.shape[-1]))
+        if pushes is not None:
+            of_blocks = jacobian(problem.blocks, state, problem, free_gains=True)
+            side += np.einsum("ujpk,ujp,j->k", of_blocks, state.b[:, None] * pushes, weights**2)
+        sides[_wrenches(problem)] = side
     if len(problem.known):
         sides["known parameters"] = -known.T @ problem.known[:, -1]
     shares = {source: -slopes @ (back.T @ side) for source, side in sides.items()}
     total = np.sum(list(shares.values()), axis=0)  # one, up to the curvature that the linear equations lack
     return {source: share / total for source, share in shares.items()}
+
+
+def _wrenches(problem: Problem) -> str:
+    """Name the measured wrenches; with a base that floats they are those on the base too."""
+    if problem.driveless and problem.pushed:
+        return "measured wrenches"
+    bodies = problem.pushed or problem.driveless[-1:]
+    return f"wrench{'es' * (len(bodies) > 1)} on {', '.join(repr(body) for body in bodies)}"

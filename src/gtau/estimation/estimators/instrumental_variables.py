@@ -25,7 +25,7 @@ from gtau.estimation.estimators.newton import jacobian, moved, one_step, residua
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.estimators.solution import Iterate, Solution
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.factors import CURRENTS, EXTRA, ROWS, STRETCHES, Factors
+from gtau.estimation.regression.factors import CURRENTS, EXTRA, PUSH, ROWS, STRETCHES, Factors
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
@@ -198,7 +198,8 @@ def _reduced(
         A = np.zeros((n, len(part.time), 2 * b + CURRENTS))
         for k, each in enumerate((part, other)):
             A[regressor.rows, :, regressor.columns + k * b] = each.entries
-            A[:, :, k * b + len(columns) : (k + 1) * b] = each.terms.transpose(1, 2, 0)
+            A[:, :, k * b + len(columns) : k * b + len(columns) + len(TERMS)] = each.terms.transpose(1, 2, 0)
+            A[:, :, (k + 1) * b - PUSH] = each.pushes
         A[:, :, b + dry] = A[:, :, dry]
         A[:, :, 2 * b :] = other.currents.transpose(1, 2, 0)
         keep = part.keep & other.keep

@@ -51,6 +51,8 @@ def ml(problem: Problem) -> Solution:
     if not solution.settled and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
         loaded = bool(problem.blocks[..., problem.n_theta].any())
         scale = "a heavier payload" if loaded else "a payload, torque sensors or more known parameters"
+        if problem.pushed:  # what a body that is always carried does to its sensor is what its own inertia would do
+            scale = f"one in which another wrench acts on {', '.join(problem.pushed)} (without the tool, say)"
         raise GtauError(
             "the maximum-likelihood iteration did not converge, so the data do not determine the drive gains: "
             f"{scarcity(problem)}check the signs and units of positions and currents, add runs that move every joint "

@@ -142,6 +142,7 @@ class Dataset:
             self.runs[0].sensors,
             self.priors,
             None if self.temperatures is None else self.temperatures.of_stretches,
+            tuple(dict.fromkeys(frame.body for frame in self.runs[0].wrenches)),
         )
 
     def parts(
@@ -227,6 +228,14 @@ def reduce_runs(
     runs = tuple(arrange(run, model.actuated) for run in runs)
     if len({run.kind for run in runs}) > 1:
         raise GtauError("some runs hold currents and others torques; identify them separately.")
+    if len({run.wrenches for run in runs}) > 1:
+        raise GtauError("the runs have wrenches on different bodies; give the same 'wrenches' for all runs.")
+    for frame in runs[0].wrenches:
+        if frame.body not in robot.bodies:
+            raise GtauError(
+                f"'wrenches' names the body '{frame.body}', but those of robot '{robot.name}' are "
+                f"{', '.join(robot.bodies)}; correct the name."
+            )
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
     base = base_parameters(model, sensors=sensors_of(robot, runs))

@@ -1,7 +1,7 @@
 """Triangular factors: all that the estimators need to know of a run, however long.
 
-Each channel's decimated rows ``[W_j  terms_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one for
-each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
+Each channel's decimated rows ``[W_j  terms_j  push_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one
+for each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store, store
 
-FACTORS_VERSION = 2  # of the numbers in Factors; raised with every change of them, for the cache
+FACTORS_VERSION = 3  # of the numbers in Factors; raised with every change of them, for the cache
 STRETCHES = 20
 ROWS = 512  # merged into a triangle at once
 CURRENTS = 3  # columns of a joint's current: v, v', v''
-EXTRA = len(TERMS) + CURRENTS
+PUSH = 1  # column of what wrenches on bodies add to a joint's torque
+EXTRA = len(TERMS) + PUSH + CURRENTS
 
 
 @dataclass(frozen=True, eq=False)
 class HuberWeights:
     """Huber's weights: rows whose residual is above ``limit`` (c,) count less, in proportion.
 
-    Residuals of channel j are ``rows @ coefficients[j]``, of ``[W_j terms_j v_j v_j' v_j'']``, (c, p).
+    Residuals of channel j are ``rows @ coefficients[j]``, of ``[W_j terms_j push_j v_j v_j' v_j'']``, (c, p).
     """
 
     coefficients: np.ndarray
@@ -45,8 +46,8 @@ class Factors:
     Attributes
     ----------
     R : ndarray
-        (stretches, c, p, p) triangles of ``[W_j terms_j v_j v_j' v_j'']``, p = columns + 5, of the joints and then of
-        the torque sensors: these have the regressor's row of their joint, and no further friction.
+        (stretches, c, p, p) triangles of ``[W_j terms_j push_j v_j v_j' v_j'']``, p = columns + 6, of the joints and
+        then of the torque sensors: these have the regressor's row of their joint, and no further friction.
     rows : ndarray
         (stretches, c) number of rows behind each.
     distances : ndarray
@@ -62,12 +63,13 @@ class Factors:
 
 
 def equations(regressor: Regressor, joints: Sequence[int], part: Rows) -> np.ndarray:
-    """Build the rows ``[W_j terms_j v_j v_j' v_j'']`` (c, K, p) of channels that measure these ``joints``."""
+    """Build the rows ``[W_j terms_j push_j v_j v_j' v_j'']`` (c, K, p) of channels that measure these ``joints``."""
     n, width = part.terms.shape[1], len(regressor.names)
     A = np.zeros((len(joints), len(part.time), width + EXTRA))
     A[regressor.rows, :, regressor.columns] = part.entries
     A[n:, :, :width] = A[joints[n:], :, :width]
-    A[:n, :, width:-CURRENTS] = part.terms.transpose(1, 2, 0)
+    A[:n, :, width : width + len(TERMS)] = part.terms.transpose(1, 2, 0)
+    A[:, :, -CURRENTS - PUSH] = part.pushes[joints]
     A[:, :, -CURRENTS:] = part.currents.transpose(1, 2, 0)
     return A
 

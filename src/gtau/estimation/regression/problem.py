@@ -5,10 +5,10 @@ then those of torque sensors, whose gain is 1. Its columns are
 
     [ W_theta | known | v | v' | v'' ]
 
-where ``W_theta`` acts on the unknown parameters ``theta`` (base parameters, then every loaded run's
-unknown payload parameters), ``known`` is ``W_kl chi_kl``, and v is the current reference, of a sensor the
-torque, with its two time derivatives. The rows may be those of the decimated system, or their triangular
-factor: all estimators see them only through ``A^T A`` and give the same for both.
+where ``W_theta`` acts on the unknown parameters ``theta`` (base parameters, then every loaded run's unknown payload
+parameters), ``known`` is ``W_kl chi_kl`` less what measured wrenches do, and v is the current reference, of a sensor
+the torque, with its two time derivatives. The rows may be those of the decimated system, or their triangular factor:
+all estimators see them only through ``A^T A`` and give the same for both.
 """
 
 from __future__ import annotations
@@ -47,6 +47,8 @@ class Problem:
         variance.
     driveless : tuple of str
         Joints of a floating base, whose commands are measured forces: their gain is 1.
+    pushed : tuple of str
+        Bodies on which measured wrenches act; what they add to the motors' torques is in ``known``, less.
     """
 
     parameters: tuple[str, ...]
@@ -57,6 +59,7 @@ class Problem:
     sensors: tuple[str, ...] = ()
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     driveless: tuple[str, ...] = ()
+    pushed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.known.size:
@@ -74,8 +77,8 @@ class Problem:
 
     @property
     def scaled(self) -> bool:
-        """Whether torque sensors, forces on a base or known parameters say how large gains are, beside payloads."""
-        return bool(self.sensors) or bool(self.driveless) or len(self.known) > 0
+        """Whether torque sensors, measured wrenches or known parameters say how large gains are, beside payloads."""
+        return bool(self.sensors or self.driveless or self.pushed) or len(self.known) > 0
 
     @property
     def gain_rows(self) -> slice:

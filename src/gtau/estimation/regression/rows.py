@@ -12,6 +12,7 @@ from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
 from gtau.signals.decimation import Block, Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
+from gtau.signals.run import Run
 
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
@@ -21,8 +22,9 @@ class Rows:
     """Rows of all channels, the joints' and then the torque sensors', at K output instants.
 
     ``time`` (K,) in s; ``keep`` (c, K); ``entries`` of the regressor (entries, K); ``currents``
-    (3, c, K): the command and its first two time derivatives; ``terms`` (2, n, K), the columns of further
-    friction of the joints; ``outputs`` their numbers in the run; ``motion`` of the whole tree at these instants.
+    (3, c, K): the command and its first two time derivatives, of a base all that acts on it from outside; ``terms``
+    (2, n, K), the columns of further friction of the joints; ``pushes`` (n, K), what wrenches on bodies add to the
+    motors' torques, 0 for a base; ``outputs`` their numbers in the run; ``motion`` of the whole tree at these instants.
     """
 
     time: np.ndarray
@@ -30,6 +32,7 @@ class Rows:
     entries: np.ndarray
     currents: np.ndarray
     terms: np.ndarray
+    pushes: np.ndarray
     outputs: slice
     motion: Motion
 
@@ -73,18 +76,42 @@ def stream_rows(
         kept = slice(block.first, last + 1, decimator.factor)
         qd = of.qd.T.copy()
         motion = idm.rates(c, qd, of.qdd.T.copy(), Labels(prepared.run.name, of.time))
-        currents = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
+        measured = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
+        currents = measured[:, : of.usable.shape[1]]
         entries = regressor(idm.layout, motion)
-        effort = currents[0, : len(qd)] if load is None else regressor.torques(entries, load, len(idm.actuated))
+        pushes = pushes_of(idm, prepared.run, motion, measured)
+        # all that acts on a base is one signal there, wherever it acts
+        base = [idm.actuated.index(joint) for joint in idm.robot.base]
+        currents[:, base] += pushes[:, base]
+        pushes[:, base] = 0.0
+        effort = currents[0, : len(qd)]
+        if load is not None:
+            effort = regressor.torques(entries, load, len(idm.actuated)) - pushes[0]
         yield Rows(
             of.time[kept],
             decimator.keep(of.usable[seen]).T,
             decimator.apply(entries, block),
             decimator.apply(currents, block),
             decimator.apply(term_columns(qd, effort), block),
+            decimator.apply(pushes[0], block),
             block.outputs,
             motion[kept],
         )
+
+
+def pushes_of(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
+    """Compute what the wrenches of a run add to the torques of the actuated joints, ``J^T w`` (3, n, M).
+
+    ``measured`` (3, ., M) are the columns of the run's commands and their time derivatives, those of the wrenches last;
+    ``motion`` is that of the same M samples. A wrench that is late is late in the robot's pose of now, so that the
+    columns of its delay are ``J^T w'`` and ``J^T w''``.
+    """
+    pushes = np.zeros((len(measured), len(idm.actuated), measured.shape[-1]))
+    if run.wrenches:
+        columns, w = idm.wrenches(run.wrenches), measured[:, len(run.measured_joints) :]
+        for entry, row, column in zip(columns(idm.layout, motion), columns.rows, columns.columns, strict=True):
+            pushes[:, row] += entry * w[:, column]
+    return pushes
 
 
 def _along(

@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import BaseParameters, independent_columns
-from gtau.estimation.regression.factors import CURRENTS, EXTRA, Factors
+from gtau.estimation.regression.factors import CURRENTS, EXTRA, PUSH, Factors
 from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS, Friction, transmitted
 from gtau.estimation.regression.known_parameters import known_equations
 from gtau.estimation.regression.problem import Problem
@@ -51,6 +51,7 @@ class System:
     number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, c, p, n_theta + 4) lead
     from the columns of the runs' factors to those of ``whole``, at the mean temperatures of each run. ``stated`` are
     the parameters with a prior value. ``warmth`` (c, p, n_theta + 4) is what is added to the maps for each degree.
+    ``pushes`` (U, c, p) are the rows of what measured wrenches add to the motors' torques; None without wrenches.
     """
 
     problem: Problem
@@ -63,6 +64,7 @@ class System:
     maps: np.ndarray
     stated: tuple[str, ...] = ()
     warmth: np.ndarray | None = None
+    pushes: np.ndarray | None = None
 
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run``, with its payload and its own friction, (n_b,)."""
@@ -113,6 +115,7 @@ def assemble_system(
     sensors: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
     temperatures: Sequence[np.ndarray] | None = None,
+    pushed: Sequence[str] = (),
 ) -> System:
     """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33).
 
@@ -136,6 +139,8 @@ def assemble_system(
         What is known of parameters, by name.
     temperatures : sequence of ndarray, optional
         Deviations (stretches, n) of the joints' temperatures from their means, for each run.
+    pushed : sequence of str
+        Bodies on which measured wrenches act.
 
     Raises
     ------
@@ -168,6 +173,7 @@ def assemble_system(
         # from the columns of the factor to those of the problem
         M = np.zeros((n_b + EXTRA, n_theta + 1 + CURRENTS))
         M[:n_b, :n_b] = np.eye(n_b)
+        M[-CURRENTS - PUSH, n_theta] = -1.0  # torques that the motors need not give
         M[-CURRENTS:, n_theta + 1 :] = np.eye(CURRENTS)
         for each in carried:
             if each.run == run:
@@ -215,6 +221,7 @@ def assemble_system(
         tuple(sensors),
         known,
         idm.robot.base,
+        tuple(pushed),
     )
     for channel, count in zip(problem.channels, problem.total_rows, strict=True):
         if count < FEWEST_ROWS:
@@ -242,6 +249,7 @@ def assemble_system(
         np.array(maps),
         stated,
         None if temperatures is None else np.array([warmth(channel) for channel in problem.channels]),
+        np.concatenate([factor.R[..., -CURRENTS - PUSH] for factor in factors])[filled] if pushed else None,
     )
 
 
@@ -317,6 +325,12 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
         )
     if len(problem.known):
         raise _hidden(system.stated, other)
+    if problem.pushed:
+        raise GtauError(
+            f"the wrenches on {', '.join(problem.pushed)} have no effect of their own on any actuated joint, so they "
+            "cannot give the scale of the drive gains; check their columns, their 'body' and 'at' under 'signals', "
+            f"carry a payload of known mass in some runs, {other}."
+        )
     if problem.driveless:
         raise GtauError(
             f"nothing measured acts on the base '{robot.floating}' from outside, or it has no effect of its own "

@@ -46,7 +46,7 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     terms = _friction_terms(result)
     for part in stream_rows(model, regressor, prepared, decimator, load):
         tau = regressor.torques(part.entries, chi, len(model.actuated)) + np.einsum("tj,tjk->jk", terms, part.terms)
-        tau += _of_temperature(result, run, regressor, part)
+        tau += _of_temperature(result, run, regressor, part) - part.pushes
         v, v_d, v_dd = part.currents[:, : len(gains)]  # eq. (17), each current at its delayed time
         time.append(part.time)
         predicted.append(tau.T)

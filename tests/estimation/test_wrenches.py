@@ -1,0 +1,95 @@
+"""Measured wrenches on bodies from outside: feet that carry a robot, and a force sensor between flange and tool."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from floating_logs import AT_HOOK, AT_SOLE, GAINS, ON_PLATE, POSE, Truth, deviations, experiment, simulated
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.identify import identify
+from gtau.estimation.results.result import Result
+from gtau.signals.experiment import read_experiment
+from gtau.signals.run import read_run
+
+BASE = f"{{body: trunk, {POSE}}}"
+HELD = f"{{body: trunk, {POSE}, wrenches: [{AT_HOOK}]}}"
+
+
+@pytest.fixture(scope="module")
+def standing() -> Truth:
+    return simulated(2, foot=1.0)
+
+
+@pytest.fixture(scope="module")
+def leaning() -> Truth:
+    return simulated(5, foot=0.4, swaying=0.2)
+
+
+@pytest.mark.parametrize("wrench", [AT_SOLE, ON_PLATE], ids=["sole", "plate"])
+def test_gains_from_the_wrench_on_a_foot(wrench: str, standing: Truth, tmp_path: Path) -> None:
+    result = identify(experiment(tmp_path, f"{BASE}\n  wrenches: [{wrench}]", standing))
+    check(result, deviations(result, standing.chi), 46)
+    assert {source for gain in result.drive_gains.values() for source in gain.scale} == {"measured wrenches"}
+    assert [result.drive_gains[joint].verdict.outcome for joint in "23"] == [Outcome.GOOD] * 2
+
+
+def test_a_force_sensor_between_flange_and_tool_gives_the_scale(tmp_path: Path) -> None:
+    """Neither mass nor place of the tool is known: its wrench is measured, with and without the tool."""
+    bare, carrying = simulated(4, moving=False), simulated(5, moving=False, tool=True)
+    path = experiment(tmp_path, "", bare, f"  wrenches: [{AT_SOLE}]")
+    pl.DataFrame(carrying.columns).write_csv(tmp_path / "tool.csv")
+    path.write_text(path.read_text().replace("runs: [", "runs: [{log: tool.csv}, "))
+    result = identify(path)
+    z = [(result.drive_gains[joint].value - gain) / result.drive_gains[joint].std for joint, gain in GAINS.items()]
+    check(result, np.array(z), 3)
+    for joint in GAINS:
+        assert dict(result.drive_gains[joint].scale) == pytest.approx({"wrench on '3'": 1.0})
+        assert result.drive_gains[joint].verdict.outcome in (Outcome.GOOD, Outcome.WEAK)
+
+
+def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> None:
+    path = experiment(tmp_path, f"{HELD}\n  wrenches: [{AT_SOLE}]", leaning)
+    result = identify(path)
+    check(result, deviations(result, leaning.chi), 46)
+    result.save(tmp_path / "model.json")
+    again, described = Result.load(tmp_path / "model.json"), read_experiment(path)
+    errors = again.validate(read_run(tmp_path / "log.csv", signals=described.signals, units=described.units))
+    assert len(errors) == 9
+    assert max(error.relative for error in errors) < 6
+
+
+def check(result: Result, z: np.ndarray, count: int) -> None:
+    """The errors ``z`` of parameters and gains are as large as their standard deviations say."""
+    for joint, gain in GAINS.items():
+        assert result.drive_gains[joint].value == pytest.approx(gain, rel=0.1)
+    assert len(z) == count
+    assert np.sqrt(np.mean(z**2)) < 1.6
+    assert np.abs(z).max() < 4.5
+
+
+def test_a_foot_left_out_shows(leaning: Truth, tmp_path: Path) -> None:
+    result = identify(experiment(tmp_path, HELD, leaning))
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} <= {Outcome.CONTRADICTORY, Outcome.WEAK}
+
+
+REFUSED = [
+    ("method: tls", AT_SOLE, {"method": "tls"}, "method 'tls' takes no wrenches on bodies"),
+    ("method: didim", AT_SOLE, {"method": "didim"}, "motion is simulated from the currents of motors"),
+    ("body", AT_SOLE.replace("body: 3", "body: foot"), {}, "the body 'foot', but those of robot 'arm' are trunk"),
+    ("base", AT_SOLE.replace("body: 3", "body: trunk"), {}, "under 'wrenches' of 'base'"),
+    ("twice", AT_SOLE.replace("[sx, sy, sz]", "[sx, sy, smx]"), {}, "the column 'smx' under 'wrenches' is given twice"),
+]
+
+
+@pytest.mark.parametrize(
+    ("wrench", "options", "sentence"), [case[1:] for case in REFUSED], ids=[case[0] for case in REFUSED]
+)
+def test_refusals(wrench: str, options: dict, sentence: str, standing: Truth, tmp_path: Path) -> None:
+    with pytest.raises(GtauError) as refused:
+        identify(experiment(tmp_path, f"{BASE}\n  wrenches: [{wrench}]", standing), **options)
+    assert sentence in str(refused.value)
