@@ -47,6 +47,15 @@ def save(path: Path, header: str, *columns: np.ndarray) -> Path:
         ("position_sensor_3", "position", "3", None),
         ("actual_current_5", "current", "5", None),
         ("motor2 (mA)", "motor", "2", "mA"),
+        ("motor_torque_2", "motor", "2", None),
+        ("motor_position_2", "position", "2", None),
+        ("posición_2", "position", "2", None),
+        ("Gelenkwinkel2 [°]", "position", "2", "deg"),
+        ("Motorstrom A2 [mA]", "current", "2", "mA"),
+        ("Drehmoment_2 [Nm]", "torque", "2", "N m"),
+        ("corriente_2", "current", "2", None),
+        ("vitesse2", "velocity", "2", None),
+        ("Zeit [ms]", "time", "", "ms"),
         ("v7", "command", "7", None),
         ("timestamp", "time", "", None),
         ("time_nanosec", "time", "", None),
@@ -57,6 +66,7 @@ def test_kinds_by_name(name: str, kind: str | None, label: str, unit: str | None
     found = taken_apart(name)
     assert (found.kind, found.label, found.unit) == (kind, label, unit)
     assert found.reference == (name == "q_ref3")
+    assert taken_apart("Sollstrom3").reference
 
 
 def test_joints_by_name() -> None:
@@ -196,7 +206,7 @@ def test_columns_that_yaml_would_take_for_something_else(tmp_path: Path) -> None
 
 SHARED = {
     "orthoglide_sim/exciting_3_loaded_1983g.csv": ("t", ["q11", "q12", "q13"], "current", ["v1", "v2", "v3"]),
-    "rokae_xmate3pro/excit.csv": ("t", ["q1", "q2"], "torque", ["torque1", "torque2"]),
+    "rokae_xmate3pro/excit.csv": ("t", ["q1", "q2"], "current", ["motor1", "motor2"]),
     "ur10e/ur-20_02_19_14harm50sec.csv": ("1", ["2", "3"], "current", ["14", "15"]),
     "panda_rosbag2/panda_exciting_trajectory.db3": (
         "/joint_states/header/stamp",
@@ -280,10 +290,60 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     text = draft_text(draft, tmp_path)
     (line,) = [each for each in text.splitlines() if "joint_torque:" in each]
     assert line.lstrip().startswith("#") == (name == "tau")
+    assert ("CHECK: torques of sensors" in text) == ("torques" in draft.open) == (name == "tau")
+    assert "Not used" not in text
     (tmp_path / "experiment.yaml").write_text(text.replace("NAME-OR-FILE", "five-bar"), encoding="utf-8")
     if name == "torque_sensor":
         assert read_experiment(tmp_path / "experiment.yaml").signals.sensors == ("j1", "j2")
         assert "Drive gains need the mass" not in text
+
+
+@pytest.mark.parametrize(
+    ("commands", "others"), [("motor", "torque"), ("motor_torque", "joint_torque"), ("current", "tau_J")]
+)
+def test_motors_beside_torques_are_the_command(commands: str, others: str, tmp_path: Path) -> None:
+    """Whatever the order of the columns; the torques are offered as sensors, and both are marked where in doubt."""
+    for order in ((commands, others), (others, commands)):
+        header = "t,q1,q2," + ",".join(f"{name}{k}" for name in order for k in (1, 2))
+        draft = discover([save(tmp_path / "log.csv", header, TIME, Q, V, 3 * V + 0.1)])
+        assert draft.kind == "current"
+        assert list(draft.command.values()) == [f"{commands}1", f"{commands}2"]
+        assert list(draft.torques.values()) == [f"{others}1", f"{others}2"]
+        assert {"torques", "motor"} & set(draft.open) == (
+            {"torques"} if commands == "current" else {"torques", "motor"}
+        )
+        text = draft_text(draft, tmp_path)
+        assert "  # joint_torque: " in text
+        assert text.count("CHECK: confirm that these grow with the currents") == (commands != "current")
+        offered = text.replace("  # joint_torque", "  joint_torque").replace("NAME-OR-FILE", "five-bar")
+        (tmp_path / "e.yaml").write_text(offered)
+        assert read_experiment(tmp_path / "e.yaml").signals.sensors == ("j1", "j2")
+
+
+def test_efforts_and_second_clocks_are_marked(tmp_path: Path) -> None:
+    header = "controller_time,host_time,position_1,position_2,effort_1,effort_2"
+    draft = discover([save(tmp_path / "log.csv", header, TIME, TIME + 5.0, Q, V)])
+    assert (draft.time, draft.kind) == (("controller_time",), "torque")
+    assert {"clock", "kind"} < set(draft.open)
+    assert "time: controller_time  # CHECK: median step 0.004 s, 250 Hz; host_time grows, too" in draft_text(
+        draft, tmp_path
+    )
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "tiempo,posición_1,posición_2,velocidad_1,velocidad_2,corriente_1,corriente_2",
+        "Zeit,Winkel1,Winkel2,Geschwindigkeit1,Geschwindigkeit2,Strom1,Strom2",
+        "temps,angle1,angle2,vitesse1,vitesse2,courant1,courant2",
+        "tempo,posizione_1,posizione_2,velocità_1,velocità_2,corrente_1,corrente_2",
+    ],
+)
+def test_names_in_other_languages(header: str, tmp_path: Path) -> None:
+    names = header.split(",")
+    draft = discover([save(tmp_path / "log.csv", header, TIME, Q, QD, V)])
+    assert (draft.time, draft.kind, draft.open, draft.temperature) == ((names[0],), "current", ("robot",), None)
+    assert [*draft.position.values(), *draft.command.values()] == [*names[1:3], *names[5:]]
 
 
 def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -91,7 +91,7 @@ def _answered(draft: Draft) -> Draft:
         settled.add("rate")
     if "kind" in draft.open:
         named = ", ".join(list(draft.command.values())[:3])
-        kind = typer.prompt(f"Are {named} ... currents or torques?", default="current")
+        kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.kind)
         draft = replace(draft, kind="torque" if kind.lower().startswith("t") else "current")
         settled.add("kind")
     masses = dict(draft.masses)

@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 WORDS: dict[str, frozenset[str]] = {
     kind: frozenset(words.split())
     for kind, words in {
-        "time": "t time timestamp stamp sec secs second seconds nanosec nsec nsecs nanosecond nanoseconds",
-        "position": "q pos position positions angle angles theta qpos posn",
-        "velocity": "dq qd vel velocity velocities velo speed omega qdot",
-        "acceleration": "ddq qdd acc accel acceleration",
-        "current": "current currents cur curr amp amps ampere iq i",
-        "torque": "tau torque torques jts effort moment trq tq force",
+        "time": "t time timestamp stamp sec secs second seconds nanosec nsec nsecs nanosecond nanoseconds "
+        "zeit tiempo temps tempo",
+        "position": "q pos position positions angle angles theta qpos posn winkel lage posicion angulo posizione",
+        "velocity": "dq qd vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad vitesse "
+        "velocita",
+        "acceleration": "ddq qdd acc accel acceleration beschleunigung aceleracion accelerazione",
+        "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente",
+        "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza",
         "motor": "motor",
         "other": "ext external mocap grav gravity temp temperature err error latency voltage rate success filtered age",
     }.items()
 }
-PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "motor", "position", "time")
-REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d"])
+PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
+REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d", "soll"])
 TEMPERATURE = frozenset(["temp", "temps", "temperature", "temperatures"])
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
 SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
+COMPOUND = re.compile("(ist|soll|motor|gelenk|achs)(?=strom|winkel|lage|position|drehmoment|moment|geschw)")  # German
 COMMAND = frozenset(["v", "u", "control", "action", "command"])  # currents or torques, unless they are velocities
 UNITS = {
     "deg": "deg",
@@ -45,6 +49,7 @@ class ColumnName:
     """A column's ``name`` taken apart: what is left without its joint, the joint's label, the kind and the unit.
 
     ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), ``sensor`` (of torque), or None;
+    ``motor`` is a torque of a motor, or what is only named after it;
     ``reference`` where it is what was asked for and not what was measured.
     """
 
@@ -82,6 +87,8 @@ def taken_apart(name: str, joints: Sequence[str] = ()) -> ColumnName:
     kind = next((each for each in PRECEDENCE if each in kinds), None)
     if kind == "torque" and any(word in SENSOR for word in words):
         kind = "sensor"
+    elif kind == "torque" and "motor" in words:
+        kind = "motor"
     if kind is None and any(word in COMMAND for word in words):
         kind = "command"
     return ColumnName(
@@ -100,4 +107,6 @@ def is_pose(name: str) -> bool:
 
 
 def _words(text: str) -> list[str]:
-    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", text)]
+    plain = "".join(each for each in unicodedata.normalize("NFD", text) if not unicodedata.combining(each))
+    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", plain)]
+    return [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]

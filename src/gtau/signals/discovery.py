@@ -94,8 +94,13 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     if unit := _position_unit(position_log, positions, columns, robot, reasons):
         units["position"] = unit
         unsure += ["unit"] if positions.unit is None else []
-    kind = "current" if commands.kind == "current" else "torque"
-    if commands.kind == "command":
+    in_amperes = commands.unit in ("A", "mA")
+    kind = "current" if in_amperes or commands.kind in ("current", "motor") else "torque"
+    if commands.kind == "motor" and not in_amperes:
+        unsure.append("motor")
+    elif commands.kind == "torque" and "effort" in commands.first.lower():  # of ROS: what the driver puts there
+        unsure.append("kind")
+    elif commands.kind == "command" and not in_amperes:
         reach = max(float(np.nanmax(np.abs(command_log.values[pair[1]]))) for pair in joints.values())
         kind = "torque" if reach > LARGEST_CURRENT else "current"
         unsure.append("kind")
@@ -105,12 +110,22 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     apart = command_log.path == position_log.path or command_log.rows != position_log.rows
     if command_log is not position_log and command_log.time and apart:
         command_time = command_log.time
-    alike = {group.listed for group in (*position_log.groups, *command_log.groups) if group.kind != "other"}
+    clocks = position_log.other_clocks()
+    if clocks:
+        reasons["time"] += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
+        unsure.append("clock")
+    alike = {group.listed: group for group in (*position_log.groups, *command_log.groups) if group.kind != "other"}
     label = {
         joint: next(each for each, name in positions.columns.items() if name == columns[joint]) for joint in joints
     }
     sensors, torques = (_beside(command_log.group(each), label) for each in ("sensor", "torque"))
+    if sensors or kind != "current":
+        torques = {}
+    unsure += ["torques"] if torques else []
     used = {positions.listed, commands.listed, *(each.listed for each in command_log.groups if each.kind == "sensor")}
+    used |= {
+        group.listed for group in command_log.groups if torques and set(torques.values()) <= set(group.columns.values())
+    }
     used_names = {*positions.columns.values(), *commands.columns.values()}
     draft = Draft(
         logs=tuple(runs),
@@ -122,12 +137,12 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         kind=kind,
         units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
         command_time=command_time,
-        temperature=_temperature(position_log.table.columns, columns),
+        temperature=_temperature([name for name in position_log.table.columns if name not in time], columns),
         pose=tuple(name for name in position_log.table.columns if is_pose(name) and name not in used_names),
         masses={run[0]: mass for run in runs if (mass := _mass_in_name(run[0])) is not None},
-        others=tuple(sorted(alike - used)),
+        others=tuple(each for each in alike if each not in used),
         sensors=sensors,
-        torques=torques if kind == "current" and not sensors else {},
+        torques=torques,
         reasons=reasons,
         open=tuple(unsure if source is not None else ["robot", *unsure]),
     )

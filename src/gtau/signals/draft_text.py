@@ -18,6 +18,9 @@ UNSURE = {
     "unit": "confirm the unit of the positions (units: {position: ...})",
     "rate": "write the sampling rate, which the log does not hold (time: {rate: HZ})",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
+    "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
+    "clock": "confirm the time column, as others grow, too",
+    "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
 """What a person has to confirm or add, by what was open in the draft."""
@@ -41,14 +44,14 @@ def draft_text(draft: Draft, folder: Path) -> str:
         if draft.command_time:
             other = draft.command_time[0] if len(draft.command_time) == 1 else list(draft.command_time)
             time = {"position": time, "command": other}
-        lines.append(_line(f"  time: {_flow(time)}", why.get("time", "")))
+        lines.append(_line(f"  time: {_flow(time)}", CHECK * ("clock" in draft.open) + why.get("time", "")))
     else:
         rate = 1000.0 if draft.rate is None else draft.rate
         lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", why.get("time", ""))))
     matched = why.get("position", "")
     lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
     found = why.get("velocity", "")
-    doubt = _of(draft, "kind", "") or _of(draft, "reference", "")
+    doubt = _of(draft, "kind", "") or _of(draft, "motor", "") or _of(draft, "reference", "")
     lines += _by_joint(draft.kind, draft.command, doubt)
     if draft.temperature is not None:
         lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
@@ -58,7 +61,10 @@ def draft_text(draft: Draft, folder: Path) -> str:
     if draft.sensors:
         lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")
     if draft.torques:
-        lines.append("  # Torques of sensors behind the gears (not computed from currents) fix the scale of the gains:")
+        lines.append(
+            f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
+        )
+        lines.append("  # gains; if these are such, remove the '#':")
         lines += [f"  #{line[1:]}" for line in _by_joint("joint_torque", draft.torques, "")]
     if draft.others:
         lines.append(f"  # Not used: columns {'; '.join(draft.others)}.")

@@ -18,7 +18,7 @@ from gtau.signals.log_file import find_columns, read_log
 
 ROWS = 200_000  # of a log that are looked at
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
-COMMANDS = ("current", "torque", "command", "motor")  # kinds of columns, those preferred first
+COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, those preferred first
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -95,12 +95,19 @@ class LogContents:
         return min(found, key=lambda each: (each.reference, -len(each.columns)), default=None)
 
     def command_group(self) -> Group | None:
-        """Select currents before torques, and torques of joints before those of motors."""
+        """Select currents before torques, and torques of motors before those of joints, which sensors may give."""
         position = self.group("position")
         found = [self.group(kind) for kind in COMMANDS]
         groups = [each for each in found if each is not None]
         alike = [each for each in groups if position is None or len(each.columns) >= len(position.columns)]
         return next(iter(alike or groups), None)
+
+    def other_clocks(self) -> list[str]:
+        """List columns that are named as times, too, and grow; a bag's stamps of its messages are none."""
+        names = [name for name in self.values if name not in self.time and taken_apart(name).kind == "time"]
+        if len(self.time) != 1:
+            return []
+        return [name for name in names if not name.startswith("/") and _grows(self.values[name])]
 
     def seconds(self) -> np.ndarray:
         """Return the time in its own unit."""
