@@ -18,7 +18,7 @@ from gtau.estimation.diagnostics.verdict import Outcome, percent_text, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import gains_for, require_joint, usable
+from gtau.estimation.identify import gains_for, require_priors_taken, usable
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
@@ -106,7 +106,7 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
     def row(estimator: Estimator) -> Row:
         start = perf_counter()
         try:
-            require_joint(estimator, runs, experiment.priors)
+            require_priors_taken(estimator, runs, experiment.priors)
             given = Given(gains_for(estimator, robot, runs, experiment.expected_gains), priors, progress)
             taken = replace(dataset, priors=usable(estimator, priors))
             result = estimate(taken, estimator, given, prior_gains=experiment.expected_gains)

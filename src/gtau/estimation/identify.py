@@ -106,7 +106,7 @@ def identify(
     estimator = chosen or _default_estimator(runs, as_paper)
     _check_combination(estimator, as_paper, consistent)
     priors = priors or {}
-    require_joint(estimator, runs, stated or {}, consistent)
+    require_priors_taken(estimator, runs, stated or {}, consistent)
     gains = gains_for(estimator, robot, runs, prior_gains)
     with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
         dataset = reduce_runs(
@@ -166,7 +166,7 @@ def _check_combination(estimator: Estimator, as_paper: bool, consistent: bool) -
         )
 
 
-def require_joint(
+def require_priors_taken(
     estimator: Estimator, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
 ) -> None:
     """Check that an estimator can take what is known beside currents and payloads.
@@ -177,9 +177,9 @@ def require_joint(
         Where it takes neither torque sensors nor known parameters, and there are some; ``consistent`` parameters are
         sought with the latter whatever the estimator.
     """
-    if estimator.joint:
+    if estimator.takes_priors:
         return
-    takers = ", ".join(each.name for each in ESTIMATORS.values() if each.joint)
+    takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
     known = any(prior.value is not None for prior in priors.values()) and not consistent
     for what, key, there in (
         ("torque sensors", "joint_torque", runs[0].sensors),
@@ -195,7 +195,7 @@ def require_joint(
 
 def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Prior]:
     """Return the priors that join the currents in an estimator; others use them only for consistent parameters."""
-    return priors if estimator.joint else {}
+    return priors if estimator.takes_priors else {}
 
 
 def gains_for(
@@ -209,8 +209,8 @@ def gains_for(
         Where it estimates gains of logs that hold torques, or takes them and some joint has no prior gain.
     """
     torques = runs[0].kind == "torque"
-    if robot.floating and not estimator.joint:
-        takers = ", ".join(each.name for each in ESTIMATORS.values() if each.joint)
+    if robot.floating and not estimator.takes_priors:
+        takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
         raise GtauError(
             f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
             f"choose from {takers} with --method."

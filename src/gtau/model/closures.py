@@ -181,10 +181,10 @@ def closure_maps(layout: Coordinates) -> ClosureMaps:
     qd, qdd = ca.SX.sym("qd", len(actuated)), ca.SX.sym("qdd", len(actuated))
     J = ca.SX(layout.n_y, len(actuated))
     J[actuated, :] = ca.SX.eye(len(actuated))
-    J[passive, :] = constant(np.diag(unit[passive])) @ solve(G_p, -G_a, refine=True)[0]
-    yd_all, ydd_all = J @ qd, J @ qdd
+    J[passive, :] = constant(np.diag(unit[passive])) @ solve(G_p, -G_a, refine=True)[0]  # J_p and J_t of the paper
+    yd_all, ydd_all = J @ qd, J @ qdd  # eqs. (5) and (7); eqs. (6) and (8) but for what the speeds add
     drift, _ = solve(G_p, -ca.substitute(gamma, yd, yd_all), refine=True)
-    ydd_all[passive] += drift * unit[passive]
+    ydd_all[passive] += drift * unit[passive]  # eqs. (6) and (8)
     return ClosureMaps(
         given,
         qd,

@@ -16,13 +16,13 @@ from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 
 
 def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the share of motion in the mean square of each joint's current rate, and its standard error, (n,) each.
+    """Compute the share of motion in the mean square of each channel's rate of change, and its standard error, (c,).
 
     The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated). The error is
     that of a ratio, from its scatter over the units.
     """
     model, currents = problem.blocks[..., : problem.n_theta + 1], problem.blocks[..., problem.n_theta + 1 :]
-    v, rate, change = np.moveaxis(currents, -1, 0)  # (U, n, p) each
+    v, rate, change = np.moveaxis(currents, -1, 0)  # (U, c, p) each
     e = v - model @ np.append(solution.theta, 1.0) / solution.gains[:, None]
     whole = np.einsum("ujp,ujp->uj", rate, rate)
     of_motion = whole + np.einsum("ujp,ujp->uj", e, change)
@@ -32,14 +32,14 @@ def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.n
 
 
 def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> tuple[Verdict, ...]:
-    """Judge the delay of every joint's current.
+    """Judge the delay of every channel: of the joints' currents, and of torque sensors.
 
     Parameters
     ----------
     problem, solution : Problem, Solution
         What was solved.
     std : ndarray
-        Standard deviations of the delays (n,), s.
+        Standard deviations of the delays (c,), s.
     period : float
         Of the samples, s; a delay within one is believed whatever its relative standard deviation.
     """

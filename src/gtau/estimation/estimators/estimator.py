@@ -102,8 +102,8 @@ class Estimator:
         Whether the paper uses it.
     least_squares : bool
         Whether it minimises squares, so that constraints can be added to it.
-    joint : bool
-        Whether torque sensors and known parameters can join the currents and payloads in it.
+    takes_priors : bool
+        Whether it takes equations beside those of the currents: known parameters, torque sensors and a floating base.
     """
 
     name: str
@@ -113,4 +113,4 @@ class Estimator:
     fit: Callable[[Dataset, System, Given], Fit]
     in_paper: bool = False
     least_squares: bool = True
-    joint: bool = True
+    takes_priors: bool = True

@@ -19,13 +19,13 @@ Solver = Callable[[np.ndarray], np.ndarray]  # W_tot (r, c) to chi_tot (c,)
 
 
 def total_matrix(problem: Problem, weights: np.ndarray) -> list[np.ndarray]:
-    """Build triangular factors of the weighted ``W_tot`` of every unit, (U,) of (., n_theta + n + 1)."""
+    """Build triangular factors of the weighted ``W_tot`` of every unit (eq. 33), (U,) of (., n_theta + n + 1)."""
     joints = range(len(problem.joints))
     return [triangle(*(total_rows_of(problem, block[j], j, weights[j]) for j in joints)) for block in problem.blocks]
 
 
 def total_rows_of(problem: Problem, block: np.ndarray, j: int, weight: float) -> np.ndarray:
-    """Build rows of ``W_tot`` from a block (., n_theta + 4) of joint j."""
+    """Build rows of ``W_tot`` from a block (., n_theta + 4) of joint j (eq. 33)."""
     n_theta = problem.n_theta
     rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
     rows[:, :n_theta] = -block[:, :n_theta]
@@ -36,7 +36,7 @@ def total_rows_of(problem: Problem, block: np.ndarray, j: int, weight: float) ->
 
 
 def scaled(direction: np.ndarray) -> np.ndarray:
-    """Scale a solution so that its last entry is 1, by which the payload sets the scale (below eq. 36)."""
+    """Scale a solution so that its last entry is 1, by which the known payload sets the scale."""
     if abs(direction[-1]) < 1e-12 * np.linalg.norm(direction):
         raise GtauError(
             "the data do not determine the scale of the drive gains: the known payload does not show in the currents; "

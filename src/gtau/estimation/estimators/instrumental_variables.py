@@ -7,7 +7,8 @@ along a motion simulated with the current estimate, whose errors have nothing to
 
     J_s^T e = 0    instead of    J^T e = 0 ,
 
-solved by Newton's method, simulated again with what is found, and so on.
+solved by Newton's method, simulated again with what is found, and so on. Choose it where encoders are coarse or noisy,
+or the filter is poor.
 """
 
 from __future__ import annotations
@@ -240,5 +241,5 @@ IV = Estimator(
     ml_or_wls,
     _fit,
     least_squares=False,
-    joint=False,
+    takes_priors=False,
 )

@@ -56,5 +56,10 @@ def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
 
 
 MIXED = Estimator(
-    "mixed", "mixed LS-TLS (regressor exact, currents noisy)", Gains.ESTIMATED, lambda given: mixed, _fit, joint=False
+    "mixed",
+    "mixed LS-TLS (regressor exact, currents noisy)",
+    Gains.ESTIMATED,
+    lambda given: mixed,
+    _fit,
+    takes_priors=False,
 )

@@ -60,5 +60,11 @@ def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
 
 
 TLS = Estimator(
-    "tls", "total least squares (the paper's)", Gains.ESTIMATED, lambda given: tls, _fit, in_paper=True, joint=False
+    "tls",
+    "total least squares (the paper's)",
+    Gains.ESTIMATED,
+    lambda given: tls,
+    _fit,
+    in_paper=True,
+    takes_priors=False,
 )
