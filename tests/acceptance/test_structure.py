@@ -1,4 +1,4 @@
-"""The structure of the package: no import circles, every equation of the paper cited, and the table of them current."""
+"""The structure of the package: no import circles, equations of the paper cited, tables made from the code current."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ def test_no_import_circles_type_only_imports_included() -> None:
     TopologicalSorter({m: graph.find_modules_directly_imported_by(m) for m in graph.modules}).prepare()
 
 
-@pytest.fixture(scope="module")
-def equations():
-    path = ROOT / "docs" / "make_equations.py"
+def script(name: str):
+    path = ROOT / "docs" / name
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def equations():
+    return script("make_equations.py")
 
 
 def test_citations_are_read(equations) -> None:
@@ -48,3 +52,11 @@ def test_every_equation_of_the_paper_is_cited_where_it_is_implemented(equations)
 
 def test_the_table_of_equations_is_current(equations) -> None:
     assert equations.TABLE.read_text(encoding="utf-8") == equations.page(), "run python docs/make_equations.py"
+
+
+def test_the_table_of_methods_is_current() -> None:
+    methods = script("make_methods.py")
+    assert methods.PAGE.read_text(encoding="utf-8") == methods.page(), "run python docs/make_methods.py"
+    rows = [line.split("|") for line in methods.table().splitlines()[2:]]
+    assert [name.strip(" `") for row in rows for name in row[1].split(",")] == list(methods.PLACES)
+    assert all(row[2].strip() and row[3].strip() for row in rows), "a docstring says when to choose the estimator"

@@ -1,0 +1,46 @@
+"""Write the table of methods in ``trust.md``: what each estimator is, and when to choose it.
+
+Both are taken from the docstring of its module: the first sentence, and those that say when to choose it.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+from gtau.estimation.estimators.registry import PLACES
+
+PAGE = Path(__file__).parent / "trust.md"
+BEGIN = "<!-- made by python docs/make_methods.py from the docstrings of the estimators -->"
+HEAD = "| method | what it is | when to choose it |"
+
+
+def sentences(docstring: str) -> tuple[str, str]:
+    """Return the first sentence of a module's docstring, and those that say when to choose it."""
+    found = re.split(r"(?<=\.)\s+(?=[A-Z`])", " ".join(docstring.replace("``", "`").split()))
+    return found[0], " ".join(each for each in found[1:] if re.search(r"\bchoose\b", each, re.IGNORECASE))
+
+
+def table() -> str:
+    """Return the table; estimators of one module share a row."""
+    modules: dict[str, list[str]] = {}
+    for name, place in PLACES.items():
+        modules.setdefault(place.split(".")[0], []).append(f"`{name}`")
+    rows = [HEAD, "| --- | --- | --- |"]
+    for module, names in modules.items():
+        what, when = sentences(import_module(f"gtau.estimation.estimators.{module}").__doc__ or "")
+        rows.append(f"| {', '.join(names)} | {what} | {when} |")
+    return "\n".join(rows)
+
+
+def page() -> str:
+    """Return the page with the present table in place of the one that it has."""
+    text = PAGE.read_text(encoding="utf-8")
+    before, rest = text.split(f"{BEGIN}\n", 1)
+    _, after = rest.split("\n\n", 1)
+    return f"{before}{BEGIN}\n{table()}\n\n{after}"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
