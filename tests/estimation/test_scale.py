@@ -23,6 +23,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.maximum_likelihood import ML, ml
+from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.regression.dataset import reduce_runs
@@ -32,6 +33,7 @@ from gtau.estimation.results.remarks import remarks
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
+from gtau.signals.columns import Calibration
 from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
@@ -345,3 +347,18 @@ def test_columns_that_are_refused(more: dict, said: str, tmp_path: Path) -> None
     signals = {"time": "t", "position": {"1": "q1"}, "current": {"1": "i1"}, **more}
     with pytest.raises(GtauError, match=said):
         read_run(tmp_path / "log.csv", signals)
+
+
+def test_the_calibration_of_a_sensor_counts_by_its_share_in_the_scale() -> None:
+    plant = arm().with_sensors("2")
+    runs = [plant.run(1), plant.run(2, STEEL, Payload(name="steel", mass=STEEL["m"]))]
+    known = [replace(run, calibration=Calibration(joint_torque=0.05)) for run in runs]
+    fit = fit_of(ARM, known)
+    extra = scale_uncertainty(fit.dataset, fit.system, fit.solution, fit.solve)
+    shares = scale_shares(fit)["torque sensor of '2'"]
+    found = np.sqrt(np.diag(extra)[fit.system.problem.gain_rows]) / fit.gains
+    assert found == pytest.approx(0.05 * shares, abs=0.005)
+    exact = fit_of(ARM, runs)
+    assert not scale_uncertainty(exact.dataset, exact.system, exact.solution, exact.solve).any()
+    (alone,), (tolerant,) = sensor_scales(exact), sensor_scales(fit)
+    assert tolerant.std == pytest.approx(np.hypot(alone.std, 0.05))

@@ -93,3 +93,14 @@ def test_refusals(wrench: str, options: dict, sentence: str, standing: Truth, tm
     with pytest.raises(GtauError) as refused:
         identify(experiment(tmp_path, f"{BASE}\n  wrenches: [{wrench}]", standing), **options)
     assert sentence in str(refused.value)
+
+
+def test_the_calibration_of_the_sensor_is_in_every_interval(standing: Truth, tmp_path: Path) -> None:
+    """Gains rest on the wrench alone: what it is uncertain by, they are too."""
+    with_wrench = f"{BASE}\n  wrenches: [{AT_SOLE}]"
+    exact = identify(experiment(tmp_path, with_wrench, standing))
+    known = identify(experiment(tmp_path, f"{with_wrench}\n  calibration: {{wrenches: 0.02}}", standing))
+    for joint, gain in GAINS.items():
+        before, after = exact.drive_gains[joint], known.drive_gains[joint]
+        assert after.value == before.value
+        assert np.sqrt(after.std**2 - before.std**2) == pytest.approx(0.02 * gain, rel=0.2)

@@ -10,7 +10,7 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
 from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.least_squares import wls
-from gtau.estimation.estimators.mass_uncertainty import mass_uncertainty
+from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.experiment_runs import experiment_of, read_runs
 from gtau.estimation.identify import given_gains
@@ -85,7 +85,7 @@ def weigh(
             "with one of which all parameters are known."
         )
     solution = solve(system.problem)
-    total = solution.jackknife + mass_uncertainty(dataset, system, solution, solve)
+    total = solution.jackknife + scale_uncertainty(dataset, system, solution, solve)
     if covariance is not None:
         slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T

@@ -53,13 +53,24 @@ class StampsOfEach(Keys):
     command: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
 
 
+class Calibration(Keys):
+    """Relative standard deviations of readings: of each torque sensor, and of all wrenches together."""
+
+    joint_torque: Annotated[FiniteFloat, Field(gt=0, lt=0.5)] | None = None
+    wrenches: Annotated[FiniteFloat, Field(gt=0, lt=0.5)] | None = None
+
+
+EXACT = Calibration()
+"""Sensors that read without an error of scale."""
+
+
 class Signals(Keys):
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
     the gears, of all joints or some. A ``pose`` tests the robot's geometry, friction may depend on a ``temperature``.
-    ``base`` is the pose of a base that floats, and what holds it; ``wrenches`` act on other bodies from outside. A
-    ``preset`` has filled in the columns of a maker's log.
+    ``base`` is the pose of a base that floats, and what holds it; ``wrenches`` act on other bodies from outside;
+    ``calibration`` says how accurate the sensors are. A ``preset`` has filled in the columns of a maker's log.
     """
 
     time: Annotated[
@@ -77,6 +88,7 @@ class Signals(Keys):
     joint_torque: dict[str, str] | None = None
     base: BaseColumns | None = None
     wrenches: tuple[BodyWrench, ...] = ()
+    calibration: Calibration = EXACT
     preset: str | None = None
     pose: PoseColumns | None = None
     temperature: (
@@ -190,6 +202,14 @@ class Signals(Keys):
                 f"'wrenches' names the floating base '{self.base.body}'; write what acts on it under "
                 "'wrenches' of 'base'"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _calibration_of_sensors(self) -> Signals:
+        measured = {"joint_torque": self.sensors, "wrenches": self.wrenches or (self.base and self.base.wrenches)}
+        for kind, there in measured.items():
+            if getattr(self.calibration, kind) is not None and not there:
+                raise ValueError(f"'calibration' is given for '{kind}', of which there are none; remove it")
         return self
 
     @model_validator(mode="after")

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.wrench import WRENCH, WrenchFrame
 from gtau.signals.checks import check
-from gtau.signals.columns import Signals, Units, as_signals, as_units
+from gtau.signals.columns import EXACT, Calibration, Signals, Units, as_signals, as_units
 from gtau.signals.frames import as_log
 from gtau.signals.log_set import find_logs
 from gtau.signals.log_slice import Excerpt, Log, read_excerpt, stamps_of
@@ -32,7 +32,8 @@ class Run:
     where ``kind`` says so, torques in N m (forces in N), then those of the torque ``sensors`` (names of joints), and
     then moments and forces of the ``wrenches`` on bodies, six of each about the origin of its axes. Where ``valid``
     (N, c) is false the sample was interpolated or clipped. ``notes`` say what was repaired, ``settings`` what is given
-    of the preparation, ``temperature`` that of the joints, which other processes do not get.
+    of the preparation, ``temperature`` that of the joints, ``calibration`` the accuracy of sensors; other processes do
+    not get these.
 
     The arrays of a long log lie in a file, of which NumPy reads what is looked at. A run that was read from a ``log``
     is pickled as that, and read again where it arrives.
@@ -51,6 +52,7 @@ class Run:
     sensors: tuple[str, ...] = ()
     temperature: Temperature | None = None
     wrenches: tuple[WrenchFrame, ...] = ()
+    calibration: Calibration = EXACT
     # What is made by dataclasses.replace has neither:
     log: Log | None = field(default=None, init=False, repr=False)
     pickled: range | None = field(default=None, init=False, repr=False)  # samples that other processes get
@@ -156,6 +158,7 @@ def read_run(
         sensors=signals.sensors,
         temperature=read_temperature(paths, signals, units, part),
         wrenches=tuple(each.frame for each in signals.wrenches),
+        calibration=signals.calibration,
     )
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
 

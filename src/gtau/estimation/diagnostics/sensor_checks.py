@@ -84,7 +84,8 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
             A = unit[:, columns] @ back
             sides.append((A.T @ A, A.T @ (unit[:, -1] + unit[:, columns] @ step)))
         of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
-        std = float(np.sqrt(jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part))
+        variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
+        std = float(np.hypot(np.sqrt(variance), fit.dataset.runs[0].calibration.joint_torque or 0.0))
         found.append(SensorScale(joint, 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(found)
 

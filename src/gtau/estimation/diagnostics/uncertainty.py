@@ -9,12 +9,12 @@ import numpy as np
 from gtau.estimation.diagnostics.findings import Findings
 from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.mass_uncertainty import mass_uncertainty
+from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariances (k, k) of (theta, gains, delays): a ``random`` part, the masses' included, and a ``model`` part.
+    """Covariances (k, k) of (theta, gains, delays): a ``random`` part, with that of scales, and a ``model`` part.
 
     ``freedom`` (k,) are the degrees of freedom behind the random part, None for very many.
     """
@@ -48,8 +48,8 @@ def uncertainty_of(fit: Fit, findings: Findings, correlated: bool) -> Uncertaint
     correlated : bool
         By the block jackknife and with the model part, or by the method's formula alone, as the paper does.
     """
-    of_masses = mass_uncertainty(fit.dataset, fit.system, fit.unrefined, fit.solve)
+    of_scale = scale_uncertainty(fit.dataset, fit.system, fit.unrefined, fit.solve)
     if not correlated:
-        return Uncertainty(fit.solution.covariance + of_masses, np.zeros_like(of_masses), None)
+        return Uncertainty(fit.solution.covariance + of_scale, np.zeros_like(of_scale), None)
     freedom = degrees_of_freedom(fit.system.problem, fit.solution, fit.free_gains)
-    return Uncertainty(fit.solution.jackknife + of_masses, findings.covariance, freedom)
+    return Uncertainty(fit.solution.jackknife + of_scale, findings.covariance, freedom)
