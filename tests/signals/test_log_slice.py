@@ -77,7 +77,15 @@ def limited(table: Table, rng: np.random.Generator) -> Table:
     return table | {"vb": np.clip(table["vb"], -1.99, np.inf)}
 
 
-CHANGES = [clean, coarse_clock, gaps, irregular, bad_rows, repeated, wrapped, turning, limited]
+def glitched(table: Table, rng: np.random.Generator) -> Table:
+    """Samples that are off, some at the edge of a block; others are dropped."""
+    places = rng.choice(np.arange(50, N - 50, 5), 30, replace=False)
+    off = np.zeros(N)
+    off[np.r_[places, 640, 641, 1000, 1040, 1179, 1180]] = 2.0
+    return bad_rows(wrapped(table | {"qb": table["qb"] + off}, rng), rng)
+
+
+CHANGES = [clean, coarse_clock, gaps, irregular, bad_rows, repeated, wrapped, turning, limited, glitched]
 
 
 def table(rng: np.random.Generator) -> Table:

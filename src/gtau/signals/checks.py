@@ -15,6 +15,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.signals.clipping import clipped
 from gtau.signals.clock import Clock, clock_of
+from gtau.signals.glitches import find_glitches, note_on, without_glitches
 from gtau.signals.held import Held, holds_of
 from gtau.signals.notes import Kind, Note
 from gtau.signals.quantiles import Quantiles
@@ -31,6 +32,7 @@ LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
 LARGEST_VALUE = 1e9  # of anything logged; even counts of encoders and converters are smaller
 SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
 SLIP_SPEED = 0.5  # and in shares of the joint's speed
+SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, shaken by others, goes by one
 SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
 
 
@@ -40,8 +42,9 @@ def check(
     """Check a log, repair what is safe, and put it on a uniform grid.
 
     Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples of a joint
-    whose command is clipped at a limit are masked. Irregular sampling is resampled at the mean rate: cubic
-    splines for positions, lines for commands; see :mod:`gtau.signals.clock` for what the samples' instants are.
+    whose command is clipped at a limit are masked, and positions that jump and come back are interpolated. Irregular
+    sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
+    :mod:`gtau.signals.clock` for what the samples' instants are.
 
     Parameters
     ----------
@@ -70,18 +73,24 @@ def check(
     samples = complete(source, blocks, notes, part)
     _refuse_stuck(samples, notes)
     _refuse_standing_time(samples)
-    every = samples
+    every = len(samples.time)
     samples = drop_repeated(samples, notes, settings.clock)
+    dropped = len(samples.time) < every
     clock = clock_of(samples.time, samples.position, settings.clock)
     _refuse_rates(samples, clock)
     if settings.clock is None:
         _refuse_late(samples, clock)
     wraps = _wraps(samples, notes)
     samples = unwrapped(samples, wraps)
-    instants = clock.instants(samples.time)
-    holds = holds_of(samples)
+    instants, holds = clock.instants(samples.time), holds_of(samples)
+    if glitches := find_glitches(samples, instants, holds.position):
+        notes.append(note_on(samples, glitches))
+        samples = without_glitches(samples, glitches)
+        clock = clock_of(samples.time, samples.position, settings.clock)
+        instants, holds = clock.instants(samples.time), holds_of(samples)
     _refuse_slips(samples, instants, holds.position)
-    grid = Resampling(clock, tuple(clipped(samples, notes)), holds, settings.delay, samples is not every)
+    clips = tuple(clipped(samples, notes))
+    grid = Resampling(clock, clips, holds, settings.delay, dropped, glitches)
     return uniform(samples, instants, wraps, grid, settings.clock is not None, notes)
 
 
@@ -224,12 +233,14 @@ def _refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
         step = np.diff(time)
         median = np.median(step[step > 0]) if median is None else median
         # Stamps that are the same, of a sample that repeats another, are no step.
-        speed = np.diff(_moving(time, position, held.fresh(position)), axis=0) / np.maximum(step, 0.1 * median)[:, None]
+        moving = _moving(time, position, held.fresh(position))
+        speed = np.diff(moving, axis=0) / np.maximum(step, 0.1 * median)[:, None]
         fast.add(np.abs(speed[max(start - 1, 0) - begin :]))
         if len(step) < 7:
             continue
-        # The mean speed of three steps against the steps around them: what was stale or a glitch is made up for there.
-        change = (speed[1:-3] + speed[2:-2] + speed[3:-1]) - 1.5 * (speed[:-4] + speed[4:])
+        # The way of three steps against the steps around them: what was stale or a glitch is made up for there.
+        over = (moving[4:-1] - moving[1:-4]) - (time[4:-1] - time[1:-4])[:, None] * (speed[:-4] + speed[4:]) / 2
+        change = over / median
         whole = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
         change[~np.all([whole[k : len(whole) - 4 + k] for k in range(5)], axis=0)] = 0.0
         three = np.stack([change[:-2], change[1:-1], change[2:]])
@@ -247,7 +258,7 @@ def _refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
             "give the units of its position and of the time (units: {position: ..., time: ...})."
         )
     low, high = extremes(samples.position)
-    far = np.abs(jumps) > SLIP_RANGE * (high - low)
+    far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * np.array(held.quanta))
     for j in np.flatnonzero((largest > SLIP * usual.quantile(0.999)) & (largest > SLIP_SPEED * speeds) & far).tolist():
         k = int(places[j])
         raise GtauError(

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from gtau.signals.smoothness import cubic_residuals
 from gtau.signals.storage import block, spans, store
 
 # How much smoother the positions must be by the other clock. In the shared logs the Panda's positions are 20 times
@@ -315,14 +316,7 @@ def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
     for start, stop in _parts(len(time)):
         instants = np.asarray(clock.instants(block(time, start, stop), start))
         found = block(position, start, stop)
-        around = [slice(k, len(found) - 4 + k) for k in (0, 1, 3, 4)]
-        apart = np.array([instants[each] for each in around]) - instants[2:-2]
-        apart += 1e-9 * clock.period * np.array([-2, -1, 1, 2])[:, None]  # stamps that are the same
-        predicted = np.zeros_like(found[2:-2])
-        for a, at in enumerate(around):
-            weight = np.prod([apart[b] / (apart[b] - apart[a]) for b in range(4) if b != a], axis=0)
-            predicted += weight[:, None] * found[at]
-        off.append(np.abs(found[2:-2] - predicted))
+        off.append(np.abs(cubic_residuals(instants, found, clock.period)))
         speeds.append(np.abs(found[4:] - found[:-4]))
     distance, speed = np.concatenate(off), np.concatenate(speeds)
     roughness = []

@@ -7,7 +7,7 @@ angles that wrap around) was found where all of it was read, and comes with the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from gtau.errors import GtauError
 from gtau.signals.checks import drop_repeated, unwrapped
 from gtau.signals.columns import Signals, Units
 from gtau.signals.formats.table import Place
+from gtau.signals.glitches import without_glitches
 from gtau.signals.log_set import find_logs
 from gtau.signals.resampling import Findings, Resampling, resampled, unclipped
 from gtau.signals.samples import gathered
@@ -71,7 +72,7 @@ class Log:
             places=tuple(max((at for at in of if at[0] <= rows[0]), default=(0, 0)) for of in self.places),
             first=begin,
             position=tuple(found.position[first].tolist()),
-            grid=replace(found.grid, clock=clock.between(begin, end)),
+            grid=found.grid.between(begin, end),
             wraps=tuple(found.wraps.tolist()),
         )
 
@@ -129,6 +130,7 @@ def read_excerpt(excerpt: Excerpt) -> dict[str, np.ndarray]:
     samples, _ = gathered(logged.source, logged.blocks(range(*excerpt.rows), excerpt.places))
     if excerpt.grid.without_repeated:
         samples = drop_repeated(samples, [])
+    samples = without_glitches(samples, excerpt.grid.glitches)
     samples = unwrapped(samples, np.array(excerpt.wraps), np.array(excerpt.position))
     clock, (begin, end) = excerpt.grid.clock, excerpt.samples
     instants = clock.instants(samples.time, excerpt.first)

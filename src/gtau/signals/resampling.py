@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.clock import Clock
+from gtau.signals.glitches import Glitch
 from gtau.signals.held import Holds
 from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import MAX_MISSING, Samples, counted
@@ -72,8 +73,8 @@ class Resampling:
     """How a log is put on a uniform grid.
 
     The ``clock`` of its samples, columns of the commands with the levels at which they are ``clipped``, how positions
-    and commands are held, by how much commands lag (``delay``, s), and whether samples that repeat the time and values
-    of the one before are left out.
+    and commands are held, by how much commands lag (``delay``, s), whether samples that repeat the time and values
+    of the one before are left out, and the ``glitches`` of the positions, by numbers of the samples that are left.
     """
 
     clock: Clock
@@ -81,11 +82,18 @@ class Resampling:
     holds: Holds
     delay: float = 0.0
     without_repeated: bool = False
+    glitches: tuple[Glitch, ...] = ()
 
     @property
     def direct(self) -> bool:
         """Whether the samples stand on the grid already."""
         return self.clock.gapless and self.holds.none and not self.delay
+
+    def between(self, first: int, stop: int) -> Resampling:
+        """Restrict it to samples from ``first`` to before ``stop``; glitches are then numbered from ``first``."""
+        here = (each for each in self.glitches if first <= each.sample < stop)
+        glitches = tuple(replace(each, sample=each.sample - first) for each in here)
+        return replace(self, clock=self.clock.between(first, stop), glitches=glitches)
 
 
 def uniform(
