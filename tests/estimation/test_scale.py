@@ -20,16 +20,21 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.scale import scale_shares
 from gtau.estimation.diagnostics.sensor_checks import sensor_scales
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators import maximum_likelihood
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.friction_selection import select_friction
-from gtau.estimation.estimators.maximum_likelihood import ML, ml
+from gtau.estimation.estimators.maximum_likelihood import ML, ml, own_share
+from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
+from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.torque_sensors import seen_by_sensor
 from gtau.estimation.results.remarks import remarks
+from gtau.estimation.thresholds.prior_knowledge import HIDDEN_KNOWN
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
@@ -138,6 +143,37 @@ def test_known_parameters_scale_all_gains_with_their_deviations(name: str, truth
     assert np.abs(found).max() < 4
     assert 0.4 < np.sqrt(np.mean(found**2)) < 1.6
     assert np.all(deviations(fits[0]) > 0.008)  # the known values' own, which no length of the logs takes away
+
+
+def test_known_parameters_that_the_motions_do_not_show_are_the_reason_of_the_refusal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where another parameter explains nearly all that one first moment does to the torques."""
+    known = {"mx_3": Prior(value=0.6, std=0.006)}
+    fast = fit_of(ARM, [arm().run(1), arm().run(2)], known).system.problem
+    assert own_share(fast) > HIDDEN_KNOWN
+    columns = known_columns(fast)
+    noise = np.random.default_rng(3).normal(size=fast.blocks.shape[:3])
+    blocks = fast.blocks.copy()  # another parameter's column becomes all but that of the known one
+    other = next(k for k in range(fast.n_theta) if k not in columns)
+    blocks[..., other] = blocks[..., columns[0]] + 1e-6 * noise
+    slow = replace(fast, blocks=blocks)
+    assert own_share(slow) < 1e-4
+    everything = np.column_stack([np.eye(fast.n_theta), np.ones(fast.n_theta)])
+    assert own_share(replace(fast, known=everything)) == 1.0
+
+    def unsettled(*given: object, **options: object) -> Solution:
+        return replace(solve(*given, **options), settled=False)
+
+    monkeypatch.setattr(maximum_likelihood, "solve", unsettled)
+    with pytest.raises(GtauError, match="the data do not determine the drive gains"):
+        ml(fast)
+    with pytest.raises(GtauError, match=r"hardly fix the scale .* explain all but \d.* % of their torque"):
+        ml(slow)
+
+
+def known_columns(problem: Problem) -> np.ndarray:
+    return np.flatnonzero(problem.known[:, :-1].any(axis=0))
 
 
 @pytest.mark.parametrize(("name", "sensor", "truth"), [("serial", "2", ARM_GAINS), ("parallel", "left", GAINS)])

@@ -25,6 +25,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.lack_of_fit import MISFIT
+from gtau.estimation.thresholds.prior_knowledge import HIDDEN_KNOWN
 
 
 def ml(problem: Problem) -> Solution:
@@ -50,6 +51,14 @@ def ml(problem: Problem) -> Solution:
     solution = solve(problem, start, weights, True)
     if not solution.settled and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
         loaded = bool(problem.blocks[..., problem.n_theta].any())
+        alone = len(problem.known) and not (loaded or problem.sensors or problem.driveless or problem.pushed)
+        if alone and (share := own_share(problem)) < HIDDEN_KNOWN:
+            raise GtauError(
+                "the maximum-likelihood iteration did not converge, as the known parameters hardly fix the scale of "
+                f"the drive gains: unknown ones explain all but {100 * share:.2g} % of their torque in "
+                "these motions; give priors of those too (friction and offsets among them), log faster motions, add a "
+                "payload or torque sensors, or use --method wls with prior_gains."
+            )
         scale = "a heavier payload" if loaded else "a payload, torque sensors or more known parameters"
         if problem.pushed:  # what a body that is always carried does to its sensor is what its own inertia would do
             scale = f"one in which another wrench acts on {', '.join(problem.pushed)} (without the tool, say)"
@@ -59,6 +68,25 @@ def ml(problem: Problem) -> Solution:
             f"or {scale}, or use --method wls with prior_gains."
         )
     return solution
+
+
+def own_share(problem: Problem) -> float:
+    """Compute the least torque that the known parameters leave, whatever the unknown ones are, over their torque alone.
+
+    A share near zero says that the motions do not show what is known, so that any scale of the gains agrees with it.
+    """
+    from scipy.linalg import null_space
+
+    W = np.concatenate([R[:, : problem.n_theta] for R in problem.triangles])
+    known, values = problem.known[:, :-1], problem.known[:, -1]
+    alone, members = np.zeros(problem.n_theta), known.any(axis=0)
+    alone[members] = np.linalg.lstsq(known[:, members], values, rcond=None)[0]
+    unknown = W @ null_space(known)  # directions of theta of which nothing is known
+    norms = np.linalg.norm(unknown, axis=0)
+    unknown = unknown[:, norms > 0] / norms[norms > 0]
+    torque = W @ alone
+    left = torque - unknown @ np.linalg.lstsq(unknown, torque, rcond=None)[0]
+    return float(np.linalg.norm(left) / (np.linalg.norm(torque) or 1.0))
 
 
 def ml_or_wls(given: Given) -> Solve:

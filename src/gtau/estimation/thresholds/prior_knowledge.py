@@ -19,6 +19,13 @@ PAYLOAD_MOVES = Threshold(
     "above (a parameter 50 % off)",
     "faults",
 )
+HIDDEN_KNOWN = Threshold(
+    0.01,
+    "share of the known parameters' torque that no unknown one explains, below which a refusal names it as the cause",
+    "0.03 to 0.20 (arm and five-bar of tests/estimation/test_scale.py, priors of moments and inertias)",
+    "0.0022 (UPV, CAD masses)",
+    "those, and benchmarks/zoo.py --only upv_gains",
+)
 LEG_PROBABILITY = Threshold(1e-3, "probability that legs which are alike differ by as much", NONE, NONE, "a level")
 LEG_DIFFERENCE = Threshold(20.0, "difference of a parameter between like legs, per cent", NONE, NONE, "a choice")
 LEG_DIFFERENCE_STD = Threshold(5.0, "the same in standard deviations", NONE, NONE, "a level")
