@@ -1,4 +1,4 @@
-"""YAML files that people write: read safely, with the line of every key, and checked against a pydantic model.
+"""YAML files that people write, read safely, with the line of every key.
 
 Nothing in a file is ever executed or guessed: scalars stay the text they were written as (a joint may be called
 ``11``, ``01`` or ``on``), and anchors, tags and repeated keys are refused.
@@ -6,23 +6,14 @@ Nothing in a file is ever executed or guessed: scalars stay the text they were w
 
 from __future__ import annotations
 
-import types
-import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import yaml
 
 from gtau.errors import GtauError
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-    from pydantic_core import ErrorDetails
-
-    Model = TypeVar("Model", bound=BaseModel)
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 64
@@ -187,124 +178,3 @@ def _syntax(error: yaml.MarkedYAMLError) -> str:
     reported = " ".join(filter(None, (error.context, error.problem)))
     known = (sentence for part, sentence in SYNTAX if part in reported)
     return next(known, f"{reported}; correct the line")
-
-
-def validate(model_class: type[Model], document: Document, context: Any = None) -> Model:
-    """Check a document against a pydantic model (configured with ``extra="forbid"``).
-
-    Parameters
-    ----------
-    model_class : type of pydantic.BaseModel
-        Its validators may raise ValueError with a text that says what to write instead, without a full stop.
-    document : Document
-        What `read_yaml` returned.
-    context : object, optional
-        Handed to the model's validators as ``info.context``.
-
-    Returns
-    -------
-    model
-        An instance of `model_class`.
-
-    Raises
-    ------
-    GtauError
-        One sentence on the first thing wrong, unknown keys before all else, with file, line and dotted key.
-    """
-    from pydantic import ValidationError
-
-    try:
-        return model_class.model_validate(document.data, context=context)
-    except ValidationError as failure:
-        errors = failure.errors()
-    # A misspelt key also leaves the right one missing: the spelling is the thing to say.
-    error = min(errors, key=lambda error: error["type"] != "extra_forbidden")
-    keys = _written(error["loc"], document.data)
-    if error["type"] == "extra_forbidden":
-        raise document.error(keys, unknown(f"key '{keys[-1]}'", str(keys[-1]), _fields(model_class, keys[:-1])))
-    if error["type"] == "missing" and isinstance(error["loc"][-1], int):
-        needed = 1 + max(int(other["loc"][-1]) for other in errors if other["loc"][:-1] == error["loc"][:-1])
-        raise document.error(keys, _count(error["loc"][-1], f"{needed}"))
-    if error["type"] == "missing":
-        raise document.error(keys, f"the key '{error['loc'][-1]}' is missing; add it")
-    raise document.error(keys, _sentence(error))
-
-
-def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:
-    """Say that `what` is unknown, with the closest of `choices` to `name`, or with all of them."""
-    choices = sorted(choices)
-    close = get_close_matches(name, choices, n=1, cutoff=0.5 if len(name) <= 2 else 0.52)  # one letter of two is close
-    return f"unknown {what}; " + (f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(choices)}")
-
-
-def _written(location: KeyPath, data: Any) -> KeyPath:
-    """Drop from pydantic's location what is not in the file: names of union members and of missing keys."""
-    keys: list[str | int] = []
-    for key in location:
-        if key in (data if isinstance(data, dict) else range(len(data)) if isinstance(data, list) else ()):
-            keys.append(key)
-            data = data[key]
-    return tuple(keys)
-
-
-def _fields(annotation: Any, keys: KeyPath) -> set[str]:
-    """List the keys that the model accepts at a place."""
-    from pydantic import BaseModel
-
-    if hasattr(annotation, "__value__"):  # a `type` alias
-        annotation = annotation.__value__
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin is typing.Annotated:
-        return _fields(arguments[0], keys)
-    if origin in (typing.Union, types.UnionType):
-        return set().union(*(_fields(member, keys) for member in arguments))
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        fields = {field.alias or name: field.annotation for name, field in annotation.model_fields.items()}
-        if not keys:
-            return set(fields)
-        return _fields(fields[str(keys[0])], keys[1:]) if keys[0] in fields else set()
-    if keys and arguments:  # dict: its values; list or tuple: its items
-        index = keys[0] if origin is tuple and isinstance(keys[0], int) and keys[0] < len(arguments) else -1
-        item = arguments[index] if arguments[index] is not Ellipsis else arguments[0]
-        return _fields(item, keys[1:])
-    return set()
-
-
-def _sentence(error: ErrorDetails) -> str:
-    """Say in our words what pydantic found."""
-    value, context = error["input"], error.get("ctx", {})
-    written = "a list" if isinstance(value, list) else "a group of keys" if isinstance(value, dict) else f"'{value}'"
-    match error["type"]:
-        case "value_error":
-            return str(context["error"])
-        case "float_parsing" | "float_type" | "finite_number" | "int_parsing" | "int_type" | "int_from_float":
-            return f"{written} is not a number; write one such as 0.1"
-        case "bool_parsing" | "bool_type":
-            return f"write true or false, not {written}"
-        case "string_type":
-            return f"write a single value, not {written}"
-        case "dict_type" | "model_type" | "model_attributes_type":
-            return f"write 'key: value' lines under it, not {written}"
-        case "list_type" | "tuple_type":
-            return f"write a list such as [..., ...], not {written}"
-        case "literal_error" | "enum":
-            return f"write {context['expected']}, not {written}"
-        case "too_short" | "too_long":
-            bound = context.get("min_length", context.get("max_length"))
-            least = "" if context["field_type"] == "Tuple" else "at least " if "min_length" in context else "at most "
-            return _count(context["actual_length"], f"{least}{bound}")
-        case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
-            return f"{value} is out of range; write a number {_bound(error['type'], context)}"
-        case _:
-            return f"{written} does not fit: {error['msg'][0].lower()}{error['msg'][1:]}"
-
-
-def _bound(kind: str, context: Mapping[str, Any]) -> str:
-    """Describe the range that a number must lie in, as ``of at least 2``."""
-    words = {"greater_than": "above", "less_than": "below", "greater_than_equal": "of at least"}
-    key = {"greater_than": "gt", "less_than": "lt", "greater_than_equal": "ge", "less_than_equal": "le"}[kind]
-    return f"{words.get(kind, 'of at most')} {context[key]:g}"
-
-
-def _count(written: int, needed: str) -> str:
-    return f"{written} value{'s are' if written != 1 else ' is'} written; write {needed}"

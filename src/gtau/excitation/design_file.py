@@ -12,7 +12,8 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 
 from gtau.documents.keys import Keys, Positive
 from gtau.documents.kinds import DESIGN, refuse_other_kind
-from gtau.documents.yaml_document import read_yaml, validate
+from gtau.documents.validation import validate
+from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.results.result import Result

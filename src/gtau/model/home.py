@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.documents.yaml_document import Document, validate
+from gtau.documents.validation import validate
+from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.model.coordinates import Coordinates, coordinates
 from gtau.model.loop_closure import LoopErrors, closed, is_closed, loop_errors

@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from gtau.documents.yaml_document import unknown
+from gtau.documents.validation import unknown
 from gtau.errors import GtauError
 from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Placement, Pose, Robot

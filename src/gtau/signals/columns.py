@@ -18,7 +18,8 @@ from pydantic import (
 )
 
 from gtau.documents.keys import Keys, Positive
-from gtau.documents.yaml_document import Document, validate
+from gtau.documents.validation import validate
+from gtau.documents.yaml_document import Document
 from gtau.signals.base_columns import BaseColumns, BaseUnits
 from gtau.signals.pose_columns import PoseColumns, PoseUnits
 from gtau.signals.presets import expanded, time_unit

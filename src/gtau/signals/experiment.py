@@ -15,7 +15,8 @@ from pydantic import (
 
 from gtau.documents.keys import Keys, Positive
 from gtau.documents.kinds import EXPERIMENT, refuse_other_kind
-from gtau.documents.yaml_document import read_yaml, validate
+from gtau.documents.validation import validate
+from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot

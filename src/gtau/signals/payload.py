@@ -13,7 +13,7 @@ from pydantic import (
 )
 
 from gtau.documents.keys import Keys, Positive
-from gtau.documents.yaml_document import validate
+from gtau.documents.validation import validate
 from gtau.robots.robot import INERTIAL
 from gtau.signals.columns import document_of
 

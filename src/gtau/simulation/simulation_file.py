@@ -10,7 +10,8 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 
 from gtau.documents.keys import Keys, Positive
 from gtau.documents.kinds import SIMULATION, refuse_other_kind
-from gtau.documents.yaml_document import read_yaml, validate
+from gtau.documents.validation import validate
+from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.logged_run import file_or_name

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 
-from gtau.documents.yaml_document import unknown
+from gtau.documents.validation import unknown
 
 MAX_LENGTH = 200  # also bounds the depth of the expression
 COORDINATE = "q"

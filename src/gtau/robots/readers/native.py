@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from gtau.documents.yaml_document import Document, parse_yaml, read_yaml, validate
+from gtau.documents.validation import validate
+from gtau.documents.yaml_document import Document, parse_yaml, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.floating import base_joints
 from gtau.robots.readers.expressions import RESERVED, LinearisedWindow, evaluate, linear

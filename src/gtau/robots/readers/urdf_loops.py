@@ -12,7 +12,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
-from gtau.documents.yaml_document import Document, read_yaml, unknown, validate
+from gtau.documents.validation import unknown, validate
+from gtau.documents.yaml_document import Document, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.urdf import UrdfTree, read_urdf_tree
