@@ -26,7 +26,8 @@ from gtau.report.check_report import check_report
 from gtau.report.log_page import describe_logs, log_page
 from gtau.report.provenance import Provenance
 from gtau.robots.robot import Mdh, Robot
-from gtau.signals.columns import as_signals, as_units
+from gtau.signals.column_units import as_units
+from gtau.signals.columns import as_signals
 from gtau.signals.pose import LoggedPoses, read_poses
 from gtau.signals.pose_columns import PoseColumns
 

@@ -12,7 +12,8 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.signals.aligned import Aligned, align, seconds
 from gtau.signals.base_columns import BaseColumns
-from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.column_units import Units
+from gtau.signals.columns import SampleRate, Signals
 from gtau.signals.formats.table import Place
 from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Note

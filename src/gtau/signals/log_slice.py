@@ -15,7 +15,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.checks import drop_repeated, unwrapped
-from gtau.signals.columns import Signals, Units
+from gtau.signals.column_units import Units
+from gtau.signals.columns import Signals
 from gtau.signals.formats.table import Place
 from gtau.signals.glitches import without_glitches
 from gtau.signals.log_set import find_logs

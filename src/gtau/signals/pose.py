@@ -10,7 +10,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.aligned import seconds
-from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.column_units import Units
+from gtau.signals.columns import SampleRate, Signals
 from gtau.signals.log_file import read_log
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.storage import store

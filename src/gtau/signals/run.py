@@ -12,7 +12,8 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.wrench import WRENCH, WrenchFrame
 from gtau.signals.checks import check
-from gtau.signals.columns import EXACT, Calibration, Signals, Units, as_signals, as_units
+from gtau.signals.column_units import Units, as_units
+from gtau.signals.columns import EXACT, Calibration, Signals, as_signals
 from gtau.signals.frames import as_log
 from gtau.signals.log_set import find_logs
 from gtau.signals.log_slice import Excerpt, Log, read_excerpt, stamps_of
