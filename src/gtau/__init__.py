@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gtau.estimation.results.result import Result
     from gtau.estimation.weigh import weigh
     from gtau.excitation.design import design as excite
-    from gtau.excitation.design_file import read_design
+    from gtau.excitation.problem_of_file import read_design
     from gtau.export.registry import export_model
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
@@ -61,7 +61,7 @@ _HOMES = {
     "export_model": "export.registry",
     "identify": "estimation.identify",
     "load_robot": "model.home",
-    "read_design": "excitation.design_file",
+    "read_design": "excitation.problem_of_file",
     "read_run": "signals.run",
     "simulate": "simulation.experiment_files",
     "weigh": "estimation.weigh",

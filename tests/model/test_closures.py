@@ -30,7 +30,8 @@ from gtau.model.coordinates import coordinates
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loop_closure import loop_errors
-from gtau.model.loops import CONDITION, advance, follow
+from gtau.model.loop_paths import advance, follow
+from gtau.model.loops import CONDITION
 from gtau.model.random_states import random_motion
 from gtau.robots.robot import Coupling, Limits, Pose, Robot
 

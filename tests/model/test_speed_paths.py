@@ -22,7 +22,7 @@ from gtau.model.interpreter import kernel as interpreter
 from gtau.model.interpreter.lanes import LANES
 from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import PATH, InverseDynamics
-from gtau.model.loops import follow
+from gtau.model.loop_paths import follow
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, SampleWindow
 from gtau.signals.run import Run

@@ -12,7 +12,7 @@ from robots_for_tests import four_bar, seven_r
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.loops import advance
+from gtau.model.loop_paths import advance
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant, PlantState

@@ -85,7 +85,7 @@ def identify(
         start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.identify import identify as run
-            from gtau.estimation.results.model_file import to_document
+            from gtau.estimation.results.model_document import to_document
             from gtau.parallel.cache import cache_folder, caching_map
             from gtau.parallel.dask_executor import shard_map_at
             from gtau.parallel.executor import in_order
@@ -202,7 +202,7 @@ def payload(
         refuse_as_folder(out)
         start = perf_counter()
         with progress_bar() as progress:
-            from gtau.estimation.results.model_file import payload_documents
+            from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
             from gtau.estimation.results.summary import payload_lines
             from gtau.estimation.weigh import weigh

@@ -10,7 +10,7 @@ from typing import Any
 from gtau.demo.files import LOGS, RATE
 from gtau.errors import install_command
 from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
-from gtau.estimation.results.model_file import torque_error
+from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.result import Result
 from gtau.simulation.control_comparison import ControlComparison, table_document
 from gtau.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, PRIOR_GAINS, SECOND_PAYLOAD_MASS

@@ -16,8 +16,8 @@ from gtau.estimation.experiment_runs import experiment_of, read_runs
 from gtau.estimation.identify import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import PayloadEstimate
+from gtau.estimation.results.payload_estimates import payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.model.blas import single_threaded_blas
 from gtau.progress import Progress, silent

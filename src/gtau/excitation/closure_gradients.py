@@ -1,6 +1,6 @@
 """The motion of the whole robot from that of its motors, and derivatives carried back through the closures.
 
-Forward, the closures are solved numerically (:mod:`gtau.model.loops`). Backward, derivatives of any
+Forward, the closures are solved numerically (:mod:`gtau.model.loop_paths`). Backward, derivatives of any
 quantity by c, yd, ydd and J become derivatives by q, qd and qdd: each of the equations
 
     phi(c) = 0,    G yd = 0,    G J = 0,    G ydd + gamma = 0

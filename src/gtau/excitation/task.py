@@ -19,7 +19,8 @@ from gtau.excitation.trajectory import FourierSeries, approach_duration
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
-from gtau.model.loops import Motion, advance, differentiate
+from gtau.model.loop_paths import advance
+from gtau.model.loops import Motion, differentiate
 from gtau.signals.decimation import Decimator, decimation_factor
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import Preparation

@@ -14,7 +14,8 @@ from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.export.functions import Functions, functions
 from gtau.export.identified import Identified, identified, not_known, suffix
-from gtau.model.loops import CONDITION, CONTRACTION
+from gtau.model.loop_paths import CONTRACTION
+from gtau.model.loops import CONDITION
 
 TEMPLATES = Path(__file__).with_name("templates")
 NEWTON_STEPS = 4  # from 0.01 rad away corrections are about 1e-2, 1e-4, 1e-8, 1e-16: the fourth is rounding

@@ -16,7 +16,8 @@ from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS, TEMPLATES
 from gtau.export.exported import Exported, written
 from gtau.export.functions import Functions, functions
 from gtau.export.identified import Identified, identified, not_known, suffix
-from gtau.model.loops import CONDITION, CONTRACTION
+from gtau.model.loop_paths import CONTRACTION
+from gtau.model.loops import CONDITION
 
 NEEDS = "the simulator's Python needs the packages casadi and numpy ('pythonfmu3 deploy' installs them)"
 

@@ -14,7 +14,8 @@ from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS
 from gtau.export.exported import Exported, written
 from gtau.export.functions import OUTPUTS, Functions, functions
 from gtau.export.identified import Identified, identified, not_known
-from gtau.model.loops import CONDITION, CONTRACTION
+from gtau.model.loop_paths import CONTRACTION
+from gtau.model.loops import CONDITION
 
 ARGUMENTS = {"gravity": "c, p", "inertia": "c, p"}  # of the others: c, qd, qdd, p
 MOVE = """\

@@ -15,7 +15,8 @@ from gtau.model.coordinates import Coordinates, coordinates
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.interpreter.threads import share
-from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
+from gtau.model.loop_paths import follow
+from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate
 from gtau.robots.robot import Robot
 from gtau.robots.wrench import WRENCH, WrenchFrame
 

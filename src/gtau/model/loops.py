@@ -1,9 +1,4 @@
-"""Closing the loops numerically, for all samples, in one assembly mode (paper, eqs. 3 to 8).
-
-Every sample is reached along a path from the home configuration: steps are halved until Newton's
-corrections shrink fast, so a solution never jumps to another assembly mode unseen. Many paths are
-followed at once, each in a lane of its own.
-"""
+"""Loops closed at home, and their velocities and accelerations at closed configurations (paper, eqs. 3 to 8)."""
 
 from __future__ import annotations
 
@@ -18,21 +13,10 @@ from gtau.errors import GtauError
 from gtau.model.closures import ClosureEquations, closure_equations
 from gtau.model.coordinates import Coordinates, coordinates
 from gtau.model.home import FAR
-from gtau.model.interpreter.continuation import Follower, advance_to, follow_path
-from gtau.model.interpreter.kernel import MACHINE
-from gtau.model.interpreter.lanes import LANES
-from gtau.model.interpreter.program import Bound, addresses, aligned
-from gtau.model.interpreter.threads import share
 from gtau.model.loop_closure import closed, is_closed, loop_errors
 from gtau.robots.robot import Robot
 
-RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
-CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
-REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
-SHORTEST = 2.0**-14  # of the way between two samples: shorter steps mean that there is no way
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
-SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samples
-SEGMENT = 16
 CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
 
 
@@ -178,130 +162,8 @@ def _by_held(name: str) -> str:
     return f"by 'held: {{{name}: POSITION}}' or a list of the moving 'joints' beside the robot's 'file'"
 
 
-def _follower(loops: Loops, shortest: float) -> Follower:
-    """Make what the compiled loops work with; memory of its own for each thread."""
-    equations, n_c = loops.equations, loops.layout.n_c
-    trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
-    trial[:], made[:] = 0.0, 0.0
-    at, to = addresses(trial), addresses(made)
-    bound = (
-        Bound(equations.step, at, to[: n_c + 2]),
-        Bound(equations.fast_step, at, to[: n_c + 1]),
-        Bound(equations.gap, at, to[n_c + 2 :]),
-    )
-    programs = [part for each in bound for part in (each.code, each.rows, each.memory)]
-    parameters = (loops.layout.actuated, equations.scale, shortest, RESIDUAL, CONTRACTION, REACH)
-    return Follower._make([MACHINE, *programs, trial, made, *parameters])
-
-
-def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
-    """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as it gets.
-
-    A step below the share ``shortest`` of the way is not tried.
-
-    Returns the closed configurations arrived at (n_c, N), and which are those asked for (N,).
-    """
-    c, q = np.array(c, dtype=float, order="C"), np.ascontiguousarray(q, dtype=float)
-    reached = np.zeros(c.shape[1], dtype=bool)
-
-    def run(start: int, stop: int) -> None:
-        advance_to(_follower(loops, shortest), c, q, start, stop, reached)
-
-    share(run, c.shape[1], LANES)
-    return c, reached
-
-
-def follow(
-    loops: Loops,
-    q: np.ndarray,
-    labels: Labels | None = None,
-    start: np.ndarray | None = None,
-    segments: int = SEGMENTS,
-) -> np.ndarray:
-    """Find the configurations (n_c, N) along the path ``q`` (n, N), all in the assembly mode of home.
-
-    Parameters
-    ----------
-    loops : Loops
-        From :func:`close_loops`.
-    q : ndarray
-        Actuated positions (n, N), rad or m.
-    labels : Labels, optional
-        What a message calls the samples; ``"sample 17"`` if left out.
-    start : ndarray, optional
-        Closed configuration (n_c,) that the path begins from; home if left out.
-    segments : int
-        Parts of the path that are followed in parallel, at most.
-
-    Raises
-    ------
-    GtauError
-        Where a sample cannot be reached, or not without leaving the assembly mode.
-    """
-    q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
-    labels = labels or Numbers()
-    begin = loops.home if start is None else start
-    c = np.repeat(begin[:, None], samples, axis=1)
-    if not samples:
-        return c
-    length = max(-(-samples // segments), min(SEGMENT, samples))
-    starts = np.arange(0, samples, length)
-    c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
-    if not first_reached[0]:
-        raise _unreachable(loops, q[:, 0], labels[0])
-    reached = np.ones(starts.size, dtype=bool)
-    half = 1 << (starts.size - 1).bit_length()
-    while half := half // 2:  # the head in the middle of the way, those of its halves, and so on
-        heads = np.arange(half, starts.size, 2 * half)
-        c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
-    begun = np.flatnonzero(reached)
-    lost = _follow_segments(loops, q, c, starts[begun], length)
-    # a segment must begin where the one before it leads
-    led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
-    redone = False
-    for k in range(1, starts.size):
-        if starts[k] - 1 in lost:
-            break
-        if redone:
-            led[:, [k - 1]], joined[[k - 1]] = advance(loops, c[:, [starts[k] - 1]], q[:, [starts[k]]])
-        if not joined[k - 1]:
-            lost.add(starts[k])
-            break
-        redone = not reached[k] or np.abs(led[:, k - 1] - c[:, starts[k]]).max() > 1e-6
-        if redone:
-            c[:, starts[k]] = led[:, k - 1]
-            lost -= set(range(starts[k], min(starts[k] + length, samples)))
-            lost |= _follow_segments(loops, q, c, starts[[k]], length)
-    if lost:
-        first = min(lost)
-        raise _unreachable(loops, q[:, first], labels[first])
-    return c
-
-
-def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
-    """Fill ``c`` from each of ``starts`` for ``length`` samples; return those that were not reached."""
-    ends = np.minimum(starts + length, q.shape[1])
-    filled = np.zeros(starts.size, dtype=np.int64)
-
-    def run(first: int, last: int) -> None:
-        follow_path(_follower(loops, SHORTEST), c, q, starts[first:last], length, filled[first:last])
-
-    share(run, starts.size, LANES)
-    lost: set[int] = set()
-    for first_lost, end in zip(starts + filled, ends, strict=True):
-        lost |= set(range(first_lost, end))
-    return lost
-
-
-def _unreachable(loops: Loops, q: np.ndarray, label: str) -> GtauError:
-    return GtauError(
-        f"robot '{loops.layout.robot.name}': at {label} ({_pose(loops, q)}) the loops cannot be closed, or only beyond "
-        "a singular pose (type 2), outside the assembly mode of home; check the units, signs and zeros of the "
-        "positions and the robot's geometry, or leave these samples out."
-    )
-
-
-def _pose(loops: Loops, q: np.ndarray) -> str:
+def pose_words(loops: Loops, q: np.ndarray) -> str:
+    """Name the positions ``q`` (n,) of the actuated joints, for a message."""
     return ", ".join(f"q_{name} = {value:.4g}" for name, value in zip(loops.layout.robot.actuated, q, strict=True))
 
 
@@ -340,7 +202,7 @@ def differentiate(
         worst = int(np.argmax(condition))
         label = (labels or Numbers())[worst]
         raise GtauError(
-            f"robot '{layout.robot.name}': at {label} ({_pose(loops, c[layout.actuated, worst])}) the pose is too "
+            f"robot '{layout.robot.name}': at {label} ({pose_words(loops, c[layout.actuated, worst])}) the pose is too "
             "close to a singularity of type 2, where passive joints can move although the actuated ones stand still "
             f"(condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the worst of "
             f"{int(singular.sum())} such among {samples} samples; leave them out or keep the motion away from it."

@@ -8,7 +8,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.loops import CONDITION, Motion, advance, differentiate, joined
+from gtau.model.loop_paths import advance
+from gtau.model.loops import CONDITION, Motion, differentiate, joined
 from gtau.robots.robot import Joint
 
 FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer to home

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gtau.estimation.results.estimate import Prediction, TorqueError
-from gtau.estimation.results.model_file import torque_error
+from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.results.result import Result
 from gtau.report.figures import torques_figure

@@ -22,7 +22,7 @@ from gtau.errors import GtauError
 from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
-from gtau.model.loops import follow
+from gtau.model.loop_paths import follow
 from gtau.robots.robot import PRELOAD, STIFFNESS
 from gtau.simulation.constraints import Constraints, constraints
 

@@ -12,28 +12,27 @@ from gtau.estimation.diagnostics.findings import Findings
 from gtau.estimation.diagnostics.physical_plausibility import judge_parameter
 from gtau.estimation.diagnostics.scale import scale_shares
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, parameter_verdict
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict, parameter_verdict
 from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.homogeneous import total_rows_of
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, UNITS
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System, known_values
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.torque_sensors import BEARING
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
-    PayloadEstimate,
     ReferenceTemperatures,
     SensorEstimate,
     TorqueError,
 )
+from gtau.estimation.results.payload_estimates import named_freedoms, named_values, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit, unit_of
 
 
@@ -77,7 +76,7 @@ def build_result(
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
         if factors.distances is not None
     ]
-    found, free = _named(problem, solution.theta, std), _freedoms(problem, freedom)
+    found, free = named_values(problem, solution.theta, std), named_freedoms(problem, freedom)
     spread = _spread(system, solution.theta)
     model_part = {name: min(float(model_std[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
     chosen = {
@@ -182,43 +181,6 @@ def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
     return tuple(np.linalg.svd(W_tot[:, length > 0] / length[length > 0], compute_uv=False).tolist())
 
 
-def payload_estimates(
-    dataset: Dataset,
-    system: System,
-    theta: np.ndarray,
-    covariance: np.ndarray,
-    masses: Mapping[str, Verdict],
-    freedom: np.ndarray | None,
-) -> tuple[PayloadEstimate, ...]:
-    """Collect the payload of every loaded run, known and unknown parameters together.
-
-    ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
-    known payloads, by name; ``freedom`` as in :func:`make_result`.
-    """
-    robot = dataset.robot
-    found = _named(system.problem, theta, np.sqrt(np.diag(covariance)))
-    free = _freedoms(system.problem, freedom)
-    payloads = []
-    for each in system.payloads:
-        known = known_values(each.payload)
-        label = {kind: name for name, kind in each.unknown.items()}
-        estimates = {}
-        for kind in INERTIAL:
-            unit = unit_of(kind, robot, robot.tool)
-            if kind in known:
-                deviation = each.payload.mass_std or None if kind == "m" else None
-                estimates[kind] = Estimate(kind, known[kind], deviation, unit, kind)
-            elif kind in each.regroupings:
-                value, deviation = found.get(label[kind], (None, None))
-                verdict = parameter_verdict(value, deviation)
-                estimates[kind] = Estimate(
-                    kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=free.get(label[kind])
-                )
-        name, run = each.payload.name, dataset.runs[each.run].name
-        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
-    return tuple(payloads)
-
-
 def _known(std: float, verdict: Verdict) -> float | None:
     """Return a standard deviation, None where the value is not identifiable or given."""
     return None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std) or None
@@ -239,14 +201,6 @@ def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
             if joint in robot.motors
         },
     )
-
-
-def _named(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tuple[float, float]]:
-    return {name: (float(theta[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
-
-
-def _freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
-    return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))
 
 
 def _terms(system: System, robot: Robot, temperatures: ReferenceTemperatures | None) -> list[tuple[str, str]]:

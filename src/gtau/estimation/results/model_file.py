@@ -1,10 +1,9 @@
-"""``model.json``: a result as a file, with a schema version."""
+"""``model.json``: a result written to a file, and read back with all that a damaged file may hold refused."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,11 +13,9 @@ from gtau.documents.files import write_atomically
 from gtau.documents.kinds import MODEL, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import from_document as read_geometry
-from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.grades import from_document as read_note
-from gtau.estimation.grades import to_document as note_document
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
@@ -28,87 +25,13 @@ from gtau.estimation.results.estimate import (
     TorqueError,
 )
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.model_document import SCHEMA, to_document
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.readers.native import parse_native
-from gtau.robots.readers.native_text import native_text
-from gtau.robots.robot import Robot
-from gtau.robots.units import unit_of
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import Preparation
 
 Model = TypeVar("Model", bound=IdentifiedModel)
-SCHEMA = "gtau-model/1"
-
-
-def to_document(result: IdentifiedModel) -> dict[str, Any]:
-    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
-    preparation = result.preparation
-    return {
-        "schema": SCHEMA,
-        "robot": result.robot.name,
-        "method": result.method,
-        "kind": result.kind,
-        "runs": list(result.runs),
-        "drive_gains": [_estimate(each, "joint") | {"scale": dict(each.scale)} for each in result.drive_gains.values()],
-        "delays": [_estimate(each, "joint") for each in result.delays.values()],
-        "parameters": [_parameter(each) for each in result.parameters.values()],
-        "essential": [_parameter(each) for each in result.essential.values()],
-        "friction": [_estimate(each) for each in result.friction.values()],
-        "sensors": [
-            {
-                "joint": each.joint,
-                "parameters": [_estimate(estimate) for estimate in each.parameters.values()],
-                "delay": _estimate(each.delay, "joint"),
-                "residual": torque_error(each.residual),
-                "ratio": None if each.ratio is None else _estimate(each.ratio, "joint"),
-            }
-            for each in result.sensors
-        ],
-        "payloads": payload_documents(result.payloads),
-        "residuals": [torque_error(each) for each in result.residuals],
-        "preparation": {
-            "bandwidth": preparation.bandwidth,
-            "cutoff": preparation.cutoff,
-            "decimation": preparation.decimator.factor,
-            "decimator": preparation.decimator.kind,
-            "speed_fraction": preparation.speed_fraction,
-            "rate": preparation.rate,
-            "given": list(preparation.given),
-        },
-        "statistics": dict(result.statistics),
-        "alternatives": [asdict(each) for each in result.alternatives],
-        "singularities": [asdict(each) for each in result.singularities],
-        "temperatures": result.temperatures and asdict(result.temperatures),
-        "geometry": result.geometry and geometry_document(result.geometry),
-        "notes": [note_document(note) for note in result.notes],
-        "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
-        "robot_file": native_text(result.robot),
-        "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
-    }
-
-
-def torque_error(error: TorqueError) -> dict[str, Any]:
-    """Describe a torque error as a JSON document: ``relative`` in per cent."""
-    return asdict(error) | {"relative": error.relative, "relative_all": error.relative_all}
-
-
-def _standard(found: Consistency, robot: Robot) -> dict[str, Any]:
-    return {
-        "parameters": [
-            {
-                "name": name,
-                "value": value,
-                "unit": unit_of(name.split("_", 1)[0], robot, name.split("_", 1)[1]),
-                "open": name in found.open,
-            }
-            for name, value in found.standard.items()
-        ],
-        "payloads": [{"name": name, "parameters": dict(values)} for name, values in found.payloads.items()],
-        "drive_gains": [{"joint": joint, "value": g, "std": std} for joint, (g, std) in found.gains.items()],
-        "moves": [asdict(move) for move in found.moves],
-        "smallest_eigenvalues": dict(found.eigenvalues),
-        "loss": dict(found.loss),
-    }
 
 
 def _read_standard(document: Mapping[str, Any]) -> Consistency:
@@ -121,44 +44,6 @@ def _read_standard(document: Mapping[str, Any]) -> Consistency:
         loss=document["loss"],
         open=tuple(each["name"] for each in document["parameters"] if each["open"]),
     )
-
-
-def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:
-    """Describe payloads as in ``model.json`` and in what ``gtau payload --json`` prints."""
-    return [
-        {
-            "name": each.name,
-            "run": each.run,
-            **_verdict(each.verdict),
-            "parameters": {
-                kind: _estimate(estimate) | {"known": kind in each.known, "regrouping": estimate.regrouping}
-                for kind, estimate in each.parameters.items()
-            },
-        }
-        for each in payloads
-    ]
-
-
-def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
-    return {
-        key: estimate.name,
-        "value": estimate.value,
-        "std": estimate.std,
-        "rel_std": estimate.rel_std,
-        "interval": estimate.interval(),
-        "freedom": None if estimate.std is None else estimate.freedom,
-        "model_std": estimate.model_std,
-        "unit": estimate.unit,
-        **_verdict(estimate.verdict),
-    }
-
-
-def _verdict(verdict: Verdict) -> dict[str, Any]:
-    return {"outcome": verdict.outcome.value, "why": verdict.why, "advice": verdict.advice}
-
-
-def _parameter(estimate: Estimate) -> dict[str, Any]:
-    return _estimate(estimate) | {"regrouping": estimate.regrouping, "spread": estimate.spread}
 
 
 def model_text(result: IdentifiedModel) -> str:

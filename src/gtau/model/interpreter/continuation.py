@@ -1,4 +1,4 @@
-"""Compiled continuation of :mod:`gtau.model.loops`: Newton's method along paths, one path in each lane."""
+"""Compiled continuation of :mod:`gtau.model.loop_paths`: Newton's method along paths, one path in each lane."""
 
 from typing import NamedTuple
 

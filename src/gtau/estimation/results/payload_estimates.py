@@ -1,0 +1,65 @@
+"""Estimates of the payloads of all loaded runs, known and unknown parameters together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import System, known_values
+from gtau.estimation.results.estimate import (
+    Estimate,
+    PayloadEstimate,
+)
+from gtau.robots.robot import INERTIAL
+from gtau.robots.units import unit_of
+
+
+def payload_estimates(
+    dataset: Dataset,
+    system: System,
+    theta: np.ndarray,
+    covariance: np.ndarray,
+    masses: Mapping[str, Verdict],
+    freedom: np.ndarray | None,
+) -> tuple[PayloadEstimate, ...]:
+    """Collect the payload of every loaded run, known and unknown parameters together.
+
+    ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
+    known payloads, by name; ``freedom`` as in :func:`make_result`.
+    """
+    robot = dataset.robot
+    found = named_values(system.problem, theta, np.sqrt(np.diag(covariance)))
+    free = named_freedoms(system.problem, freedom)
+    payloads = []
+    for each in system.payloads:
+        known = known_values(each.payload)
+        label = {kind: name for name, kind in each.unknown.items()}
+        estimates = {}
+        for kind in INERTIAL:
+            unit = unit_of(kind, robot, robot.tool)
+            if kind in known:
+                deviation = each.payload.mass_std or None if kind == "m" else None
+                estimates[kind] = Estimate(kind, known[kind], deviation, unit, kind)
+            elif kind in each.regroupings:
+                value, deviation = found.get(label[kind], (None, None))
+                verdict = parameter_verdict(value, deviation)
+                estimates[kind] = Estimate(
+                    kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=free.get(label[kind])
+                )
+        name, run = each.payload.name, dataset.runs[each.run].name
+        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
+    return tuple(payloads)
+
+
+def named_values(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Return value and standard deviation of each parameter of a problem, by name."""
+    return {name: (float(theta[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
+
+
+def named_freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
+    """Return the degrees of freedom of each parameter of a problem, by name; none where they are very many."""
+    return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))
