@@ -4,7 +4,7 @@
 
 For each file: is it read, does its model build, and does the engine give the same torques? A floating base is fixed;
 with --floating the base of every robot floats, a URDF's root link on Pinocchio's free flyer, and the rank of the six
-base equations alone is compared with that of all equations.
+base equations alone is compared with that of all equations, and with that of Pinocchio's own regressor.
 The engine's torques are explained by some standard parameters of the model, the best in the least-squares sense: what
 is left is the difference, as a share of the largest torque. So frames, axes, gravity, closures, couplings and springs
 are compared without a second reader of inertias.
@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -88,7 +89,7 @@ def examined(path: Path, rng: np.random.Generator, base: str = "fixed") -> Outco
     tau = np.einsum("jnk,jk->kn", motion.J[: len(robot.joints)], whole)  # (N, n) of the actuated joints
     W = np.zeros((*tau.shape, len(model.parameter_names)))
     model.full.fill(model.layout, motion, W)
-    ranks = _ranks(W) if robot.floating else ""
+    ranks = _ranks(W, pinocchio_rank(path, robot, rng)) if robot.floating else ""
     W = W.reshape(tau.size, -1)
     W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
     chi = np.linalg.lstsq(W, tau.ravel(), rcond=1e-13)[0]
@@ -97,7 +98,7 @@ def examined(path: Path, rng: np.random.Generator, base: str = "fixed") -> Outco
     return Outcome(path, kind + (", other ranks" if "but" in ranks else ""), f"{difference:.1e}{ranks}", difference)
 
 
-def _ranks(W: np.ndarray) -> str:
+def _ranks(W: np.ndarray, outside: int | None) -> str:
     """Ranks of the inertial columns in the six base equations and in all, of a regressor (N, n, n_st)."""
     found = []
     for rows in (W[:, :6], W):
@@ -105,7 +106,28 @@ def _ranks(W: np.ndarray) -> str:
         norms = np.linalg.norm(W[:, :6].reshape(-1, W.shape[2]), axis=0)
         inertial = norms > 1e-9 * norms.max()  # friction and rotors do not act on the base
         found.append(int(np.linalg.matrix_rank(columns[:, inertial] / norms[inertial], tol=1e-8)))
-    return f", rank {found[0]} of the base equations" + (f" but {found[1]} of all" if found[0] != found[1] else "")
+    text = f", rank {found[0]} of the base equations" + (f" but {found[1]} of all" if found[0] != found[1] else "")
+    if outside is None:
+        return text
+    return text + (f" but {outside} by Pinocchio" if outside != found[1] else " and by Pinocchio")
+
+
+def pinocchio_rank(path: Path, robot: Robot, rng: np.random.Generator) -> int | None:
+    """Rank of Pinocchio's own regressor on a free flyer; of none where it moves more joints, as those that mimic."""
+    if path.suffix != ".urdf" or robot.couplings:
+        return None
+    import pinocchio as pin
+
+    model = pinocchio_model(path, robot)
+    if model.njoints - 2 != len(robot.joints) - len(robot.base):
+        return None
+    data, rows = model.createData(), []
+    for _ in range(max(SAMPLES, 30 * model.njoints // model.nv)):
+        q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
+        rows.append(pin.computeJointTorqueRegressor(model, data, q, *rng.normal(size=(2, model.nv))))
+    columns = np.vstack(rows)
+    norms = np.linalg.norm(columns, axis=0)
+    return int(np.linalg.matrix_rank(columns[:, norms > 0] / norms[norms > 0], tol=1e-8))
 
 
 def random_states(model: InverseDynamics, rng: np.random.Generator) -> Motion:
@@ -117,8 +139,8 @@ def random_states(model: InverseDynamics, rng: np.random.Generator) -> Motion:
     return model.motion(*(rng.uniform(-1, 1, (3, n, samples)) * np.array([1.0, 2.0, 5.0])[:, None, None]))
 
 
-def pinocchio_torques(path: Path, robot: Robot, motion: Motion, rng: np.random.Generator) -> np.ndarray | None:
-    """Torques (joints, N) of the file's own masses by Pinocchio, with angles written short as the reader takes them."""
+def pinocchio_model(path: Path, robot: Robot) -> Any:
+    """Read a URDF by Pinocchio, with angles written short as the reader takes them."""
     import pinocchio as pin
 
     tree = ElementTree.ElementTree(read_xml(path))  # which forgives prefixes that are declared nowhere
@@ -129,7 +151,14 @@ def pinocchio_torques(path: Path, robot: Robot, motion: Motion, rng: np.random.G
         copy = Path(folder) / "robot.urdf"
         tree.write(copy)
         free = (pin.JointModelFreeFlyer(),) if robot.floating else ()
-        model = pin.buildModelFromUrdf(str(copy), *free)
+        return pin.buildModelFromUrdf(str(copy), *free)
+
+
+def pinocchio_torques(path: Path, robot: Robot, motion: Motion, rng: np.random.Generator) -> np.ndarray | None:
+    """Torques (joints, N) of the file's own masses by Pinocchio."""
+    import pinocchio as pin
+
+    model = pinocchio_model(path, robot)
     loose = len(robot.base)
     if robot.platforms or not {joint.name for joint in robot.joints[loose:]} <= set(model.names):
         return None
