@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from gtau.documents.keys import Keys, Positive
-from gtau.signals.logged_run import file_or_name
+from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 
 Interval = tuple[FiniteFloat, FiniteFloat]
@@ -94,7 +94,7 @@ class LimitsEntry(Keys):
 class DesignFile(Keys):
     """What stands in a design file."""
 
-    robot: str
+    robot: RobotName
     rate: Positive
     period: Positive = 10.0
     harmonics: Annotated[int, Field(ge=2)] = 5
@@ -106,11 +106,6 @@ class DesignFile(Keys):
     motions: Literal["one", "each run"] = "one"
     limits: LimitsEntry = LimitsEntry()
     prior: DesignPrior = DesignPrior()
-
-    @field_validator("robot")
-    @classmethod
-    def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
-        return robot if info.context is None else file_or_name(robot, info.context)
 
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:

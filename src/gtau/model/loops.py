@@ -12,7 +12,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.model.closures import ClosureEquations, closure_equations
 from gtau.model.coordinates import Coordinates, coordinates
-from gtau.model.home import FAR
+from gtau.model.home_search import FAR
 from gtau.model.loop_closure import closed, is_closed, loop_errors
 from gtau.robots.robot import Robot
 

@@ -11,15 +11,7 @@ from gtau.report.evidence import Evidence, body_path
 from gtau.report.html.document import Section
 from gtau.report.html.drawings import Panel, panel_figure
 from gtau.report.html.elements import Column, escape, folded, number, paragraph, table, text
-from gtau.report.html.series import (
-    COLOURS,
-    Arrays,
-    Line,
-    buckets_for,
-    chart,
-    envelope,
-    key,
-)
+from gtau.report.html.series import COLOURS, Arrays, Line, buckets_for, chart, envelope, key
 
 KINDS = ("type 1 (serial)", "type 2 (parallel)")  # of singularities
 

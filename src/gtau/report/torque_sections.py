@@ -9,16 +9,7 @@ import numpy as np
 from gtau.report.evidence import Evidence, RunEvidence
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Cell, Column, escape, folded, number, paragraph, table, text
-from gtau.report.html.series import (
-    Arrays,
-    Line,
-    buckets_for,
-    chart,
-    envelope,
-    key,
-    stretches,
-    zoom_tools,
-)
+from gtau.report.html.series import Arrays, Line, buckets_for, chart, envelope, key, stretches, zoom_tools
 from gtau.report.style import joint_label
 
 OPEN_RUNS = 1  # of the runs used, and of the others: shown unfolded

@@ -9,6 +9,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     FiniteFloat,
@@ -45,6 +46,14 @@ def file_or_name(robot: str, folder: Path) -> str:
     if file.suffix or "/" in robot:
         raise ValueError(f"there is no file '{file}'{_close_file(file)}")
     return robot
+
+
+def _beside(robot: str, info: ValidationInfo) -> str:
+    return robot if info.context is None else file_or_name(robot, info.context)
+
+
+RobotName = Annotated[str, AfterValidator(_beside)]
+"""Name of the catalog or path of a file, in a file whose folder is the context of its validation."""
 
 
 class LoggedRun(Keys):

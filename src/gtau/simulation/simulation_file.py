@@ -14,7 +14,7 @@ from gtau.documents.validation import validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.logged_run import file_or_name
+from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 from gtau.simulation.controllers import BANDWIDTH
 from gtau.simulation.drive import Drive, Sensors
@@ -146,7 +146,7 @@ class Simulation(Keys):
     ``control`` lists the trajectories on which control laws are compared; no logs are written of them.
     """
 
-    robot: str
+    robot: RobotName
     engine: Literal["gtau", "mujoco"] = "gtau"
     parameters: dict[str, FiniteFloat]
     drives: dict[str, JointHardware] = Field(min_length=1)
@@ -158,11 +158,6 @@ class Simulation(Keys):
     runs: tuple[SimulatedRun, ...] = Field(min_length=1)
     validation: tuple[SimulatedRun, ...] = ()
     control: tuple[SimulatedRun, ...] = ()
-
-    @field_validator("robot")
-    @classmethod
-    def _file_or_name(cls, robot: str, info: ValidationInfo) -> str:
-        return robot if info.context is None else file_or_name(robot, info.context)
 
     @model_validator(mode="after")
     def _names_once(self) -> Simulation:

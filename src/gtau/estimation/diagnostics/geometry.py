@@ -48,19 +48,8 @@ def geometry_test(
 ) -> GeometryTest:
     """Test the geometry of a robot by logged poses.
 
-    Parameters
-    ----------
-    model, columns : InverseDynamics, PoseColumns
-        Of the robot, and what is logged.
-    joints : sequence of str
-        Order of the logged positions.
-    logged : sequence of LoggedPoses
-        One for each run.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed along the logged positions, or a run's time does not rise.
+    Parameters and errors raised are those of :func:`gtau.estimation.diagnostics.pose_fit.fit_frames`; ``progress`` is
+    called as the work goes on.
     """
     progress("geometry", 0, MOST + 1)
     given = fit_frames(model, columns, joints, logged)
