@@ -624,7 +624,7 @@ def test_a_reader_that_goes_away(here: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["", *(each.__name__.replace("_", "-") for each in COMMANDS), "excite"])
-def test_help_fits_a_terminal_and_names_no_types_of_flags(command: str) -> None:
+def test_help_fits_a_terminal_and_names_no_types(command: str) -> None:
     said = CliRunner().invoke(app, [*command.split(), "--help"]).stdout
     assert max(map(len, said.splitlines())) <= 80
-    assert not re.search(r"<bool>|<float|<integer|  .*\.\.\.$", said, re.MULTILINE)
+    assert not re.search(r"<\w|  .*\.\.\.$", said, re.MULTILINE)

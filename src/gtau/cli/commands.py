@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from gtau import __version__
 from gtau.cli.excitation import excite
@@ -23,6 +24,20 @@ def show_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"gtau {__version__}")
         raise typer.Exit
+
+
+class _Command(TyperCommand):
+    """A command whose help lists arguments without the Python types that recent Typers add to their names."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        for each in self.get_params(ctx):
+            if each.param_type_name == "argument":
+                each.display_type_rich = _no_type  # type: ignore[attr-defined, method-assign, unused-ignore]
+        super().format_help(ctx, formatter)
+
+
+def _no_type(ctx: Any) -> None:
+    """Describe no type."""
 
 
 app = typer.Typer(
@@ -61,6 +76,6 @@ COMMANDS: dict[Callable[..., None], str] = {
     compare_control: "Compare PID and computed torque (the paper's Table 4).",
 }
 for command, short in COMMANDS.items():
-    app.command(name=command.__name__.replace("_", "-"), short_help=short)(command)
-# The masses after --payload-mass are extra arguments.
-app.command(context_settings={"allow_extra_args": True}, short_help="Design the most informative motion.")(excite)
+    app.command(name=command.__name__.replace("_", "-"), cls=_Command, short_help=short)(command)
+masses = {"allow_extra_args": True}  # those after --payload-mass are extra arguments
+app.command(cls=_Command, context_settings=masses, short_help="Design the most informative motion.")(excite)

@@ -21,7 +21,7 @@ def fleet(
     experiments: Annotated[
         list[str],
         typer.Argument(
-            metavar="EXPERIMENTS... | FLEET.yaml",
+            metavar="EXPERIMENT.yaml|FLEET.yaml",
             help="Experiment files of the robots, or patterns ('cells/*/experiment.yaml'); or a fleet file.",
             show_default=False,
         ),
@@ -31,7 +31,7 @@ def fleet(
     ],
     method: Annotated[str, typer.Option(metavar=METHODS, help="Estimator; one that finds drive gains.")] = "ml",
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes on this machine; default: one for each core.")
+        int | None, typer.Option(min=1, metavar="N", help="Processes on this machine; default: one for each core.")
     ] = None,
     dask: Dask = None,
     json_: Json = False,

@@ -193,7 +193,9 @@ def validate(
 def payload(
     model: ModelFile,
     experiment: ExperimentFile,
-    gains: Annotated[Gains, typer.Option(help="The model's gains, or the file's prior_gains.")] = Gains.identified,
+    gains: Annotated[
+        Gains, typer.Option(metavar="identified|prior", help="The model's gains, or the file's prior_gains.")
+    ] = Gains.identified,
     out: ReportFolder = None,
     json_: Json = False,
 ) -> None:

@@ -25,7 +25,7 @@ def init(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="LOG...",
+            metavar="LOG",
             help="One log per run, all of one layout; or the logs of positions, then as many of commands.",
             show_default=False,
         ),
