@@ -4,8 +4,8 @@
 
 An arm of three joints, 20 s at 100 Hz, with noise of 0.5 N, 0.05 N m, 0.01 A and 2e-5 rad; its plant is Pinocchio's.
 Its base floats and hangs on a force sensor, or it stands on its last link, whose wrench a sensor in the sole or a
-force plate measures; or its base is fixed, and a force sensor at the flange measures an unknown tool, which is carried
-in one of two runs.
+force plate measures, or nothing acts on it and its mass is known to 0.1 %; or its base is fixed, and a force sensor at
+the flange measures an unknown tool, which is carried in one of two runs.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ def experiments(folder: Path, seed: int) -> Iterator[tuple[str, Path]]:
     yield "hook on the base", experiment(folder, f"{{{base}, wrenches: [{AT_HOOK}]}}", hung)
     yield "sensor in the sole", experiment(folder, f"{{{base}}}\n  wrenches: [{AT_SOLE}]", standing)
     yield "force plate under the foot", experiment(folder, f"{{{base}}}\n  wrenches: [{ON_PLATE}]", standing)
+    flying = simulated(seed, flying=True)
+    mass = sum(value for name, value in flying.chi.items() if name.startswith("m_"))
+    weighed = f"priors: {{m_trunkR: {{value: {mass}, std: {1e-3 * mass}}}}}"
+    yield "none: in flight, weighed", experiment(folder, f"{{{base}}}", flying, weighed, flying=True)
     path = experiment(folder, "", simulated(seed, moving=False), f"  wrenches: [{AT_SOLE}]")
     pl.DataFrame(simulated(seed + 1000, moving=False, tool=True).columns).write_csv(folder / "tool.csv")
     path.write_text(path.read_text().replace("runs: [", "runs: [{log: tool.csv}, "))

@@ -50,7 +50,7 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
     for k, joint in enumerate(problem.sensors, start=len(problem.joints)):
         torque = triangles[k][:, n_theta + 1 :] @ delayed(state.delays[k])
         sides[f"torque sensor of '{joint}'"] = J[k].T @ torque * weights[k]
-    if problem.driveless or pushes is not None:
+    if (problem.driveless and not problem.silent[problem.base_channels].all()) or pushes is not None:
         acting = [k for k, joint in enumerate(problem.joints) if joint in problem.driveless]
         forces = [triangles[k][:, n_theta + 1 :] @ delayed(state.delays[k]) * weights[k] for k in acting]
         side = sum((J[k].T @ force for k, force in zip(acting, forces, strict=True)), np.zeros(J.shape[-1]))
@@ -62,6 +62,7 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
         sides["known parameters"] = -known.T @ problem.known[:, -1]
     shares = {source: -slopes @ (back.T @ side) for source, side in sides.items()}
     total = np.sum(list(shares.values()), axis=0)  # one, up to the curvature that the linear equations lack
+    total = np.where(total == 0.0, 1.0, total)  # of a base, whose gain is known
     return {source: share / total for source, share in shares.items()}
 
 

@@ -11,14 +11,15 @@ from gtau.estimation.estimators.estimator import Solve
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
+from gtau.estimation.regression.system import System, whole_mass
 from gtau.signals.payload import Payload
 
 
 def scale_uncertainty(dataset: Dataset, system: System, solution: Solution, solve: Solve) -> np.ndarray:
     """Compute the covariance of (theta, gains, delays) that the uncertainty of what gives their scale adds.
 
-    Each known mass, torque sensor and the wrenches together are larger by a standard deviation in turn.
+    Each known mass, each torque sensor, the wrenches together, and the mass of a robot in flight are larger by a
+    standard deviation in turn.
     """
     extra = np.zeros_like(solution.covariance)
     for problem in _with_other_scales(dataset, system):
@@ -35,6 +36,14 @@ def _with_other_scales(dataset: Dataset, system: System) -> Iterator[Problem]:
         payloads = with_payload(dataset, payload.name, heavier)
         yield dataset.system(system.friction, system.problem.slowest > 0, payloads).problem
     problem, calibration = system.problem, dataset.runs[0].calibration
+    if problem.driveless and problem.silent[problem.base_channels].all():
+        name = whole_mass(dataset.base, dataset.model.parameter_names)
+        mass = dataset.priors[name]
+        assert mass.value is not None
+        assert mass.std is not None
+        more = mass.model_copy(update={"value": mass.value + mass.std})
+        of_heavier = replace(dataset, priors={**dataset.priors, name: more})
+        yield of_heavier.system(system.friction, problem.slowest > 0).problem
     first, n = problem.n_theta + 1, len(problem.joints)
     for k in range(len(problem.sensors)) if calibration.joint_torque else ():
         blocks = problem.blocks.copy()
@@ -42,7 +51,7 @@ def _with_other_scales(dataset: Dataset, system: System) -> Iterator[Problem]:
         yield replace(problem, blocks=blocks)
     if calibration.wrenches:
         blocks = problem.blocks.copy()
-        blocks[:, [joint in problem.driveless for joint in problem.channels], :, first:] *= 1 + calibration.wrenches
+        blocks[:, problem.base_channels, :, first:] *= 1 + calibration.wrenches
         if system.pushes is not None:
             blocks[..., problem.n_theta] -= calibration.wrenches * system.pushes
         yield replace(problem, blocks=blocks)

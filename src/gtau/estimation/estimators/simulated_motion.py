@@ -45,6 +45,11 @@ def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tu
             f"motion is simulated from the currents of motors, and the base '{dataset.robot.floating}' has none; use "
             "--method ml."
         )
+    if bodies := [frame.body for frame in dataset.runs[0].wrenches]:
+        raise GtauError(
+            f"motion is simulated from the currents of motors alone, and measured wrenches act on {', '.join(bodies)} "
+            "too; use --method ml."
+        )
     regressor = dataset.model.columns(dataset.base.standard)
     return tuple(
         resimulated(dataset.model, regressor, system.motion(k, solution.theta), each, dataset.preparation)

@@ -76,6 +76,11 @@ class Problem:
         return np.array([each not in self.driveless for each in self.joints] + [False] * len(self.sensors))
 
     @property
+    def base_channels(self) -> np.ndarray:
+        """Which channels are those of a floating base, (c,)."""
+        return np.array([each in self.driveless for each in self.channels])
+
+    @property
     def scaled(self) -> bool:
         """Whether torque sensors, measured wrenches or known parameters say how large gains are, beside payloads."""
         return bool(self.sensors or self.driveless or self.pushed) or len(self.known) > 0

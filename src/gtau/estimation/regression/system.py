@@ -20,6 +20,7 @@ from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
 
 FEWEST_ROWS = 50  # of a joint, in all runs together
+EXACT = 1e-6  # relative standard deviation of what counts as exact: of 1e6 rows without signal it stands against all
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +212,8 @@ def assemble_system(
     block_positions = np.array(
         [(run, (s + 0.5) / len(each.rows)) for run, each in enumerate(factors) for s in range(len(each.rows))]
     )
-    known = known_equations(base, idm.parameter_names, names, priors or {})
+    priors = _in_flight(idm, base, factors, priors or {})
+    known = known_equations(base, idm.parameter_names, names, priors)
     problem = Problem(
         tuple(names),
         idm.actuated,
@@ -230,14 +232,8 @@ def assemble_system(
                 f"joint '{joint}' has {count} usable rows in all runs together, away from its reversals and gaps; "
                 "add runs in which it moves, or longer ones."
             )
-    if idm.robot.base and problem.silent[[joint in idm.robot.base for joint in problem.channels]].all():
-        raise GtauError(
-            f"nothing that is measured acts on the base '{idm.robot.floating}' in any run, so that its equations give "
-            "ratios of parameters alone, which noise of its motion biases towards zero; log the wrench that holds it "
-            "in some runs ('wrenches' of 'base' under 'signals')."
-        )
     unexcited = _unexcited(problem)
-    stated = tuple(name for name, prior in (priors or {}).items() if prior.value is not None)
+    stated = tuple(name for name, prior in priors.items() if prior.value is not None)
     return System(
         problem.without(unexcited),
         problem,
@@ -251,6 +247,42 @@ def assemble_system(
         None if temperatures is None else np.array([warmth(channel) for channel in problem.channels]),
         np.concatenate([factor.R[..., -CURRENTS - PUSH] for factor in factors])[filled] if pushed else None,
     )
+
+
+def _in_flight(
+    idm: InverseDynamics, base: BaseParameters, factors: Sequence[Factors], priors: Mapping[str, Prior]
+) -> Mapping[str, Prior]:
+    """Take the mass of a robot for exact where nothing acts on its floating base in any run.
+
+    The base equations are homogeneous then: parameters that all are too small leave less of the noise in the motion.
+    Against that a mass stated to a per mil would not stand; how much it may be wrong is part of
+    :func:`gtau.estimation.estimators.scale_uncertainty.scale_uncertainty`.
+
+    Raises
+    ------
+    GtauError
+        The mass is not among the ``priors``.
+    """
+    rows = [idm.actuated.index(joint) for joint in idm.robot.base]
+    if not rows or any(factor.R[:, rows, :, -CURRENTS].any() for factor in factors):
+        return priors
+    name = whole_mass(base, idm.parameter_names)
+    prior = priors.get(name)
+    if prior is None or not prior.value:
+        raise GtauError(
+            f"nothing that is measured acts on the base '{idm.robot.floating}' in any run, so that its equations give "
+            "ratios of parameters alone, which noise of its motion biases towards zero; log the wrench that holds it "
+            "in some runs ('wrenches' of 'base' under 'signals')"
+            + (f", or weigh the robot (priors: {{{name}: {{value: ..., std: ...}}}}, kg)." if name else ".")
+        )
+    return {**priors, name: prior.model_copy(update={"std": EXACT * abs(prior.value)})}
+
+
+def whole_mass(base: BaseParameters, standard: Sequence[str]) -> str:
+    """Return the name of the base parameter that is the mass of all bodies of a floating robot."""
+    masses = np.array([name.startswith("m_") for name in standard], dtype=float)
+    found = (name for name, row in zip(base.names, base.matrix, strict=True) if np.allclose(row, masses, atol=1e-6))
+    return next(found, "")
 
 
 def drift_name(name: str, run: int) -> str:
