@@ -20,7 +20,7 @@ from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import STRETCHES, Factors, reduce_run
 from gtau.estimation.regression.friction import Friction, all_terms
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import require_scale
+from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot

@@ -18,7 +18,8 @@ from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, Mapper, model_of, prepare_runs, reduce_runs, robot_notes
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.system import FEWEST_ROWS, require_scale
+from gtau.estimation.regression.scale_source import require_scale
+from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.remarks import near_singularities, not_separated
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
 from gtau.model.home import load_robot

@@ -22,7 +22,7 @@ from gtau.estimation.identify import gains_for, require_priors_taken, usable
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.system import require_scale
+from gtau.estimation.regression.scale_source import require_scale
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.units import torque_unit

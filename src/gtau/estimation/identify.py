@@ -19,7 +19,7 @@ from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
 from gtau.estimation.regression.dataset import Mapper, reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.system import require_scale
+from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.accuracy import ACCURACY
 from gtau.model.home import load_robot

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gtau.estimation.regression.carried_payload import known_values
 from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
-from gtau.estimation.regression.system import known_values
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.signals.payload import Payload

@@ -10,7 +10,8 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, known_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.scale_uncertainty import with_payload
-from gtau.estimation.regression.system import known_values, require_scale
+from gtau.estimation.regression.carried_payload import known_values
+from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.thresholds.prior_knowledge import PAYLOAD_MOVES
 from gtau.robots.units import unit_of
 from gtau.signals.payload import Payload

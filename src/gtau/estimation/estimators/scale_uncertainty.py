@@ -10,8 +10,9 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Solve
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.flight import whole_mass
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System, whole_mass
+from gtau.estimation.regression.system import System
 from gtau.signals.payload import Payload
 
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from gtau.estimation.estimators.semidefinite import Body, ball_row
 from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.regression.carried_payload import known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System, known_values
+from gtau.estimation.regression.system import System
 from gtau.estimation.regression.torque_sensors import joint_behind
 from gtau.estimation.thresholds.prior_knowledge import LAST_OVERHANG, OVERHANG
 from gtau.robots.geometry import characteristic_length, extent, longest_placement

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict
+from gtau.estimation.regression.carried_payload import known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System, known_values
+from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import (
     Estimate,
     PayloadEstimate,

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.carried_payload import known_values
 from gtau.estimation.regression.dataset import at_rate_of, friction_speed_ratios
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, term_columns, transmitted
 from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.regression.system import known_values
 from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.inverse_dynamics import Regressor

@@ -1,0 +1,92 @@
+"""What fixes the scale of the drive gains: payloads, sensors, wrenches or known parameters (section 3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.base_parameters import independent_columns
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import System
+from gtau.robots.robot import Robot
+from gtau.signals.payload import Payload
+
+
+def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | None], method: str) -> None:
+    """Check that something fixes the scale of the drive gains of a ``robot`` (section 3.3).
+
+    A payload of known mass in some runs, torque sensors, or known parameters.
+
+    Raises
+    ------
+    GtauError
+        Without any of them, with one payload in all runs, or where what is known acts on no joint in a way of its own.
+    """
+    problem = system.problem
+    other = "or use --method wls with prior_gains"
+    elsewhere, weighed = problem.scaled, any(payload is not None and payload.mass is not None for payload in payloads)
+    if not elsewhere and not weighed and system.stated:
+        raise _hidden(system.stated, other)
+    if not elsewhere and not weighed:
+        raise GtauError(
+            f"method '{method}' needs a scale to find the drive gains, and no run has a payload of known mass; "
+            "add 'payload: {name: ..., mass: ...}' to a loaded run, torque sensors ('joint_torque' under 'signals'), "
+            f"or known parameters ('priors'), {other}."
+        )
+    if not elsewhere and len({None if payload is None else payload.name for payload in payloads}) < 2:
+        raise GtauError(
+            f"method '{method}' needs runs with two different loads to find the drive gains, and all runs carry "
+            "the same payload; "
+            f"add a run without payload, {other}."
+        )
+    if problem.n_theta in independent_columns(_with_scale(problem))[0]:
+        return
+    if problem.sensors:
+        raise GtauError(
+            f"the torque sensors of {', '.join(problem.sensors)} measure no load that the motors carry too, so they "
+            "cannot give the scale of the drive gains; add sensors of other joints, runs that move them against "
+            f"gravity, {other}."
+        )
+    if len(problem.known):
+        raise _hidden(system.stated, other)
+    if problem.pushed:
+        raise GtauError(
+            f"the wrenches on {', '.join(problem.pushed)} have no effect of their own on any actuated joint, so they "
+            "cannot give the scale of the drive gains; check their columns, their 'body' and 'at' under 'signals', "
+            f"carry a payload of known mass in some runs, {other}."
+        )
+    if problem.driveless:
+        raise GtauError(
+            f"nothing measured acts on the base '{robot.floating}' from outside, or it has no effect of its own "
+            "on the motors, so the scale of the drive gains is open; log the wrench that holds the base ('base' under "
+            f"'signals'), carry a payload of known mass in some runs, {other}."
+        )
+    on = f"'{robot.tool}'" + ("" if robot.named_tool else ", which was assumed")
+    raise GtauError(
+        f"the payload's known parameters have no effect of their own on any actuated joint where it sits, on {on}, "
+        "so they cannot give the scale of the drive gains; check 'tool' in the robot file, give more known "
+        f"'parameters' of the payload, {other}."
+    )
+
+
+def _hidden(stated: Sequence[str], other: str) -> GtauError:
+    names = ", ".join(stated[:4]) + (" and others" if len(stated) > 4 else "")
+    return GtauError(
+        f"the known parameters under 'priors' ({names}) cannot give the scale of the drive gains, as they act on "
+        "the motors only together with unknown ones; give priors for all parameters of the same sums (gtau robot lists "
+        f"them), or for the base parameter, {other}."
+    )
+
+
+def _with_scale(problem: Problem) -> np.ndarray:
+    """Stack weighted rows ``[W_theta | known]``, of sensors with the torque that their own columns explain."""
+    n, rows = problem.n_theta, []
+    for j, (R, own, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
+        known = R[:, n]
+        if not problem.free[j]:
+            torque, columns = R[:, n + 1], R[:, own]
+            known = known - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
+        rows.append(np.column_stack([R[:, :n], known]) / sigma)
+    return np.concatenate([*rows, problem.known * np.append(np.ones(n), -1.0)])
