@@ -268,3 +268,19 @@ def test_only_friction_that_all_equations_tell_is_kept(runs: list[Run]) -> None:
     assert solution.theta[k] == pytest.approx(0.2, abs=4 * np.sqrt(solution.jackknife[k, k]))
     plain = reduce_runs(FIVE_BAR, runs).system(both).problem
     assert prune_friction_terms(plain, both, ml) == ()
+
+
+@pytest.mark.parametrize(("coulomb", "cubic"), [(10.0, 0.5), (20.0, -0.4)])
+def test_a_current_that_is_mostly_friction_does_not_hide_cubic_friction(coulomb: float, cubic: float) -> None:
+    """Such a current is proportional to itself: it must not stand for the load in load-dependent friction."""
+    rubbing = []
+    for run in logs(Plant(noise=0.02)):
+        speed = np.gradient(run.position[:, 0], run.time)
+        friction = (coulomb * np.sign(speed) + cubic * speed**3) / GAINS[0]
+        rubbing.append(replace(run, command=run.command + np.column_stack([friction, 0 * speed])))
+    result = identify(FIVE_BAR, rubbing)
+    assert list(result.friction) == ["f3_left"]
+    found = result.friction["f3_left"]
+    assert found.value == pytest.approx(cubic, abs=4 * found.std)
+    assert result.drive_gains["left"].std < 0.01 * GAINS[0]
+    assert np.abs(gain_errors(result)).max() < 4

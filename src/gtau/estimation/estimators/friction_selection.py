@@ -33,11 +33,15 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
         if less < criterion and set(alone) & set(temperature_terms(warm)):
             terms, per_run = alone, False
     friction = Friction(terms, per_run)
-    if not any(term.startswith("fl_") for term in friction.terms):
+    if not any(term.startswith("fl_") for term in terms):
         system = dataset.system(friction)
         return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
-    system = dataset.system(Friction(tuple(t for t in friction.terms if not t.startswith("fl_")), per_run))
-    gains = None
+    # Until the torques are known the current stands for them, which explains itself where friction is most of it: the
+    # terms are chosen again once a fit without load-dependent ones has given the torques.
+    without = Friction(tuple(term for term in offered if not term.startswith("fl_")), per_run)
+    terms, _ = select_friction_terms(dataset.system(without).problem)
+    system = dataset.system(Friction(terms, per_run))
+    gains, friction = None, None
     for _ in range(LOAD_PASSES):
         solution = solve(system.problem)
         settled = gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_SETTLED, atol=0)
@@ -45,6 +49,9 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
         if settled:
             break
         dataset = dataset.reduced([system.load(k, solution.theta) for k in range(len(dataset.runs))], progress)
+        if friction is None:
+            terms, _ = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
+            friction = Friction(terms, per_run)
         system = dataset.system(friction)
     return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
 
