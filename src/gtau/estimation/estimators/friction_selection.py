@@ -41,15 +41,15 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     without = Friction(tuple(term for term in offered if not term.startswith("fl_")), per_run)
     terms, _ = select_friction_terms(dataset.system(without).problem)
     system = dataset.system(Friction(terms, per_run))
-    gains, friction = None, None
+    gains = None
     for _ in range(LOAD_PASSES):
         solution = solve(system.problem)
         settled = gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_SETTLED, atol=0)
-        gains = solution.gains
+        first, gains = gains is None, solution.gains
         if settled:
             break
         dataset = dataset.reduced([system.load(k, solution.theta) for k in range(len(dataset.runs))], progress)
-        if friction is None:
+        if first:
             terms, _ = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
             friction = Friction(terms, per_run)
         system = dataset.system(friction)
