@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,13 @@ import pytest
 from floating_logs import AT_HOOK, AT_SOLE, GAINS, ON_PLATE, POSE, Truth, deviations, experiment, simulated
 
 from gtau.errors import GtauError
+from gtau.estimation.check_logs import check_logs
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs, reduce_shard
+from gtau.estimation.regression.factors import CURRENTS, PUSH, joined
 from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 
@@ -82,7 +87,7 @@ def test_a_foot_left_out_shows(leaning: Truth, tmp_path: Path) -> None:
 REFUSED = [
     ("method: tls", AT_SOLE, {"method": "tls"}, "method 'tls' takes no wrenches on bodies"),
     ("method: didim", AT_SOLE, {"method": "didim"}, "motion is simulated from the currents of motors"),
-    ("body", AT_SOLE.replace("body: 3", "body: foot"), {}, "the body 'foot', but those of robot 'arm' are trunk"),
+    ("body", AT_SOLE.replace("body: 3", "body: foot"), {}, "the body 'foot', but those of robot 'arm' are 1, 2, 3;"),
     ("base", AT_SOLE.replace("body: 3", "body: trunk"), {}, "under 'wrenches' of 'base'"),
     ("twice", AT_SOLE.replace("[sx, sy, sz]", "[sx, sy, smx]"), {}, "the column 'smx' under 'wrenches' is given twice"),
 ]
@@ -106,3 +111,27 @@ def test_the_calibration_of_the_sensor_is_in_every_interval(standing: Truth, tmp
         before, after = exact.drive_gains[joint], known.drive_gains[joint]
         assert after.value == before.value
         assert np.sqrt(after.std**2 - before.std**2) == pytest.approx(0.02 * gain, rel=0.2)
+
+
+def test_check_shows_the_wrench(standing: Truth, tmp_path: Path) -> None:
+    path = experiment(tmp_path, f"{BASE}\n  wrenches: [{AT_SOLE}]", standing)
+    ((wrench,),) = (log.wrenches for log in check_logs(path).logs)
+    weight = 9.80665 * sum(value for name, value in standing.chi.items() if name.startswith("m_"))
+    assert (wrench.body, wrench.axes) == ("3", "body")
+    assert wrench.force_rms == pytest.approx(weight, rel=0.1)
+
+
+def test_parts_sent_to_other_processes_give_the_same_factors(leaning: Truth, tmp_path: Path) -> None:
+    described = read_experiment(experiment(tmp_path, f"{HELD}\n  wrenches: [{AT_SOLE}, {ON_PLATE}]", leaning))
+    run = read_run(tmp_path / "log.csv", signals=described.signals, units=described.units)
+    data = reduce_runs(load_robot(described.robot), [run], shard=500)
+    ((*shards,),) = data.parts()
+    assert len(shards) == 3
+    assert data.factors[0].R[..., -CURRENTS - PUSH].any()
+    sent = joined([reduce_shard(pickle.loads(pickle.dumps(shard))) for shard in shards])
+    assert np.array_equal(sent.rows, data.factors[0].rows)
+    assert np.array_equal(sent.R, data.factors[0].R)
+    whole = reduce_runs(load_robot(described.robot), [run]).factors[0]
+    assert np.array_equal(whole.rows, sent.rows)
+    gram, parts = (np.einsum("sjpq,sjpr->jqr", R, R) for R in (whole.R, sent.R))
+    assert parts == pytest.approx(gram, rel=1e-9, abs=1e-9 * np.abs(gram).max())

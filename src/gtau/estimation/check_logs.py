@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -57,6 +58,19 @@ class JointCheck:
 
 
 @dataclass(frozen=True, eq=False)
+class WrenchCheck:
+    """The wrench on one body in a log, while the robot moves: force (N) and moment (N m), root mean squares.
+
+    The moment is that about the origin of the wrench's axes, those of the world or of the body.
+    """
+
+    body: str
+    axes: Literal["world", "body"]
+    force_rms: float
+    moment_rms: float
+
+
+@dataclass(frozen=True, eq=False)
 class LogCheck:
     """One log: its joints, and at its decimated samples positions (K, n), what is used of them, and distances.
 
@@ -67,6 +81,7 @@ class LogCheck:
     validation: bool
     rows: int
     joints: tuple[JointCheck, ...]
+    wrenches: tuple[WrenchCheck, ...]
     position: np.ndarray
     used: np.ndarray
     distances: Distances
@@ -243,7 +258,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         raise GtauError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
     lowest, highest, fastest, strongest = ([] for _ in range(4))
     positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((c,), bool)
-    power, path = np.zeros(c), None
+    power, path = np.zeros(run.command.shape[1]), None
     for block in decimator.blocks(len(prepared), max(sizes().block // decimator.factor, 1)):
         of = prepared.samples(block.samples.start, block.samples.stop)
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
@@ -254,7 +269,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         still = np.zeros_like(q)
         distances.append(singularities(model).distances(model.rates(path, still, still, labels)).T)
         positions.append(of.q[at])
-        power += (of.command[at, :c] ** 2).sum(axis=0)
+        power += (of.command[at] ** 2).sum(axis=0)
         lowest.append(of.q.min(axis=0))
         highest.append(of.q.max(axis=0))
         fastest.append(np.abs(of.qd).max(axis=0))
@@ -276,6 +291,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         run=run,
         validation=validation,
         rows=rows,
+        wrenches=tuple(_wrench_checks(run, power / rows)),
         joints=tuple(JointCheck(joint, (low, high), *rest) for joint, low, high, *rest in columns),
         position=positions.array(),
         used=used,
@@ -284,3 +300,10 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         preparation=prepared.preparation,
         spectra=found,
     )
+
+
+def _wrench_checks(run: Run, power: np.ndarray) -> Iterator[WrenchCheck]:
+    """Describe the wrenches of a run by the mean squares of its command columns."""
+    of_wrenches = power[len(run.measured_joints) :].reshape(-1, 2, 3).sum(axis=2)
+    for frame, (moment, force) in zip(run.wrenches, np.sqrt(of_wrenches).tolist(), strict=True):
+        yield WrenchCheck(frame.body, "world" if frame.of_world else "body", force, moment)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,6 +76,7 @@ def _describe(log: LogCheck, robot: Robot) -> dict[str, Any]:
             }
             for each in log.joints
         ],
+        "wrenches": [asdict(each) for each in log.wrenches],
         "singularities": [
             {"type": each.type, "distance": each.distance, "time": each.time, "pose": dict(each.pose)}
             for each in log.nearest
@@ -142,6 +144,12 @@ def _log_lines(log: dict[str, Any]) -> list[str]:
             f"  {each['joint']:<22}{each['command']['rms']:>14.3g}{each['command']['max']:>10.3g} "
             f"{each['command_unit']:<4}{bandwidth:>10}{100 * each['usable']:>13.0f} %"
         )
+    for each in log["wrenches"]:
+        line = (
+            f"wrench on '{each['body']}': force {each['force_rms']:.3g} N, moment {each['moment_rms']:.3g} N m (rms) "
+            f"about the origin of the {each['axes']}"
+        )
+        lines += textwrap.wrap(line, WIDTH, initial_indent="  ", subsequent_indent="    ")
     for each in log["singularities"]:
         line = f"nearest to a singularity of {TYPES[each['type']]}: {each['distance']:.2g} at {each['time']:.4g} s"
         if each["type"] == 2:  # those of type 1 do not matter to an identification

@@ -230,11 +230,12 @@ def reduce_runs(
         raise GtauError("some runs hold currents and others torques; identify them separately.")
     if len({run.wrenches for run in runs}) > 1:
         raise GtauError("the runs have wrenches on different bodies; give the same 'wrenches' for all runs.")
+    bodies = [body for body in robot.bodies if body not in robot.base]
     for frame in runs[0].wrenches:
-        if frame.body not in robot.bodies:
+        if frame.body not in bodies:
             raise GtauError(
-                f"'wrenches' names the body '{frame.body}', but those of robot '{robot.name}' are "
-                f"{', '.join(robot.bodies)}; correct the name."
+                f"'wrenches' names the body '{frame.body}', but those of robot '{robot.name}' are {', '.join(bodies)}; "
+                "correct the name."
             )
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
