@@ -292,13 +292,22 @@ def close(robot: Robot) -> object:
 @pytest.mark.parametrize(
     ("robot", "numbers"),
     [
-        (with_actuated(four_bar(), _3=True), "2 actuated joints (1, 3) for 1 dof; mark 1 of them passive"),
-        (with_actuated(four_bar(), _2=True, _3=True), "3 actuated joints (1, 2, 3) for 1 dof; mark 2 of them passive"),
+        (
+            with_actuated(four_bar(), _3=True),
+            "2 actuated joints for 1 dof, where loops or couplings tie 1, 3 at home; mark 1",
+        ),
+        (
+            with_actuated(four_bar(), _2=True, _3=True),
+            "3 actuated joints for 1 dof, where loops or couplings tie 1, 2, 3 at home; mark 2",
+        ),
         (
             with_actuated(load_robot("orthoglide"), _21=True),
-            "4 actuated joints (11, 21, 12, 13) for 3 dof; mark 1 of them passive",
+            "4 actuated joints for 3 dof, where loops or couplings tie 21, 12 at home; mark 1",
         ),
-        (replace(seven_r(), couplings=(Coupling("3", (("2", 1.0),)),)), "for 6 dof; mark 1 of them passive"),
+        (
+            replace(seven_r(), couplings=(Coupling("3", (("2", 1.0),)),)),
+            "for 6 dof, where loops or couplings tie 2, 3 at home; mark 1 of them passive",
+        ),
     ],
     ids=["four-bar", "all of a four-bar", "orthoglide", "coupling"],
 )

@@ -598,6 +598,19 @@ def test_loops_without_actuators_are_refused(tmp_path: Path) -> None:
         load(text, tmp_path)
 
 
+def test_motors_on_both_fingers_of_a_gripper_are_named(tmp_path: Path) -> None:
+    """Simulators drive both slides of a gripper that has one motor; of many joints the refusal names these two."""
+    text = f"""<mujoco><worldbody>{body("arm", inner=body("left") + body("right"))}</worldbody>
+      <equality><joint joint1="left" joint2="right" polycoef="0 -1 0 0 0"/></equality>
+      <actuator><motor joint="arm"/><motor joint="left"/><motor joint="right"/></actuator></mujoco>"""
+    with pytest.raises(
+        GtauError, match=r"tie left, right at home; mark 1 of them passive \(in MJCF, without an actuat"
+    ):
+        _ = InverseDynamics(load(text, tmp_path)).loops
+    (tmp_path / "robot.xml").write_text(text)
+    assert InverseDynamics(load_robot(tmp_path / "robot.xml", held={"left": 0.0})).actuated == ("arm",)
+
+
 def test_springs_that_leave_joints_free_are_to_be_held(tmp_path: Path) -> None:
     """As in a leg whose shin bends: the refusal says how to hold it, and then it loads."""
     text = as_mjcf().replace('<position joint="right"/>', "").replace('"right" axis', '"right" stiffness="9" axis')

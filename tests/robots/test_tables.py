@@ -210,9 +210,7 @@ def test_a_loop_that_is_a_truss_is_refused_for_what_it_is(tmp_path: Path) -> Non
         "gamma = {0,0,0,0,0,pi/2,pi/2,0,0,pi/2,pi}\nalpha = {0,pi/2,0,0,pi/2,0,0,0,0,0,0}\n"
         "mu = {1,1,1,0,1,0,0,0,0,0,0}\ntheta = {th1,th2,th3,th4,th5,th6,th7,th8,th9,0,0}\nG = {0,0,-9.81}\n"
     )
-    with pytest.raises(
-        GtauError, match=r"4 actuated joints \(1, 2, 3, 5\) for 3 dof, where the closures hold 3 fixed;"
-    ):
+    with pytest.raises(GtauError, match="4 actuated joints for 3 dof, where the closures hold 3 fixed; mark 1"):
         _ = InverseDynamics(par(text, tmp_path)).loops
 
 

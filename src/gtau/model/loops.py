@@ -120,20 +120,10 @@ def close_loops(robot: Robot) -> Loops:
     _, G_p, G_a = loops.columns(c)
     rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
     total = int(np.linalg.matrix_rank(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), tol=1e-7))
-    n, n_passive = len(layout.actuated), len(layout.passive)
-    if rank < n_passive:
+    if rank < len(layout.passive):
         _refuse_free(robot, layout, G_p[:, :, 0], rank)
     if total > rank:
-        free = np.linalg.svd(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]))[2][total:, n_passive:]
-        stuck = [
-            name for name, motion in zip(robot.actuated, free.T, strict=True) if np.abs(motion).max(initial=0.0) < 1e-9
-        ]
-        held = f", where the closures hold {', '.join(stuck)} fixed" if stuck else ""
-        raise GtauError(
-            f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints "
-            f"({', '.join(robot.actuated)}) for {layout.n_y - total} dof{held}; mark {total - rank} of them passive, "
-            "or check the closures and the dof of platforms."
-        )
+        _refuse_redundant(robot, np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), total, total - rank)
     return Loops(layout, equations, home, rank)
 
 
@@ -155,6 +145,25 @@ def _refuse_free(robot: Robot, layout: Coordinates, G_p: np.ndarray, rank: int) 
         f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home configuration "
         f"{', '.join(names)} can still move ({len(layout.passive) - rank} dof); {stiff}actuate more joints, or move "
         "home away from a singular pose."
+    )
+
+
+def _refuse_redundant(robot: Robot, G: np.ndarray, rank: int, excess: int) -> None:
+    """Refuse actuated joints that the loop equations tie to each other: the last columns of ``G``, of this rank."""
+    n = len(robot.actuated)
+    free = np.linalg.svd(G)[2][rank:, G.shape[1] - n :]  # how the motors can move
+    ties = np.linalg.svd(free)[2][n - excess :]  # and, at right angles to it, what they cannot do
+    stuck = np.abs(free).max(axis=0, initial=0.0) < 1e-9
+    tied = np.abs(ties).max(axis=0) > 1e-6
+    fixed, apart = (
+        [name for name, it in zip(robot.actuated, which, strict=True) if it] for which in (stuck, tied & ~stuck)
+    )
+    why = [f"the closures hold {', '.join(fixed)} fixed"] * bool(fixed)
+    why += [f"loops or couplings tie {', '.join(apart)} at home"] * bool(apart)
+    raise GtauError(
+        f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints for {len(free)} "
+        f"dof, where {' and '.join(why)}; mark {excess} of them passive (in MJCF, without an actuator), hold what "
+        f"stands still in the logs, {_by_held((apart or fixed)[0])}, or check the closures and the dof of platforms."
     )
 
 
