@@ -22,7 +22,7 @@ PANDA = [(0, 0, 0.333), ("-pi/2", 0, 0), ("pi/2", 0, 0.316), ("pi/2", 0.0825, 0)
 
 # Gaz, Cognetti, Oliva, Robuffo Giordano and De Luca 2019, doi 10.1109/LRA.2019.2931248, in the frames above: the
 # coefficients of the code beside the paper (FrankaEmikaPandaDynModel), with inertias about the frames' origins
-FORMULAS = """
+OF_PANDA = """
 yy_2 + zz_1; xx_2 - yy_2 + yy_3 + 0.099856 m_3 + 0.10666225 m_4567 + 0.632 mz_3; xy_2; xz_2; yz_2;
 yy_3 + zz_2 + 0.099856 m_3 + 0.10666225 m_4567 + 0.632 mz_3; xx_3 - yy_3 + yy_4 - 0.00680625 m_4; xy_3 + 0.0825 mz_4;
 xz_3; yz_3; yy_4 + zz_3 + 0.00680625 m_4 + 0.0136125 m_567; xx_4 - yy_4 + yy_5 + 0.14064975 m_567 + 0.768 mz_5;
@@ -32,6 +32,17 @@ xy_6 + 0.088 mz_7; xz_6; yz_6; yy_7 + zz_6 + 0.007744 m_7; xx_7 - yy_7; xy_7; xz
 mx_2; my_2 - 0.316 m_34567 - mz_3; mx_3 + 0.0825 m_4567; my_3 - mz_4; mx_4 - 0.0825 m_567; my_4 + 0.384 m_567 + mz_5;
 mx_5; my_5 - mz_6; mx_6 + 0.088 m_7; my_6 - mz_7; mx_7; my_7"""
 
+# The 60 in FIGAROH's results for a Staubli TX40 (figaroh-plus, TX40_bp_5.csv) and ia_6, which that list leaves out:
+# FIGAROH's later benchmark has rank 61 of the same 87 parameters. M is motor 6, which turns with joints 5 and 6.
+OF_TX40 = """
+zz_1 + ia_1 + yy_2 + yy_3 + 0.07 mz_3 + 0.05185 m_3456;
+xx_2 - yy_2 - 0.050625 m_3456; xy_2; xz_2 - 0.225 mz_3 - 0.007875 m_3456; yz_2; zz_2 + ia_2 + 0.050625 m_3456;
+mx_2 + 0.225 m_3456; my_2; xx_3 - yy_3 + yy_4 + 0.45 mz_4 + 0.050625 m_456; xy_3; xz_3; yz_3;
+zz_3 + yy_4 + 0.45 mz_4 + 0.050625 m_456; mx_3; my_3 - mz_4 - 0.225 m_456; ia_3; xx_4 - yy_4 + yy_5; xy_4; xz_4; yz_4;
+zz_4 + yy_5; mx_4; my_4 + mz_5; ia_4; xx_5 - yy_5 + yy_6; xy_5; xz_5; yz_5; zz_5 + yy_6; mx_5; my_5 - mz_6; ia_5;
+xx_6 - yy_6; xy_6; xz_6; yz_6; zz_6; mx_6; my_6; ia_6; ia_M; fv_M; fs_M; fv_1; fv_2; fv_3; fv_4; fv_5; fv_6;
+fs_1; fs_2; fs_3; fs_4; fs_5; fs_6; off_1; off_2; off_3; off_4; off_5; off_6"""
+
 
 def arm(rows: Sequence[tuple[object, float, float]], folder: Path) -> Robot:
     table = "".join(f"{k},{k - 1},1,0,0,0,{alpha},{d},q{k},{r}\n" for k, (alpha, d, r) in enumerate(rows, 1))
@@ -40,25 +51,39 @@ def arm(rows: Sequence[tuple[object, float, float]], folder: Path) -> Robot:
     return load_robot(path)
 
 
-def published(names: Sequence[str]) -> np.ndarray:
+def published(formulas: str, names: Sequence[str]) -> np.ndarray:
     """Coefficients (n_b, n_st) of the formulas; ``m_567`` stands for the sum of three masses."""
-    rows = [np.zeros(len(names)) for _ in FORMULAS.split(";")]
-    for row, formula in zip(rows, FORMULAS.split(";"), strict=True):
-        for sign, factor, kind, links in re.findall(r"([+-]?) *([\d.]*) *\b([mxyz]+)_(\d+)", formula):
+    rows = [np.zeros(len(names)) for _ in formulas.split(";")]
+    for row, formula in zip(rows, formulas.split(";"), strict=True):
+        for sign, factor, kind, links in re.findall(r"([+-]?) *([\d.]*) *\b([a-z]+)_(\w+)", formula):
             for link in links:
                 row[names.index(f"{kind}_{link}")] += float(f"{sign}{factor or 1}")
     return np.array(rows)
 
 
+def follow(expected: np.ndarray, found: np.ndarray) -> None:
+    """Check that published combinations (n_b, n_st) are as many as gtau's base parameters and follow from them."""
+    assert np.linalg.matrix_rank(expected) == len(expected) == len(found)
+    known = np.linalg.lstsq(found.T, expected.T, rcond=None)[0]
+    np.testing.assert_allclose(found.T @ known, expected.T, atol=1e-9)
+
+
 def test_regroupings_of_a_panda(tmp_path: Path) -> None:
     """All 43 published combinations of standard parameters, and no other, follow from gtau's base parameters."""
     model = InverseDynamics(arm(PANDA, tmp_path), "inertial")
-    found = base_parameters(model)
-    expected = published(list(model.parameter_names))
+    expected = published(OF_PANDA, model.parameter_names)
     assert expected.shape == (43, 70)
-    assert np.linalg.matrix_rank(expected) == found.count == 43
-    known = np.linalg.lstsq(found.matrix.T, expected.T, rcond=None)[0]
-    np.testing.assert_allclose(found.matrix.T @ known, expected.T, atol=1e-9)
+    follow(expected, base_parameters(model).matrix)
+
+
+def test_regroupings_of_a_tx40() -> None:
+    """All 61 of FIGAROH, whose motors have no parameters but that of the wrist's coupling, on joints 5 and 6."""
+    model = InverseDynamics(load_robot("staubli-tx40"))
+    names = [name.replace("motor_6", "M").replace("joint_", "") for name in model.parameter_names]
+    there = [k for k, name in enumerate(names) if "motor" not in name and name != "off_M"]
+    expected = published(OF_TX40, [names[k] for k in there])
+    assert expected.shape == (61, 87)
+    follow(expected, base_parameters(model).matrix[:, there])
 
 
 def test_counts_of_a_wam(tmp_path: Path) -> None:
