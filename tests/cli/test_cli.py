@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import IO
 
 import bad_input
 import click.testing
@@ -440,13 +441,12 @@ def test_an_interruption_is_no_traceback(here: Path, monkeypatch: pytest.MonkeyP
 # The real thing
 
 
-def start(folder: Path, *arguments: str, first: str = "") -> subprocess.Popen:
+def start(folder: Path, *arguments: str, first: str = "", stdout: IO[str] | int = subprocess.PIPE) -> subprocess.Popen:
     """The program in a process of its own, after what is to be done ``first`` in it."""
     code = f"{first}\nimport sys; from gtau.cli import main; sys.argv[0] = 'gtau'; main()"
     command = [sys.executable, "-c", code, *arguments]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2] / "src")}
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True)
+    return subprocess.Popen(command, cwd=folder, env=environment, stdout=stdout, stderr=subprocess.PIPE, text=True)
 
 
 def test_as_a_program(here: Path) -> None:
@@ -612,6 +612,35 @@ def test_interrupted_while_importing(here: Path) -> None:
     sentence = "gtau: interrupted; unfinished files were not written.\n"
     assert process.communicate(timeout=60) == ("", sentence)
     assert process.returncode == 130
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+@pytest.mark.parametrize("command", [["--help"], ["robot", "five-bar"], ["robot", "five-bar", "--json"]])
+def test_a_full_disk_under_what_is_printed(tmp_path: Path, command: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        process = start(tmp_path, *command, stdout=full)
+        _, said = process.communicate(timeout=60)
+    assert said == "gtau: the output cannot be written (No space left on device); free some space.\n"
+    assert process.returncode == 2
+
+
+def test_an_output_folder_with_a_name_that_is_too_long(here: Path) -> None:
+    result = run("identify", "experiment.yaml", "--out", 300 * "x")
+    assert result.exit_code == 2
+    assert "x cannot be the output folder (File name too long); choose another one." in result.stderr
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_logs_that_are_no_files(here: Path, kind: str) -> None:
+    (here / "free.csv").unlink()
+    if kind == "link":
+        (here / "free.csv").symlink_to("gone.csv")
+    else:
+        os.mkfifo(here / "free.csv")
+    result = run("check", "experiment.yaml")
+    assert result.exit_code == 2
+    what = "it is a link to 'gone.csv', which is not there" if kind == "link" else "is a device or a pipe"
+    assert f"there is no file 'free.csv'; {'' if kind == 'link' else 'what has this name '}{what}." in result.stderr
 
 
 def test_a_reader_that_goes_away(here: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 
@@ -53,6 +54,10 @@ def _run() -> int:
             raise KeyboardInterrupt from None
         if "GTAU_DEBUG" in os.environ:
             raise
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            where = error.filename or "the output"  # without a name it is what was printed
+            typer.echo(f"gtau: {where} cannot be written ({error.strerror}); free some space.", err=True)
+            return 2
         typer.echo(
             f"gtau: this is a bug in gtau ({type(error).__name__}: {error}); report it with the output of "
             "GTAU_DEBUG=1.",

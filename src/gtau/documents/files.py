@@ -45,7 +45,10 @@ def refuse_as_folder(path: str | Path | None) -> None:
     """
     if path is None:
         return
-    existing = next(each for each in (Path(path), *Path(path).absolute().parents) if each.exists())
+    try:
+        existing = next(each for each in (Path(path), *Path(path).absolute().parents) if each.exists())
+    except OSError as error:  # such as a name that is too long
+        raise GtauError(f"{path} cannot be the output folder ({error.strerror}); choose another one.") from None
     if not existing.is_dir():
         raise GtauError(f"{path} cannot be the output folder, as {existing.name} is a file; choose another one.")
     if not os.access(existing, os.W_OK):

@@ -14,6 +14,7 @@ import polars as pl
 
 from gtau.documents.files import write_atomically
 from gtau.fleet.gains import FleetGain, FleetTable, table_rows
+from gtau.signals.samples import counted
 
 LISTED = 20  # outliers, or robots that were refused; the others stand in the table
 
@@ -31,7 +32,7 @@ def fleet_document(table: FleetTable) -> dict[str, Any]:
 def fleet_page(table: FleetTable) -> str:
     """Print the fleet: each joint over the robots, outliers, and robots that were refused."""
     lines = [
-        f"{len(table.robots)} robots identified, {len(table.refused)} refused",
+        f"{counted(len(table.robots), 'robot')} identified, {len(table.refused)} refused",
         "",
         f"{'Drive gains over the fleet':<38}{'robots':>7}{'median':>12}{'std':>10}{'spread %':>10}   unit",
     ]

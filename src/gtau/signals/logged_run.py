@@ -133,6 +133,10 @@ def _logs_at(path: Path) -> list[Path]:
 
 
 def _close_file(path: Path) -> str:
+    if path.is_symlink():
+        return f"; it is a link to '{path.readlink()}', which is not there"
+    if path.exists():
+        return "; what has this name is a device or a pipe"
     names = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
     close = get_close_matches(path.name, names, n=1)
     if close:

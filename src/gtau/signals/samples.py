@@ -114,7 +114,7 @@ def refuse_short(source: Source, count: int) -> None:
     """Refuse a log of so few samples."""
     if count < MIN_SAMPLES:
         raise GtauError(
-            f"{source.name} has {count} samples; an identification needs a log of some seconds "
+            f"{source.name} has {counted(count, 'sample')}; an identification needs a log of some seconds "
             f"(at least {MIN_SAMPLES} samples)."
         )
 

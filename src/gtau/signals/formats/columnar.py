@@ -42,7 +42,7 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
     import polars as pl
 
     def refused(error: Exception) -> GtauError:
-        return GtauError(f"{path} is not a readable {kind} file ({str(error).splitlines()[0]}).")
+        return GtauError(f"{path} is not a readable {kind} file ({str(error).splitlines()[0]}); export the log again.")
 
     try:
         schema = scan(parts[0]).collect_schema()
