@@ -14,6 +14,7 @@ from gtau.signals.aligned import Aligned, align, seconds
 from gtau.signals.base_columns import BaseColumns
 from gtau.signals.column_units import Units
 from gtau.signals.columns import SampleRate, Signals
+from gtau.signals.dead_reckoning import DeadReckoning
 from gtau.signals.formats.table import Place
 from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Note
@@ -70,7 +71,7 @@ class Logged:
         GtauError
             Where a file cannot be read on, or two files have different lengths.
         """
-        row = rows.start
+        row, reckoning = rows.start, DeadReckoning()
         if self.aligned is not None:
             shift = self.aligned.rows.start
             rows = range(rows.start + shift, min(rows.stop + shift, self.aligned.rows.stop))
@@ -86,9 +87,9 @@ class Logged:
                 commands[np.isnan(found).all(axis=1)] = np.nan  # rows that hold other topics
                 found = np.hstack([found, commands])
             row += len(values)
-            yield np.column_stack([self._converted(found * self.scale), time])
+            yield np.column_stack([self._converted(found * self.scale, time, reckoning), time])
 
-    def _converted(self, values: np.ndarray) -> np.ndarray:
+    def _converted(self, values: np.ndarray, time: np.ndarray, reckoning: DeadReckoning) -> np.ndarray:
         """Put a floating base before the joints, from its pose and what acts on it, and wrenches about their origins.
 
         The columns (M, .) are those of positions, pose, commands and sensors, wrenches, and wrenches on the base.
@@ -100,7 +101,7 @@ class Logged:
         wrenches = at_origins(self.wrenches, pushes, base.yaw if base else 0.0)
         if base is None:
             return np.hstack([q, commands, wrenches])
-        six, forces = base.converted(pose, held)
+        six, forces = base.converted(base.placed(pose, time, reckoning), held)
         return np.hstack([six, q, forces, commands, wrenches])
 
 

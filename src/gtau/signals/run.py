@@ -161,6 +161,8 @@ def read_run(
         wrenches=tuple(each.frame for each in signals.wrenches),
         calibration=signals.calibration,
     )
+    if signals.base is not None and signals.base.accelerometer is not None:
+        return _from(None, run)  # an integral from the beginning on, which no part of the log gives
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
 
 
