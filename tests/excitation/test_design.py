@@ -294,6 +294,31 @@ def test_design_files_that_cannot_be_are_refused(tmp_path: Path, old: str, new: 
         read_design(write(tmp_path, DESIGN.replace(old, new)))
 
 
+def test_what_a_design_prints_fits_a_terminal() -> None:
+    joints = [f"{part}_joint" for part in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
+    parameter = {"value": 1e-4, "std": 1.23456e-3, "rel_std": 1234.5, "assumed": False}
+    document = {
+        "robot": "an arm with a long name",
+        "runs": ["none", "a payload with a long name"],
+        "duration": 20.0,
+        "criterion": "gains",
+        "motions": "one",
+        "gains": [parameter | {"name": joint, "unit": "N m/A"} for joint in joints],
+        "parameters": [parameter | {"name": f"xx_{joint}R", "unit": "N m s/rad"} for joint in joints],
+        "limits": [
+            {"used": 0.999, "limit": f"distance of '{joint}' from '{joints[0]}' and the floor"} for joint in joints
+        ],
+        "cut_short": False,
+        "weak": [{"name": f"xx_{joint}", "rel_std": 2e3, "advice": "no motion helps"} for joint in joints],
+        "without_effect": [f"xx_{joint}" for joint in joints],
+        "payload_masses": [],
+        "assumed": [f"velocity limit of '{joint}'" for joint in joints],
+    }
+    lines = design_page(document).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("xx_elbow_joint (> 1000 %)" in line for line in lines)  # no number apart from its unit
+
+
 def test_the_table_of_other_payloads_fits_a_terminal() -> None:
     joints = [f"{part}_joint" for part in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
     gains = [{"name": joint, "rel_std": 1.25} for joint in joints]

@@ -76,6 +76,19 @@ def test_results_are_those_without(runs: list[Run], tmp_path: Path) -> None:
         assert np.array_equal(other.covariance, found[0].covariance)
 
 
+def test_without_a_home_nothing_is_cached(parts: list[Shard], monkeypatch: pytest.MonkeyPatch) -> None:
+    def none() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("GTAU_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", none)
+    folder = cache_folder()
+    found = list(caching_map(serial_map, folder, worth=0)(reduce_shard, parts))
+    assert len(found) == len(parts)
+    assert not folder.exists()
+
+
 def test_of_an_interrupted_job_the_finished_parts_stay(parts: list[Shard], tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         mapped(Counted(stop_before=4), parts, tmp_path)

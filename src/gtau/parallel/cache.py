@@ -33,11 +33,15 @@ def cache_folder() -> Path:
     """Return the folder of the cache: ``GTAU_CACHE``, or the platform's place for caches."""
     if chosen := os.environ.get("GTAU_CACHE"):
         return Path(chosen)
+    try:
+        home = Path.home()
+    except RuntimeError:  # a user without one, as in a container: nothing can be written there, and nothing is cached
+        home = Path(os.devnull)
     if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "gtau" / "cache"
+        return Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local")) / "gtau" / "cache"
     if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "gtau"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gtau"
+        return home / "Library" / "Caches" / "gtau"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "gtau"
 
 
 def caching_map(shard_map: ShardMap, folder: Path, worth: int = WORTH, largest: int = LARGEST) -> ShardMap:

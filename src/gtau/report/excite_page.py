@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 CURVES = ("position", "velocity", "acceleration")
 DIGITS = 9
+WIDTH = 80
 MOST = 1000  # %, of an assumed value, that are worth printing
 CASES = 5  # payloads beside each other in a table
 
@@ -163,7 +164,7 @@ def design_page(document: dict[str, Any]) -> str:
         own = ", ".join(f"{run} (run {k})" for k, run in enumerate(runs, 1))
         first = f"{len(runs)} motions, the longest {what}, one for each run: {own}"
     lines = [
-        f"{document['robot']}: {first}; standard deviations to expect:",
+        *textwrap.wrap(f"{document['robot']}: {first}; standard deviations to expect:", WIDTH),
         "",
         f"  {'drive gain':<26}{'value':>11}{'std':>11}{'%':>9}   unit",
     ]
@@ -173,7 +174,9 @@ def design_page(document: dict[str, Any]) -> str:
     if any(_meaningless(each) for each in document["parameters"]):
         lines += ["", f"  -: of zero, or more than {MOST} % of a value that is only assumed"]
     lines += ["", "  most used limits:"]
-    lines += [f"    {100 * each['used']:5.1f} %  {each['limit']}" for each in document["limits"][:6]]
+    for each in document["limits"][:6]:
+        words = f"{100 * each['used']:5.1f} %  {each['limit']}"
+        lines += textwrap.wrap(words, WIDTH, initial_indent="    ", subsequent_indent=" " * 13)
     if document["cut_short"]:
         lines += ["", "  the search was cut short; a longer one may find a better motion"]
     if document["weak"]:
@@ -198,11 +201,12 @@ def design_page(document: dict[str, Any]) -> str:
 
 
 def _share(relative: float | None) -> str:
-    return f"{relative:.3g}" if relative is not None and relative <= MOST else f"> {MOST}"
+    return f"{relative:.3g}" if relative is not None and relative <= MOST else f">\N{NO-BREAK SPACE}{MOST}"
 
 
 def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, 110, initial_indent="    ", subsequent_indent="        ")
+    lines = textwrap.wrap(text, WIDTH, initial_indent="    ", subsequent_indent="      ", break_on_hyphens=False)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def _payload_table(document: dict[str, Any]) -> list[str]:

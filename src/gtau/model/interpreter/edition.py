@@ -12,9 +12,12 @@ def is_compiled() -> bool:
     """Return whether this edition's interpreter has been compiled on this machine before; imports nothing heavy."""
     pattern = f"*.interpret_{EDITION}-*.nbi"  # the last function that is compiled
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
-    if elsewhere:
-        return any(Path(elsewhere).rglob(pattern))
-    return any((_HERE / "__pycache__").glob(pattern)) or any(_own_cache().rglob(pattern))
+    try:
+        if elsewhere:
+            return any(Path(elsewhere).rglob(pattern))
+        return any((_HERE / "__pycache__").glob(pattern)) or any(_own_cache().rglob(pattern))
+    except (OSError, RuntimeError):  # the home is another user's, or there is none
+        return False
 
 
 def _own_cache() -> Path:
