@@ -41,9 +41,9 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
 
     Hinges and slides are joints; a ball becomes three revolute ones, about x, y and z, with massless links in between,
     and a free body that closures hold a platform. Bodies without joints become part of those that carry them.
-    The equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings; a joint with an actuator
-    is actuated, and where there are no actuators, every joint that is not coupled. Joints that a fixed tendon pulls
-    are held. A joint with a stiffness has a spring; so do the bodies of two sites with a tendon straight between them.
+    The equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, and so do narrow limits
+    of fixed tendons; a joint with an actuator is actuated, and where there are no actuators, every joint that is not
+    coupled. Joints that a fixed tendon pulls are held. A joint with a stiffness has a spring; so do the bodies of two sites with a tendon straight between them.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
 def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     qpos, home_given, notes = _home(file)
     bodies = read_bodies(file.model, qpos, base)
-    ties = read_ties(file, bodies.carried)
+    ties = read_ties(file, bodies.carried, {joint.name: joint.kind for joint in bodies.joints})
     motors = read_motors(file, bodies.joints)
     joints = (*bodies.joints, *motors.shafts)
     couplings = (*ties.couplings, *motors.couplings)
@@ -94,7 +94,14 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         couplings,
         _gravity(file.model),
         path.name,
-        (*notes, *bodies.notes, *_left_out(loose), *motors.notes, *_simulated_alone(file, bodies.floating)),
+        (
+            *notes,
+            *bodies.notes,
+            *_left_out(loose),
+            *ties.notes,
+            *motors.notes,
+            *_simulated_alone(file, bodies.floating),
+        ),
         floating=bodies.floating,
         home_given=home_given,
         springs=tuple(springs),

@@ -66,6 +66,15 @@ class TiedTendons:
 
 
 @dataclass(frozen=True)
+class LimitedTendon:
+    """A tendon, and the limits that its length stays within."""
+
+    name: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class SiteSpring:
     """A tendon straight from one site to another that is a spring or a damper, and which parameters it has."""
 
@@ -89,6 +98,7 @@ class MjcfFile:
         Name, transmission, target and gear of each.
     tied_tendons : list of TiedTendons
         Active equalities between tendons.
+    limited_tendons : list of LimitedTendon
     springs : list of SiteSpring
     notes : list of str
         What was left out.
@@ -99,6 +109,7 @@ class MjcfFile:
     keys: dict[str, np.ndarray]
     actuators: list[tuple[str, mujoco.mjtTrn, str, float]]
     tied_tendons: list[TiedTendons]
+    limited_tendons: list[LimitedTendon]
     springs: list[SiteSpring]
     notes: list[str]
 
@@ -158,6 +169,15 @@ def _springs(
     return springs, notes
 
 
+def _is_limited(spec: mujoco.MjSpec, tendon: mujoco.MjsTendon) -> bool:
+    import mujoco
+
+    kind = mujoco.mjtLimited(int(tendon.limited))
+    if kind == mujoco.mjtLimited.mjLIMITED_AUTO:
+        return bool(spec.compiler.autolimits and np.any(tendon.range))
+    return kind == mujoco.mjtLimited.mjLIMITED_TRUE
+
+
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``.
 
@@ -195,6 +215,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
             else:
                 continue
             spec.delete(each)
+        limits = [LimitedTendon(each.name, *map(float, each.range)) for each in spec.tendons if _is_limited(spec, each)]
         tied = {name for each in spec.equalities for name in (each.name1, each.name2)}
         tied |= {site for each in springs for site in each.sites}
         for kind in DELETED:
@@ -208,7 +229,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         for body in spec.bodies[1:]:
             body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
             body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
-        return MjcfFile(spec.compile(), elements, keys, actuators, lengths, springs, notes)
+        return MjcfFile(spec.compile(), elements, keys, actuators, lengths, limits, springs, notes)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import compose, pose_of
+from gtau.robots.parts import listed
 from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons
 from gtau.robots.readers.mjcf_model import name_in, pose_in
 from gtau.robots.readers.xml_document import numbers
@@ -19,17 +21,24 @@ if TYPE_CHECKING:
     import mujoco
 
 
+PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
+"""The most that the limits of a tendon may leave a joint that is said to follow others."""
+
+
 @dataclass(frozen=True)
 class Ties:
-    """Closures, couplings, and the positions at which an equality holds joints."""
+    """Closures, couplings, the positions at which an equality holds joints, and notes."""
 
     closures: tuple[Closure, ...]
     couplings: tuple[Coupling, ...]
     held: dict[str, float]
+    notes: tuple[str, ...]
 
 
-def read_ties(file: MjcfFile, carried: Mapping[int, Attachment]) -> Ties:
-    """Read the active equalities; ``carried`` says where the frames of the bodies are.
+def read_ties(file: MjcfFile, carried: Mapping[int, Attachment], kinds: Mapping[str, str]) -> Ties:
+    """Read the active equalities, and tendons with limits as narrow; ``carried`` places the frames of the bodies.
+
+    Kinds of joints are given by their names.
 
     Raises
     ------
@@ -44,7 +53,11 @@ def read_ties(file: MjcfFile, carried: Mapping[int, Attachment]) -> Ties:
             couplings.append(coupling)
         else:
             held[coupling.joint] = coupling.offset
-    return Ties(tuple(closures), tuple(couplings), held)
+    notes = []
+    for coupling, note in _within_limits(file, tendons, kinds, {each.joint for each in couplings} | held.keys()):
+        couplings.append(coupling)
+        notes.append(note)
+    return Ties(tuple(closures), tuple(couplings), held, tuple(notes))
 
 
 def _equalities(
@@ -132,6 +145,35 @@ def _tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, f
     for name, coefficient in tendons.get(tied.other, {}).items():
         terms[name] = terms.get(name, 0.0) - factor * coefficient
     zeros = {name: float(model.qpos0[int(model.joint(name).qposadr[0])]) for name in terms}
-    offset = constant + sum(value * zeros[name] for name, value in terms.items())
-    (first, own), *rest = [(name, value) for name, value in terms.items() if value]
-    return Coupling(first, tuple((name, -value / own) for name, value in rest), offset / own)
+    length = constant + sum(value * zeros[name] for name, value in terms.items())
+    return _solved(terms, next(name for name, value in terms.items() if value), length)
+
+
+def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
+    """Make the coupling that gives a joint from the others whose sum, each by its factor, is a length."""
+    own = terms[joint]
+    ratios = tuple((name, -value / own) for name, value in terms.items() if value and name != joint)
+    return Coupling(joint, ratios, length / own)
+
+
+def _within_limits(
+    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], kinds: Mapping[str, str], tied: AbstractSet[str]
+) -> Iterator[tuple[Coupling, str]]:
+    """Couple joints without a motor that a fixed tendon lets move only a little against its others, as gears do."""
+    targets = {target for _, _, target, _ in file.actuators}
+    known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
+    for limits in file.limited_tendons if targets else ():
+        terms = {name: value for name, value in tendons.get(limits.name, {}).items() if value}
+        if len(terms) < 2:
+            continue
+        for joint in [name for name in terms if name in kinds and name not in known]:
+            play, (most, unit) = (limits.high - limits.low) / abs(terms[joint]), PLAY[kinds[joint]]
+            if play <= most:
+                known |= {joint}
+                coupling = _solved(terms, joint, (limits.low + limits.high) / 2)
+                yield (
+                    coupling,
+                    f"'{joint}' follows {listed([name for name, _ in coupling.ratios])} within the limits of tendon "
+                    f"'{limits.name}'; the play of {play:g} {unit} is not modelled",
+                )
+                break
