@@ -43,7 +43,8 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     and a free body that closures hold a platform. Bodies without joints become part of those that carry them.
     The equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, and so do narrow limits
     of fixed tendons; a joint with an actuator is actuated, and where there are no actuators, every joint that is not
-    coupled. Joints that a fixed tendon pulls are held. A joint with a stiffness has a spring; so do the bodies of two sites with a tendon straight between them.
+    coupled. Joints that a fixed tendon pulls are held. A joint with a stiffness has a spring; so do the bodies of two
+    sites with a tendon straight between them.
 
     Parameters
     ----------
