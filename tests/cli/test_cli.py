@@ -624,6 +624,13 @@ def test_a_full_disk_under_what_is_printed(tmp_path: Path, command: list[str]) -
     assert process.returncode == 2
 
 
+@pytest.mark.parametrize(("option", "value"), [("--seed", "-5"), ("--starts", "0")])
+def test_numbers_of_a_search_are_not_negative(option: str, value: str, tmp_path: Path) -> None:
+    result = run("excite", "design.yaml", "--out", str(tmp_path), option, value)
+    assert result.exit_code == 2
+    assert option in result.stderr
+
+
 def test_an_output_folder_with_a_name_that_is_too_long(here: Path) -> None:
     result = run("identify", "experiment.yaml", "--out", 300 * "x")
     assert result.exit_code == 2

@@ -204,6 +204,7 @@ def test_a_fleet_file(cells: Path, tmp_path: Path) -> None:
         ("experiment: one.yaml", "give 'experiments', one file for each robot; or 'experiment' and 'folders'"),
         ("experiment: one.yaml\nfolders: fleet.yaml", "'folders' matches no folder"),
         ("experiments: a.yaml\nexperimens: b.yaml", "unknown key 'experimens'; did you mean"),
+        ("robts: a.yaml", "unknown key 'robts'; choose from experiment"),
         ("experiments: []", "0 values are written; write at least 1"),
     ],
 )

@@ -301,6 +301,8 @@ def fourier(frequency: float, amplitude: float) -> dict:
     ("changes", "sentence"),
     [
         ({"drives": {"11": {"gain": 1.0}}}, "drives: joint '12' is missing; the actuated joints"),
+        ({"drives": {"11": {"gain": 0}}}, "a drive with a gain of 0 gives no torque"),
+        ({"seed": -1}, "-1 is out of range"),
         ({"parameters": {"m_99": 1.0}}, "has no standard parameter 'm_99'"),
         ({"rate": 100}, "bandwidth of 100 rad/s cannot be had at a rate of 100 Hz; write at most 20"),
         ({"runs": [RUN, RUN]}, "two runs are called 'a'"),

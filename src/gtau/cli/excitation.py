@@ -38,7 +38,7 @@ def excite(
     starts: Annotated[
         int, typer.Option(metavar="N", min=1, help="Number of searches, each from the best of some random motions.")
     ] = 2,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random motions.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the random motions.")] = 0,
     json_: Json = False,
 ) -> None:
     """Design the motion that is most informative about the drive gains, and predict their standard deviations.

@@ -116,7 +116,8 @@ def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
     found = [each for path in paths for each in _matches(Path(path))]
     if len(found) == 1:
         document = read_yaml(found[0])
-        if not document.data.keys().isdisjoint(FleetFile.model_fields):
+        keys = document.data.keys()
+        if not keys.isdisjoint(FleetFile.model_fields) or keys.isdisjoint(Experiment.model_fields):
             fleet, folder = validate(FleetFile, document), found[0].parent
             if fleet.experiment is not None:
                 folders = [each for path in fleet.folders or () for each in _matches(folder / path) if each.is_dir()]

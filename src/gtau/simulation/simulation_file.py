@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from gtau.documents.keys import Keys, Positive
 from gtau.documents.kinds import SIMULATION, refuse_other_kind
@@ -24,10 +24,16 @@ NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 PerJoint = dict[str, FiniteFloat]
 
 
+def _not_zero(gain: float) -> float:
+    if gain == 0:
+        raise ValueError("a drive with a gain of 0 gives no torque; write its N m/A (or N/A)")
+    return gain
+
+
 class JointHardware(Keys):
     """Drive and sensors of a joint; see :class:`gtau.simulation.drive.Drive` and ``Sensors``."""
 
-    gain: FiniteFloat
+    gain: Annotated[FiniteFloat, AfterValidator(_not_zero)]
     current_limit: Positive | None = None
     ripple: NotNegative = 0.0
     ripple_period: Positive = 1.0
@@ -51,7 +57,7 @@ class JointHardware(Keys):
 class RandomMotion(Keys):
     """A random trajectory within a share of the joints' limits."""
 
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     duration: Annotated[FiniteFloat, Field(ge=3, le=3600)] = 20.0
     share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
 
@@ -153,7 +159,7 @@ class Simulation(Keys):
     friction_width: Friction = Friction()
     rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0
     bandwidth: Positive = BANDWIDTH
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     prior_gains: PerJoint = Field(default_factory=dict)
     runs: tuple[SimulatedRun, ...] = Field(min_length=1)
     validation: tuple[SimulatedRun, ...] = ()
