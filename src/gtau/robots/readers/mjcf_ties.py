@@ -164,7 +164,7 @@ def _within_limits(
     known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
     for limits in file.limited_tendons if targets else ():
         terms = {name: value for name, value in tendons.get(limits.name, {}).items() if value}
-        if len(terms) < 2:
+        if not limits.name or len(terms) < 2:
             continue
         for joint in [name for name in terms if name in kinds and name not in known]:
             play, (most, unit) = (limits.high - limits.low) / abs(terms[joint]), PLAY[kinds[joint]]
