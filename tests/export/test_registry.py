@@ -37,6 +37,16 @@ def test_the_command_writes_and_says_so(model: Path, tmp_path: Path) -> None:
     assert all(Path(file).is_file() for file in document["files"])
 
 
+def test_notes_of_an_export_fit_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    model_of(load_robot("five-bar"), consistent=True).save(Path("model.json"))
+    for kind in ("mjcf", "urdf", "orders"):
+        done = CliRunner().invoke(app, ["export", "model.json", "--to", kind, "--out", "out"])
+        assert done.exit_code == 0, done.output
+        assert "\n- " in done.stdout
+        assert max(map(len, done.stdout.splitlines())) <= 80
+
+
 def test_python_takes_results_and_files(model: Path, tmp_path: Path) -> None:
     one = gtau.export_model(model, "c", tmp_path / "one")
     other = gtau.export_model(gtau.Result.load(model), "c", tmp_path / "other")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Annotated
 
@@ -37,7 +38,8 @@ def export(
             print_json({"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)})
         else:
             lines = [f"written: {path}" for path in exported.files]
-            typer.echo("\n".join([*lines, *(f"- {note}" for note in exported.notes)]))
+            notes = (textwrap.fill(f"- {each}", 80, subsequent_indent="  ") for each in exported.notes)
+            typer.echo("\n".join([*lines, *notes]))
 
 
 def use(
