@@ -40,11 +40,11 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-def logs(encoder_noise: float = 0.0) -> list[Run]:
+def logs(encoder_noise: float = 0.0, seconds: float = 8.0) -> list[Run]:
     plant, rng = Plant(noise=0.01), np.random.default_rng(5)
     runs = [
-        plant.run("free", 8.0, seed=1),
-        replace(plant.run("loaded", 8.0, STEEL, seed=2), payload=Payload(name="steel", mass=STEEL["m"])),
+        plant.run("free", seconds, seed=1),
+        replace(plant.run("loaded", seconds, STEEL, seed=2), payload=Payload(name="steel", mass=STEEL["m"])),
     ]
     return [replace(run, position=run.position + encoder_noise * rng.normal(size=run.position.shape)) for run in runs]
 
@@ -56,7 +56,12 @@ def fit_of(runs: list[Run], preparation: Preparation | None = None) -> Fit:
 
 @pytest.fixture(scope="module")
 def noisy() -> Fit:
-    return fit_of(logs(4e-4), NOISY)
+    """Runs of 24 s, where the bias is more than chance: of the left gain 5.6 %, 2.6 standard deviations.
+
+    After 8 s it is one, so that the share of it which one step undoes is chance too (50 to 97 % over three seeds; after
+    24 s 75 to 99 %).
+    """
+    return fit_of(logs(4e-4, 24.0), NOISY)
 
 
 def of(fit: Fit, name: str) -> Difference:
@@ -68,8 +73,8 @@ def test_instruments_undo_what_noise_of_the_encoders_does(noisy: Fit) -> None:
     fv_left = noisy.system.problem.parameters.index("fv_left")
     for k, truth in ((fv_left, CHI["fv_left"]), (n_theta, GAINS[0])):
         bias = noisy.solution.stacked[k] - truth
-        assert abs(bias) > 0.03 * truth
-        assert abs(bias + found.moves[k]) < 0.5 * abs(bias)
+        assert abs(bias) > 0.04 * truth
+        assert abs(bias + found.moves[k]) < 0.35 * abs(bias)
 
 
 def test_the_summary_names_the_noise_and_the_intervals_allow_for_it(noisy: Fit) -> None:
@@ -93,11 +98,13 @@ def test_nothing_is_said_of_clean_logs() -> None:
 
 
 def test_one_step_is_what_another_preparation_gives() -> None:
+    """On runs of 24 s, of which the windows lose little at their ends (correlation 0.98; 0.79 on runs of 8 s)."""
+
     def sticking(run: Run) -> Run:
         speed = np.gradient(run.position, run.time, axis=0)
         return replace(run, command=run.command + 1.0 * np.sign(speed) * np.exp(-np.abs(speed) / 0.1) / GAINS)
 
-    runs = [sticking(run) for run in logs()]
+    runs = [sticking(run) for run in logs(seconds=24.0)]
     fit = fit_of(runs)
     found, names = of(fit, "below 10 %"), fit.system.problem.parameters
     again = fit_of(runs, replace(choose_preparation(runs), speed_fraction=0.1))
@@ -105,8 +112,7 @@ def test_one_step_is_what_another_preparation_gives() -> None:
     assert names == again.system.problem.parameters
     seen = found.std > 0
     exact, moves = (each[seen] / found.std[seen] for each in (exact, found.moves))
-    # one step, on windows that lose their ends: not the same rows
-    assert np.corrcoef(exact, moves)[0, 1] > 0.7
+    assert np.corrcoef(exact, moves)[0, 1] > 0.9
 
 
 def test_alternatives_are_listed_with_the_result() -> None:
