@@ -17,6 +17,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
+from gtau.signals.storage import rows_at
 
 LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning
 POSES = 1500  # of a run, in the path of the payload's body
@@ -167,8 +168,8 @@ def body_path(result: Result, run: Run) -> tuple[np.ndarray, np.ndarray]:
 
     model = result.model
     run = arrange(run, model.actuated)
-    step = -(-len(run.time) // POSES)
-    c = model.path(np.ascontiguousarray(run.position[::step].T))
+    shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
+    c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))
     symbol = ca.SX.sym("c", model.layout.n_c)
     place = ca.Function("p", [symbol], [frames(model.layout, symbol)[result.robot.tool].p_0])
-    return np.asarray(run.time[::step] - run.time[0]), np.asarray(place(c)).T
+    return rows_at(run.time, shown) - run.time[0], np.asarray(place(c)).T

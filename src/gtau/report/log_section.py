@@ -12,8 +12,12 @@ from gtau.report.html.elements import Cell, Column, escape, number, paragraph, t
 from gtau.report.style import joint_label
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
+from gtau.signals.sizes import sizes
+from gtau.signals.storage import block, spans
 
 SPECTRAL_POINTS = 220
+SEGMENT = 2048  # samples of a segment of Welch's method, at most
+FEWEST = 64  # samples of a signal that has a spectrum
 
 
 def logs_section(runs: Sequence[Run], robot: Robot, bandwidth: float, cutoff: float | None) -> Section | None:
@@ -26,7 +30,7 @@ def logs_section(runs: Sequence[Run], robot: Robot, bandwidth: float, cutoff: fl
             number(float(len(run.time)), 8),
             number(run.rate, 5),
             number(float(run.time[-1] - run.time[0]), 4),
-            Cell(f"{100 * float(1 - np.mean(run.valid)):.2g}", True),
+            Cell(f"{100 * (1 - _valid_share(run)):.2g}", True),
             text("; ".join(clock_notes(run)) or "uniform clock, no repairs"),
         ]
         for run in runs
@@ -61,19 +65,44 @@ def clock_notes(run: Run) -> list[str]:
     return list(map(str, run.notes))
 
 
+def _valid_share(run: Run) -> float:
+    return float(np.sum([np.sum(block(run.valid, *span)) for span in spans(len(run.valid))])) / run.valid.size
+
+
+def _density(run: Run, j: int, speed: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    """Compute frequencies, Hz, and the power spectral density of a joint by Welch's method, block by block.
+
+    None where the signal is constant, or too short.
+    """
+    from scipy.signal import welch
+
+    whole, samples = run.position if speed else run.command, len(run.time)
+    if samples < FEWEST:
+        return None
+    size = min(SEGMENT, samples // 4)
+    step, segments = size - size // 2, 1 + (samples - size) // (size - size // 2)
+    total, low, high, frequency = np.zeros(size // 2 + 1), np.inf, -np.inf, np.zeros(0)
+    for first, last in spans(segments, max(sizes().block // step, 1)):
+        begin, end = first * step, (last - 1) * step + size
+        around = slice(max(begin - 1, 0), min(end + 1, samples))  # for the differences at the ends of the block
+        values = np.asarray(block(whole, around.start, around.stop)[:, j], dtype=float)
+        if speed:
+            values = np.gradient(values, 1 / run.rate)
+        values = values[begin - around.start : end - around.start]
+        low, high = min(low, float(values.min())), max(high, float(values.max()))
+        frequency, density = welch(values, run.rate, nperseg=size)
+        total += (last - first) / segments * density
+    return (frequency, total) if high > low else None
+
+
 def _log_spectrum(
     run: Run, j: int, title: str, unit: str, edges: Sequence[tuple[str, float]], speed: bool = False
 ) -> str | None:
-    from scipy.signal import welch
-
-    values = np.asarray(run.position[:, j] if speed else run.command[:, j], dtype=float)
-    if speed:
-        values = np.gradient(values, 1 / run.rate)
-    if len(values) < 64 or not np.ptp(values):
+    found = _density(run, j, speed)
+    if found is None:
         return None
-    frequency, density = welch(values, run.rate, nperseg=min(2048, len(values) // 4))
-    amplitude = np.sqrt(density[1:])
-    frequency = frequency[1:]
+    frequency, density = (each[1:] for each in found)
+    amplitude = np.sqrt(density)
     at = np.unique(np.geomspace(1, len(frequency), SPECTRAL_POINTS).astype(int) - 1)
     amplitude, frequency = amplitude[at], frequency[at]
     if not (amplitude > 0).any():
