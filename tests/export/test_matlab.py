@@ -17,7 +17,7 @@ from gtau.export.matlab import export
 from gtau.robots.robot import Robot
 
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
-pytestmark = pytest.mark.skipif(OCTAVE is None, reason="GNU Octave is not installed")
+pytestmark = pytest.mark.skipif(OCTAVE is None, reason="GNU Octave is not installed (Debian: apt install octave)")
 QUICK = ("sprung", "ur10e", "five-bar", "slider-crank")
 
 
