@@ -93,6 +93,39 @@ def test_counts_of_a_wam(tmp_path: Path) -> None:
     assert base_parameters(model).count == 69
 
 
+def walkman(folder: Path) -> Path:
+    """The 29 joints of WALK-MAN, as FloBaRoID moves them: its neck is fixed; a side is 1 for the left and -1."""
+    rows = [("lat", "ground", "0.1115, 0, 0.195982", 0.0, "0.89879991307, 0, 0.43835911792"),
+            ("sag", "lat", "0, 0, 0", 0.0, "0, 1, 0"), ("yaw", "sag", "0, 0, 0.22275", 0.0, "0, 0, 1")]  # fmt: skip
+    for side, s in (("l", 1), ("r", -1)):
+        leg = [(f"0.1059, {0.06 * s}, 0", "1, 0, 0"), (f"-0.0889, {0.121032 * s}, -0.217872", "0, 0, 1"),
+               ("0, 0, 0", "0, 1, 0"), ("0, 0, -0.356", "0, 1, 0"), ("0, 0, -0.4", "0, 1, 0"),
+               ("0, 0, 0", "1, 0, 0")]  # fmt: skip
+        arm = [(f"0.045646, {0.219164 * s}, 0.001531", f"0, 0.743144825, {0.669130606 * s}"),
+               (f"0, {0.116568264 * s}, 0.03364", "1, 0, 0"), ("0, 0, -0.222", "0, 0, 1"),
+               ("0.036, 0, -0.15", "0, 1, 0"), ("-0.075, 0, -0.1955", "0, 0, 1"), ("0, 0, 0", "0, 1, 0"),
+               ("0, 0, -0.092", "1, 0, 0")]  # fmt: skip
+        for limb, first, links in (("leg", "ground", leg), ("arm", "yaw", arm)):
+            turned = -0.3491 * s if limb == "arm" else 0.0
+            for k, (xyz, axis) in enumerate(links):
+                before = f"{side}_{limb}{k - 1}" if k else first
+                rows.append((f"{side}_{limb}{k}", before, xyz, 0.0 if k else turned, axis))
+    joints = "".join(
+        f"  {name}: {{antecedent: {before}, xyz: [{xyz}], rpy: [0, 0, {turn}], axis: [{axis}], type: revolute}}\n"
+        for name, before, xyz, turn, axis in rows
+    )
+    path = folder / "walkman.yaml"
+    path.write_text(f"robot: walkman\njoints:\n{joints}")
+    return path
+
+
+def test_count_of_a_floating_humanoid(tmp_path: Path) -> None:
+    """FloBaRoID finds 213 directions for WALK-MAN hung up, from joint torques and the wrench on its base."""
+    robot = load_robot(walkman(tmp_path), base="floating")
+    assert len(robot.joints) == 6 + 29
+    assert base_parameters(InverseDynamics(robot, "inertial")).count == 213
+
+
 @pytest.mark.parametrize(("name", "count"), [("puma560", 36), ("ur10e", 36)])
 def test_a_base_that_floats_adds_sixteen(name: str, count: int) -> None:
     """A vertical first axis sees one parameter of its link; each joint of a free body seven: 10 + 7 n."""
