@@ -41,6 +41,10 @@ class Decimator:
     factor: int
     kind: Literal["fir", "chebyshev"] = "fir"
 
+    def cutoff(self, rate: float) -> float:
+        """Compute the cut-off of the low-pass, Hz, for a log sampled at ``rate`` (Hz)."""
+        return PASSED / 2 * rate / self.factor if self.factor > 1 else rate / 2
+
     @property
     def support(self) -> int:
         """Samples to either side of an output that a log must have."""

@@ -39,8 +39,8 @@ def ml(problem: Problem) -> Solution:
     Raises
     ------
     GtauError
-        Where the iteration does not converge though the model explains the currents. (Where it does not explain them,
-        the verdicts say so.)
+        Where the iteration does not converge though the model explains the currents (where it does not explain them,
+        the verdicts say so), or as nothing but known parameters that hardly act gives the scale.
     """
     first = two_stage(problem)
     start = Iterate(first.theta, 1 / first.gains, first.delays)
@@ -49,7 +49,7 @@ def ml(problem: Problem) -> Solution:
         return 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
 
     solution = solve(problem, start, weights, True)
-    if not solution.settled and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
+    if not solution.settled:
         loaded = bool(problem.blocks[..., problem.n_theta].any())
         alone = len(problem.known) and not (loaded or problem.sensors or problem.driveless or problem.pushed)
         if alone and (share := own_share(problem)) < HIDDEN_KNOWN:
@@ -59,6 +59,7 @@ def ml(problem: Problem) -> Solution:
                 "these motions; give priors of those too (friction and offsets among them), log faster motions, add a "
                 "payload or torque sensors, or use --method wls with prior_gains."
             )
+    if not solution.settled and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
         scale = "a heavier payload" if loaded else "a payload, torque sensors or more known parameters"
         if problem.pushed:  # what a body that is always carried does to its sensor is what its own inertia would do
             scale = f"one in which another wrench acts on {', '.join(problem.pushed)} (without the tool, say)"
