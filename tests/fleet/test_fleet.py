@@ -100,7 +100,7 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
     assert "there is no file" in reports[2].sentence
     page = fleet_page(fleet_table(reports))
     assert "2 robots identified, 1 refused" in page
-    assert f"bad: {bad}, line 5, runs.1.log: there is no file" in page
+    assert f"bad: {bad}, line 5, runs.1.log: there is no file" in " ".join(page.split())
     assert "too few robots to find outliers" in page
 
     def broken(*_: object, **__: object) -> None:

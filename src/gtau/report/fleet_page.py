@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,6 +17,7 @@ from gtau.documents.files import write_atomically
 from gtau.fleet.gains import FleetGain, FleetTable, table_rows
 from gtau.signals.samples import counted
 
+WIDTH = 80
 LISTED = 20  # outliers, or robots that were refused; the others stand in the table
 
 
@@ -34,24 +36,30 @@ def fleet_page(table: FleetTable) -> str:
     lines = [
         f"{counted(len(table.robots), 'robot')} identified, {len(table.refused)} refused",
         "",
-        f"{'Drive gains over the fleet':<38}{'robots':>7}{'median':>12}{'std':>10}{'spread %':>10}   unit",
+        f"{'Drive gains over the fleet':<32}{'robots':>7}{'median':>12}{'std':>10}{'spread %':>10}   unit",
     ]
     lines += [
-        f"  {f'{each.model} {each.joint}':<36}{each.robots:>7}{each.median:>12.5g}{each.median_std:>10.2g}"
+        f"  {f'{each.model} {each.joint}':<30}{each.robots:>7}{each.median:>12.5g}{each.median_std:>10.2g}"
         f"{100 * each.spread / abs(each.median):>10.2f}   {each.unit}"
         for each in table.joints
     ]
     outliers = table.outliers
-    lines += ["", f"{'Outliers':<38}{'gain':>12}{'std':>10}{'off %':>9}{'z':>8}{'limit':>8}"]
+    lines += ["", f"{'Outliers':<32}{'gain':>12}{'std':>10}{'off %':>9}{'z':>8}{'limit':>8}"]
     lines += [
-        f"  {f'{g.robot} {g.joint}':<36}{g.gain:>12.5g}{g.std:>10.2g}{g.difference_percent:>9.2f}{g.z:>8.1f}"
+        f"  {f'{g.robot} {g.joint}':<30}{g.gain:>12.5g}{g.std:>10.2g}{g.difference_percent:>9.2f}{g.z:>8.1f}"
         f"{g.limit:>8.1f}"
         for g in outliers[:LISTED]
     ] or ["  none"]
     lines += [f"  and {len(outliers) - LISTED} more"] if len(outliers) > LISTED else []
-    lines += [f"  {sentence}" for sentence in remarks(table)]
+    for sentence in remarks(table):
+        lines += textwrap.wrap(sentence, WIDTH, initial_indent="  ", subsequent_indent="  ")
     if table.refused:
-        lines += ["", "Refused", *(f"  {robot}: {why}" for robot, why in table.refused[:LISTED])]
+        lines += ["", "Refused"]
+        whole_words = textwrap.TextWrapper(
+            WIDTH, initial_indent="  ", subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
+        )
+        for robot, why in table.refused[:LISTED]:
+            lines += whole_words.wrap(f"{robot}: {why}")
         lines += [f"  and {len(table.refused) - LISTED} more"] if len(table.refused) > LISTED else []
     return "\n".join(lines)
 

@@ -84,8 +84,8 @@ def validation_page(document: dict[str, Any]) -> str:
     for run in document["runs"]:
         lines += [
             run["log"],
-            f"  {'':<22}{'away from reversals':>28}{'all samples':>19}",
-            f"  {'joint':<22}{'error':>10}{'torque':>10}{'%':>8}{'error':>11}{'%':>8}   unit, rms",
+            f"  {'':<20}{'away from reversals':>28}{'all samples':>18}",
+            f"  {'joint':<20}{'error':>10}{'torque':>10}{'%':>8}{'error':>10}{'%':>8}   unit, rms",
         ]
         lines += [_row(each) for each in run["joints"]]
         for note in run["notes"]:
@@ -97,7 +97,7 @@ def _row(each: dict[str, Any]) -> str:
     every = "-" if each["rms_all"] is None else f"{each['rms_all']:.4g}"
     relative = "-" if each["relative_all"] is None else f"{each['relative_all']:.2f}"
     return (
-        f"  {each['joint']:<22}{each['rms']:>10.4g}{each['signal']:>10.4g}{each['relative']:>8.2f}{every:>11}"
+        f"  {each['joint'][:20]:<20}{each['rms']:>10.4g}{each['signal']:>10.4g}{each['relative']:>8.2f}{every:>10}"
         f"{relative:>8}   {each['unit']}"
     )
 

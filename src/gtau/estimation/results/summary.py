@@ -28,7 +28,7 @@ NOTES = 5  # that the short summary shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
 NOT_SHOWN = 1000.0  # per cent: with a larger standard deviation the value is not shown
-ONLY_IN_SUMS = "  * known only in sums with others: the torques need it, but its own value is not identifiable"
+ONLY_IN_SUMS = "  * known only in sums with others: its own value is not identifiable"
 TYPES = {1: "serial", 2: "parallel"}
 OF_TORQUES = " (the logs hold torques, whose gain is 1)"
 
@@ -265,12 +265,14 @@ def _growth(loss: float) -> str:
 def findings_lines(notes: Sequence[Note], most: int | None = None) -> list[str]:
     """List notes by grade, the worst first, at most ``most`` of them."""
     lines: list[str] = []
+    # paths stay in one piece
+    whole_words = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
     left = len(notes) if most is None else most
     for grade, members in by_grade(same_in_several(notes)).items():
         shown, left = members[:left], max(left - len(members), 0)
         lines += [f"{grade.value.capitalize()}:"] if shown else []
         for note in shown:
-            lines += textwrap.wrap(f"- {note}", WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+            lines += whole_words.wrap(f"- {note}")
     return lines
 
 
