@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 
 PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
-"""The most that the limits of a tendon may leave a joint that is said to follow others."""
+"""The most that the limits of a tendon may leave a joint that follows others.
+
+ToddlerBot's waist has 0.06 and 0.002 rad; the Shadow hands of Gymnasium, with 0.28 rad at the fingertips, are left out.
+Of slides no file was at hand; MuJoCo's grippers have joint limits of 20 to 50 mm.
+"""
 
 
 @dataclass(frozen=True)
