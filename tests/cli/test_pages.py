@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -229,6 +230,29 @@ def test_a_figure_of_torques_is_titled_with_its_run() -> None:
     prediction = Prediction(
         ("left", "elbow_joint"), time, torques, predicted, np.ones((50, 2), dtype=bool), np.ones((50, 2), dtype=bool)
     )
-    figure = torques_figure(prediction, ["N m", "N m"], 0.0, 1.0, "loaded")
+    figure = torques_figure(prediction, ["N m", "N"], 0.0, 1.0, "loaded")
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["loaded: joint left", "", "elbow_joint", ""]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["torque, N m", "N m", "force, N", "N"]
     assert [axes.get_ylim()[1] for axes in figure.axes[1::2]] == pytest.approx([0.115, 0.0115])  # each its own
+
+
+def test_the_axis_of_a_validation_begins_with_its_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The filter takes the first rows of a run; where the figure shows them all, time begins at zero all the same."""
+    pytest.importorskip("matplotlib")
+    from gtau.estimation.results.estimate import Prediction
+    from gtau.report import validation_page
+
+    shown = []
+    monkeypatch.setattr(validation_page, "torques_figure", lambda *given: shown.append(given[2:4]))
+    monkeypatch.setattr(validation_page, "save_figure", lambda figure, path: None)
+    for last in (5.0, 60.0):
+        time, ones = 100.0 + np.linspace(0.2, last, 500), np.ones((500, 1))
+        measured = ones.copy()
+        measured[-20] = 3.0  # the largest difference
+        kept = np.ones((500, 1), dtype=bool)
+        prediction = Prediction(("left",), time, measured, ones, kept, kept)
+        run = SimpleNamespace(name="run", time=np.array([100.0, 100.2 + last]), kind="current")
+        each = SimpleNamespace(run=run, prediction=prediction, units=["N m"])
+        validation_page.write_torques([each], tmp_path)
+    assert shown[0] == (0.0, pytest.approx(5.0))
+    assert shown[1][0] > 40.0

@@ -101,7 +101,7 @@ def torques_figure(
             above, below = (figure.add_subplot(grid[3 * j + k]) for k in (0, 1))
             above.plot(time, measured[:, j], color="#B8B8B8", linewidth=3.4, label=label)
             above.plot(time, predicted[:, j], color=BLUE, linewidth=1.1, label="predicted")
-            above.set_ylabel(units[j])
+            above.set_ylabel(f"{'force' if units[j] == 'N' else 'torque'}, {units[j]}")
             above.set_title(f"{title}: {joint_label(joint)}" if j == 0 else joint_label(joint))
             below.axhline(0.0, color=GREY, linewidth=0.8)
             below.plot(time, difference[:, j], color=VERMILION, linewidth=1.0, label="residual (reversals left out)")

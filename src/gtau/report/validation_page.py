@@ -121,6 +121,10 @@ def write_torques(validations: Sequence[Validation], folder: Path) -> list[Path]
         written.append(folder / f"torques_{each.run.name}{number}.png")
         origin = float(each.run.time[0])
         start, stop = (instant - origin for instant in worst_stretch(each.prediction, SHOWN))
+        if (
+            start <= float(each.prediction.time[0]) - origin
+        ):  # the filter takes the first rows, but the axis begins at 0
+            start = 0.0
         length = float(each.run.time[-1]) - origin
         name, kind = each.run.name, each.run.kind
         figure = torques_figure(each.prediction, each.units, start, stop, name, kind, origin, length)
