@@ -51,7 +51,7 @@ def _verdict(document: dict[str, Any]) -> Section:
     weak: dict[str, list[str]] = {}
     for each in document["weak"]:
         weak.setdefault(each["advice"], []).append(f"{each['name']} ({each['rel_std']:.3g} %)")
-    sentences = [f"poorly determined (30 % or more), {', '.join(names)}: {advice}" for advice, names in weak.items()]
+    sentences = [f"poorly determined (30 % or more): {', '.join(names)}; {advice}" for advice, names in weak.items()]
     if document["without_effect"]:
         sentences.append(f"without effect on any motor, whatever the motion: {', '.join(document['without_effect'])}")
     sentences.append("these standard deviations hold for white noise; model errors add to them")

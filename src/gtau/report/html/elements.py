@@ -135,7 +135,8 @@ def paragraph(words: str, css: str = "") -> str:
 
 def verdict(grade: str, headline: str, sentences: Iterable[str]) -> str:
     """Show the verdict in words, in the colour of its grade: good, weak or bad."""
-    return f'<div class="verdict {grade}">{paragraph(headline)}{bullets(sentences)}</div>'
+    words = paragraph(headline) + bullets(sentences)
+    return f'<div class="verdict {grade}">{words.replace(" %", "&nbsp;%")}</div>'  # a number and its sign on one line
 
 
 def folded(summary: str, content: str, shown: bool = False) -> str:
