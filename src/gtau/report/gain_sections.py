@@ -43,7 +43,7 @@ def verdict_section(evidence: Evidence) -> Section:
     grade = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
     if outcomes[Outcome.CONTRADICTORY] or outcomes[Outcome.NOT_IDENTIFIABLE]:
         grade = "bad"
-    said = remarks(result)
+    said = list(map(str, remarks(result)))
     words = (headline(result), said) if grade == "good" else (counts(result), [headline(result), *said])
     shown = facts(
         {
