@@ -20,6 +20,8 @@ from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.refutation import DOMINANT
 
+EQUAL = 1e-6  # relative difference of values that rounding makes
+
 
 @dataclass(frozen=True, eq=False)
 class GainChange:
@@ -59,9 +61,9 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
     offers = [(slice(None), False)]
     (found,) = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), offers, known)
     shares = found.share.sum(axis=1)
-    worst = np.argmax(np.abs(found.t[:, :n]), axis=0)
+    worst = _first_largest(np.abs(found.t[:, :n]))
     if shares.max() > DOMINANT:  # the same runs for all joints
-        worst[:] = np.argmax(shares)
+        worst[:] = _first_largest(shares)
     T = to_gains(solution.iterate, problem.n_theta, True)
     return tuple(
         GainChange(
@@ -73,6 +75,14 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
         )
         for j, k in enumerate(worst)
     )
+
+
+def _first_largest(values: np.ndarray) -> np.ndarray:
+    """Find the first of the largest values along the first axis, whatever rounding does to equal ones.
+
+    Of two runs one is larger as significantly as the other is smaller.
+    """
+    return np.asarray(np.argmax(values >= (1 - EQUAL) * values.max(axis=0), axis=0))
 
 
 def _windows(problem: Problem, solution: Solution, members: np.ndarray) -> Iterator[LinearisedWindow]:

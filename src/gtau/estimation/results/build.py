@@ -157,7 +157,7 @@ def build_result(
             **solution.statistics,
             "reduction_loss": essential.loss,
             "lack_of_fit": findings.lack_of_fit,
-            "accuracy": diagnosis.accuracy,
+            "accuracy": float(diagnosis.accuracy),
         },
         temperatures=temperatures,
         runs=tuple(run.name for run in dataset.runs),
