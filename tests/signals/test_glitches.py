@@ -61,7 +61,7 @@ def test_missing_values_written_as_numbers_are_found(value: float, rng: np.rando
     assert note.what.startswith(
         "interpolated 2 positions of joints 'a' (1), 'b' (1) that jump and come back: the first"
     )
-    assert f"of 'a', at 1.8 s (row 901) is {value:.4g} instead of 1.998 (rad or m)" in note.what
+    assert f"of 'a' at 1.8 s (row 901), is {value:.4g} instead of 1.998 (rad or m)" in note.what
     np.testing.assert_allclose(run.position[900], expected, atol=8 * NOISE)
 
 
@@ -211,7 +211,7 @@ def test_check_shows_them_and_the_gains_stay(value: str, tmp_path: Path) -> None
     assert checked.exit_code == 0, checked.output
     shown = " ".join(checked.output.split())
     assert "interpolated 1 position of joint 'left' that jumps and comes back: at 4 s (line 2002)" in shown
-    assert f" is {value} instead of {float(row[1]):.4g} (rad or m)" in shown
+    assert f" it is {value} instead of {float(row[1]):.4g} (rad or m)" in shown
     found = identify(experiment)
     for joint, gain in zip(("left", "right"), GAINS, strict=True):
         mine, other = found.drive_gains[joint], clean.drive_gains[joint]

@@ -10,7 +10,7 @@ import numpy as np
 from gtau.signals.held import Held
 from gtau.signals.notes import Kind, Note
 from gtau.signals.quantiles import Quantiles
-from gtau.signals.samples import Samples, counted
+from gtau.signals.samples import Samples
 from gtau.signals.smoothness import REACH, WHITE, cubic_residuals
 from gtau.signals.storage import block, spans, store
 
@@ -168,14 +168,20 @@ def note_on(samples: Samples, glitches: Sequence[Glitch]) -> Note:
     """Say how many glitches there are, in which joints, and what the first looks like; ``samples`` still hold them."""
     names, first = samples.source.joints, glitches[0]
     counts = {names[j]: sum(each.joint == j for each in glitches) for j in sorted({each.joint for each in glitches})}
-    of = ", ".join(f"'{joint}'" + (f" ({count})" if len(counts) > 1 else "") for joint, count in counts.items())
     time, logged = float(samples.time[first.sample]), float(samples.position[first.sample, first.joint])
+    at = f"at {time:.9g} s ({samples.place(first.sample)})"
+    if len(glitches) == 1:
+        what = f"interpolated 1 position of joint '{names[first.joint]}' that jumps and comes back: {at} it is"
+    elif len(counts) == 1:
+        what = f"interpolated {len(glitches)} positions of joint '{names[first.joint]}' that jump and come back: "
+        what += f"the first, {at}, is"
+    else:
+        listed = ", ".join(f"'{joint}' ({count})" for joint, count in counts.items())
+        what = f"interpolated {len(glitches)} positions of joints {listed} that jump and come back: "
+        what += f"the first, of '{names[first.joint]}' {at}, is"
     return Note(
         Kind.REPAIR,
-        f"interpolated {counted(len(glitches), 'position')} of joint{'s' * (len(counts) > 1)} {of} "
-        f"that jump{'s' * (len(glitches) == 1)} and come{'s' * (len(glitches) == 1)} back: "
-        + (f"the first, of '{names[first.joint]}', " if len(counts) > 1 else "the first " if len(glitches) > 1 else "")
-        + f"at {time:.9g} s ({samples.place(first.sample)}) is {logged:.4g} instead of {first.value:.4g} (rad or m)",
+        f"{what} {logged:.4g} instead of {first.value:.4g} (rad or m)",
         "check the encoder and its cable, and how missing values are written",
         joint=names[first.joint] if len(counts) == 1 else "",
         time=time,
