@@ -18,9 +18,7 @@ from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, modelled, residuals, to_gains
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.refutation import DOMINANT
-
-EQUAL = 1e-6  # relative difference of values that rounding makes
+from gtau.estimation.thresholds.refutation import DOMINANT, TIE
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,7 @@ def _first_largest(values: np.ndarray) -> np.ndarray:
 
     Of two runs one is larger as significantly as the other is smaller.
     """
-    return np.asarray(np.argmax(values >= (1 - EQUAL) * values.max(axis=0), axis=0))
+    return np.asarray(np.argmax(values >= (1 - TIE) * values.max(axis=0), axis=0))
 
 
 def _windows(problem: Problem, solution: Solution, members: np.ndarray) -> Iterator[LinearisedWindow]:

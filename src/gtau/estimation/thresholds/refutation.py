@@ -50,6 +50,13 @@ SWAPPED = Threshold(
 SCALED = Threshold(
     0.3, "change of a current between runs that no motor makes", "0", "2 (reversed), 1000 (units)", "faults"
 )
+TIE = Threshold(
+    1e-6,
+    "relative difference of the significance of two changes, below which the first of them counts",
+    NONE,
+    "rounding (of two runs one is as much larger as the other is smaller)",
+    "two runs of a five-bar, whose order rounding had decided",
+)
 DOMINANT = Threshold(
     0.3,
     "share of the residual variance that goes with currents out of scale in some runs, from which ripple is not "
