@@ -162,6 +162,28 @@ def test_what_cannot_float(name: str, text: str, sentence: str, tmp_path: Path) 
     assert sentence in str(refused.value)
 
 
+def test_a_root_link_is_noted_as_fixed_where_nothing_says_so(tmp_path: Path) -> None:
+    """Two joints on it: it may be the trunk of a robot that walks."""
+    end = ARM.index("</robot>")
+    free = slice(ARM.index('  <joint name="free"'), ARM.index('  <joint name="a"'))
+    second = '<joint name="c" type="continuous"><parent link="bus"/><child link="wheel"/></joint><link name="wheel"/>'
+    rooted = (ARM[:end] + second + ARM[end:]).replace('<link name="world"/>', "").replace(ARM[free], "")
+    path = written(tmp_path, "arm.urdf", rooted)
+    noted = [note for note in load_robot(path).notes if "root link was taken as fixed" in note]
+    assert len(noted) == 1
+    assert noted[0].endswith("write --base floating (base: floating) if it moved")
+    for base in ("fixed", {"rpy": [0, 0, 0]}, "floating"):
+        assert "root link" not in " ".join(load_robot(path, base=base).notes)
+
+
+@pytest.mark.parametrize("angle", [90, -180.0, "90"])
+def test_a_base_turned_by_degrees_is_refused(angle: float | str, tmp_path: Path) -> None:
+    path = written(tmp_path, "arm.urdf", ARM)
+    with pytest.raises(GtauError, match=r"base\.rpy.*rad is more than a turn; write deg\(\.\.\.\) where"):
+        load_robot(path, base={"rpy": [0, angle, 0]})
+    assert load_robot(path, base={"rpy": [0, "deg(90)", 0]}).gravity == pytest.approx((9.80665, 0, 0), abs=1e-9)
+
+
 def test_the_command_shows_a_floating_base(tmp_path: Path) -> None:
     path = written(tmp_path, "arm.urdf", ARM)
     shown = CliRunner().invoke(app, ["robot", str(path), "--base", "floating"])

@@ -50,16 +50,16 @@ def base_choice(text: str | None) -> Any:
     if text is None or text in ("fixed", "floating"):
         return text
     angles, choices = (
-        [angle.strip() for angle in text.split(",")],
+        [each.strip() for each in text.split(",")],
         "write fixed, floating, or three angles in rad, such as 0,0,deg(90)",
     )
     if len(angles) != 3:
         raise GtauError(f"--base is '{text}'; {choices}.")
-    from gtau.robots.readers.expressions import evaluate
+    from gtau.robots.readers.source import angle
 
     try:
-        for angle in angles:
-            evaluate(angle)
+        for each in angles:
+            angle(each)
     except ValueError as error:
         raise GtauError(f"--base is '{text}': {error}; {choices}.") from None
     return {"rpy": angles}

@@ -45,7 +45,6 @@ def init(
     with refusals(json_):
         from gtau.documents.files import write_atomically
         from gtau.model.home import load_robot
-        from gtau.robots.floating import refuse_floating
         from gtau.signals.discovery import discover
         from gtau.signals.draft_text import UNSURE, draft_text
 
@@ -57,8 +56,11 @@ def init(
         if base is not None and robot is None:
             raise GtauError("--base places a robot; name it too (--robot ROBOT).")
         known: Robot | None = None if robot is None else load_robot(robot, base=base_choice(base))
-        if known is not None:
-            refuse_floating(known, "drafting its experiment file is")
+        if known is not None and known.floating:
+            raise GtauError(
+                f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
+                "floats is not drafted; start from docs/experiment-file.md, 'A base that floats'."
+            )
         draft = replace(discover(logs, known, robot), base=base_choice(base))
         if ask:
             draft = _answered(draft)

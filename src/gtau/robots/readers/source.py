@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, FiniteFloat, Tag
 
 from gtau.robots.readers.expressions import evaluate
+from gtau.robots.units import DEGREES_ADVICE, in_degrees
 
 FLOATING: Literal["floating"] = "floating"
 BASE_ADVICE = (
@@ -25,11 +27,21 @@ def _base(value: Any) -> Any:
     return value
 
 
-def _angle(value: Any) -> Any:
-    return evaluate(value) if isinstance(value, str) else value
+def angle(value: Any) -> Any:
+    """Evaluate an angle, rad, written as a number or an expression; refuse what looks like degrees.
+
+    Raises
+    ------
+    ValueError
+        It is no expression, or a multiple of five degrees above a turn in rad.
+    """
+    found = evaluate(value) if isinstance(value, str) else value
+    if isinstance(found, int | float) and isfinite(found) and in_degrees(found):
+        raise ValueError(f"{value} rad is more than a turn; {DEGREES_ADVICE}, such as deg({value})")
+    return found
 
 
-Angle = Annotated[FiniteFloat, BeforeValidator(_angle)]
+Angle = Annotated[FiniteFloat, BeforeValidator(angle)]
 
 
 class Base(BaseModel):

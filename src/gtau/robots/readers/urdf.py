@@ -88,8 +88,11 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     path = Path(path)
     tree = read_urdf_tree(path, {}, base)
     notes = tree.notes
-    if sum(joint.antecedent == GROUND for joint in tree.joints) > 1:
-        notes += ("the root link was taken as fixed, as a URDF does not say whether it floats",)
+    if base is None and sum(joint.antecedent == GROUND for joint in tree.joints) > 1:
+        notes += (
+            "the root link was taken as fixed, as a URDF does not say whether it floats; write --base floating "
+            "(base: floating) if it moved",
+        )
     try:
         return Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=notes)
     except GtauError as error:
