@@ -78,6 +78,24 @@ def test_an_accelerometer_stands_for_the_position(hung: Truth, tmp_path: Path) -
     assert np.array_equal(again.position[500:600], run.position[500:600])
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"ax": 1 / 9.81, "ay": 1 / 9.81, "az": 1 / 9.81}, "it seems to read in g"),
+        ({"ay": -1.0, "az": -1.0}, "it points down"),
+        ({"qw": "qx", "qx": "qy", "qy": "qz", "qz": "qw"}, "the order w, x, y, z of the quaternion"),
+    ],
+    ids=["g", "upside down", "xyzw"],
+)
+def test_an_accelerometer_that_does_not_read_gravity(change: dict, says: str, hung: Truth, tmp_path: Path) -> None:
+    columns = dict(hung.columns)
+    for name, factor in change.items():
+        columns[name] = hung.columns[factor] if isinstance(factor, str) else factor * columns[name]
+    path = experiment(tmp_path, f"{{body: trunk, {BY_GAUGE}, wrenches: [{AT_HOOK}]}}", Truth(hung.chi, columns))
+    with pytest.raises(GtauError, match=says):
+        read_run(tmp_path / "log.csv", **signals(path))
+
+
 def test_in_flight_the_weighed_mass_gives_the_scale(tmp_path: Path) -> None:
     """Nothing acts on the robot: its base equations give all parameters as multiples of its mass, which is weighed."""
     truth = simulated(5, flying=True)

@@ -135,3 +135,23 @@ def test_parts_sent_to_other_processes_give_the_same_factors(leaning: Truth, tmp
     assert np.array_equal(whole.rows, sent.rows)
     gram, parts = (np.einsum("sjpq,sjpr->jqr", R, R) for R in (whole.R, sent.R))
     assert parts == pytest.approx(gram, rel=1e-9, abs=1e-9 * np.abs(gram).max())
+
+
+@pytest.mark.parametrize(("factor", "wrong"), [(1.0, False), (1e-3, True)], ids=["N", "kN"])
+def test_the_weighed_mass_is_compared_with_the_wrenches(
+    factor: float, wrong: bool, standing: Truth, tmp_path: Path
+) -> None:
+    mass = sum(value for name, value in standing.chi.items() if name.startswith("m_"))
+    prior = f"priors: {{m_trunkR: {{value: {mass}, std: {2e-3 * mass}}}}}"
+    columns = {name: factor * each if name.startswith("s") else each for name, each in standing.columns.items()}
+    result = identify(experiment(tmp_path, f"{BASE}\n  wrenches: [{AT_SOLE}]", Truth(standing.chi, columns), prior))
+    assert wrong == ("the known parameter m_trunkR" in " ".join(map(str, result.notes)))
+    assert wrong == ({gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY})
+    assert "mass of the whole robot (m_trunkR)" in result.summary()
+
+
+def test_a_payload_on_the_sensor_counts_once(tmp_path: Path) -> None:
+    path = experiment(tmp_path, "", simulated(5, moving=False, tool=True), f"  wrenches: [{AT_SOLE}]")
+    path.write_text(path.read_text().replace("log.csv}", "log.csv, payload: {name: tool, mass: 3.0}}"))
+    with pytest.raises(GtauError, match="payload 'tool' is on '3', whose wrench is measured: the sensor feels it"):
+        identify(path)

@@ -105,6 +105,7 @@ def estimate(
         system = replace(fit.system, problem=essential.problem)
         fit = replace(fit, system=system, solution=essential.solution)
         covariance = essential.solution.covariance
-        uncertainty = replace(uncertainty, random=covariance, model=np.zeros_like(covariance))
+        nothing = np.zeros_like(covariance)
+        uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
     diagnosis = diagnose(fit, findings, uncertainty, payloads, prior_gains or {}, options.accuracy)
     return build_result(fit, estimator, findings, uncertainty, essential, diagnosis, bodies)

@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.wrench import WRENCH, WrenchFrame
+from gtau.signals.accelerometer import check_accelerometer
 from gtau.signals.checks import check
 from gtau.signals.column_units import Units, as_units
 from gtau.signals.columns import EXACT, Calibration, Signals, as_signals
@@ -162,6 +163,7 @@ def read_run(
         calibration=signals.calibration,
     )
     if signals.base is not None and signals.base.accelerometer is not None:
+        check_accelerometer(run.name, signals, run.time, run.position)
         return _from(None, run)  # an integral from the beginning on, which no part of the log gives
     return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
 

@@ -10,6 +10,7 @@ import numpy as np
 from gtau.estimation.diagnostics.delays import delay_verdicts
 from gtau.estimation.diagnostics.findings import Findings
 from gtau.estimation.diagnostics.gain_verdicts import gain_verdicts
+from gtau.estimation.diagnostics.known_checks import check_mass, contradicted, prior_notes
 from gtau.estimation.diagnostics.leg_symmetry import unlike_legs
 from gtau.estimation.diagnostics.other_estimators import noise_note
 from gtau.estimation.diagnostics.position_ripple import ripple_notes
@@ -70,12 +71,15 @@ def diagnose(
         verdicts = check_priors(verdicts, robot, fit.gains, prior_gains)
     else:
         verdicts = _given_verdicts(fit, findings)
+    wrong_priors = contradicted(fit, uncertainty.covariance, accuracy)
+    verdicts = check_mass(verdicts, fit, wrong_priors)
     verdicts = share_doubts(check_limits(verdicts, robot, torques), joints)
     delay_std = np.sqrt(np.diag(uncertainty.random))[problem.n_theta + len(problem.channels) :]
     period = 1 / min(run.rate for run in dataset.runs)
     delays = delay_verdicts(problem, solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)
     notes = (
         *unlike_legs(dataset, system, solution.theta, uncertainty.covariance),
+        *prior_notes(wrong_priors),
         *noise_note(fit, findings.alternatives),
         *ripple_notes(findings.ripple, fit),
         *_small_refutations(fit, findings, accuracy),

@@ -147,6 +147,12 @@ def _why(found: Alternative, j: int) -> str:
 def _weak(findings: Findings, uncertainty: Uncertainty, row: int, width: str, random_alone: bool) -> Verdict:
     random, model = uncertainty.random[row, row], uncertainty.model[row, row]
     why = f"its 95 % interval is +-{width} %"
+    if uncertainty.scale[row, row] > NAMED_SHARE * (random + model):
+        return Verdict(
+            Outcome.WEAK,
+            f"{why}, as what gives its scale is known no better",
+            "calibrate the sensors, or weigh the payload, more accurately",
+        )
     if model < NAMED_SHARE * (random + model):
         return Verdict(
             Outcome.WEAK,

@@ -14,14 +14,20 @@ from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariances (k, k) of (theta, gains, delays): a ``random`` part, with that of scales, and a ``model`` part.
+    """Covariances (k, k) of (theta, gains, delays): by ``scatter``, the ``scale``, and what the ``model`` may lack.
 
-    ``freedom`` (k,) are the degrees of freedom behind the random part, None for very many.
+    ``freedom`` (k,) are the degrees of freedom behind the scatter, None for very many.
     """
 
-    random: np.ndarray
+    scatter: np.ndarray
+    scale: np.ndarray
     model: np.ndarray
     freedom: np.ndarray | None
+
+    @property
+    def random(self) -> np.ndarray:
+        """The random part: scatter, and masses and calibrations that give the scale."""
+        return self.scatter + self.scale
 
     @property
     def covariance(self) -> np.ndarray:
@@ -30,11 +36,11 @@ class Uncertainty:
 
     @property
     def effective_freedom(self) -> np.ndarray | None:
-        """Degrees of freedom of both parts together (k,): the model part counts as known (Satterthwaite)."""
+        """Degrees of freedom of all parts together (k,): all but the scatter counts as known (Satterthwaite)."""
         if self.freedom is None:
             return None
-        random, total = np.diag(self.random), np.diag(self.covariance)
-        share = np.divide(total, random, out=np.ones_like(total), where=random > 0)
+        scatter, total = np.diag(self.scatter), np.diag(self.covariance)
+        share = np.divide(total, scatter, out=np.ones_like(total), where=scatter > 0)
         return np.asarray(self.freedom * share**2)
 
 
@@ -50,6 +56,6 @@ def uncertainty_of(fit: Fit, findings: Findings, correlated: bool) -> Uncertaint
     """
     of_scale = scale_uncertainty(fit.dataset, fit.system, fit.unrefined, fit.solve)
     if not correlated:
-        return Uncertainty(fit.solution.covariance + of_scale, np.zeros_like(of_scale), None)
+        return Uncertainty(fit.solution.covariance, of_scale, np.zeros_like(of_scale), None)
     freedom = degrees_of_freedom(fit.system.problem, fit.solution, fit.free_gains)
-    return Uncertainty(fit.solution.jackknife + of_scale, findings.covariance, freedom)
+    return Uncertainty(fit.solution.jackknife, of_scale, findings.covariance, freedom)

@@ -230,6 +230,12 @@ def reduce_runs(
         raise GtauError("some runs hold currents and others torques; identify them separately.")
     if len({run.wrenches for run in runs}) > 1:
         raise GtauError("the runs have wrenches on different bodies; give the same 'wrenches' for all runs.")
+    for run in runs:
+        if run.payload is not None and robot.tool in [frame.body for frame in run.wrenches]:
+            raise GtauError(
+                f"run '{run.name}': the payload '{run.payload.name}' is on '{robot.tool}', whose wrench is measured: "
+                "the sensor feels it already; remove the 'payload', or the sensor from 'wrenches'."
+            )
     bodies = [body for body in robot.bodies if body not in robot.base]
     for frame in runs[0].wrenches:
         if frame.body not in bodies:

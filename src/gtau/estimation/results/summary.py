@@ -12,6 +12,7 @@ from gtau.estimation.diagnostics.verdict import Outcome, percent_text
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.grades import by_grade
+from gtau.estimation.regression.flight import whole_mass
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
 from gtau.estimation.results.geometry_text import geometry_lines
@@ -163,7 +164,19 @@ def gain_lines(result: IdentifiedModel) -> list[str]:
         )
     lines.append("  +-95 %: half the interval; random, model: standard deviations, % of the gain")
     found = all_sources(result)
-    return [*lines, *_wrapped(f"  scale: from {found}", "    ")] if found else lines
+    lines += _wrapped(f"  scale: from {found}", "    ") if found else []
+    return [*lines, *_mass_lines(result)]
+
+
+def _mass_lines(result: IdentifiedModel) -> list[str]:
+    """Tell what a floating robot weighs, the one figure that everyone can check on a scale."""
+    if not result.robot.floating:
+        return []
+    mass = result.parameters.get(whole_mass(result.base, result.model.parameter_names))
+    interval = None if mass is None else mass.interval()
+    if mass is None or mass.value is None or interval is None:
+        return []
+    return [f"  mass of the whole robot ({mass.name}): {mass.value:.4g} +- {(interval[1] - interval[0]) / 2:.2g} kg"]
 
 
 def _wrapped(text: str, indent: str) -> list[str]:
