@@ -8,7 +8,8 @@ from gtau.errors import GtauError
 from gtau.signals.columns import Signals
 
 # m/s2: a base that stays in its place has no mean acceleration. A bias of 0.3 m/s2 and a tilt of 2 degrees make 0.6; a
-# reading in g makes 8.8, one upside down 20, a quaternion with its scalar last 5 and more but for small turns.
+# reading in g makes 8.8, one upside down 20, a quaternion with its scalar last nothing where
+# the base hardly turns, else some.
 LARGEST_MEAN = 1.0
 SHORTEST = 2.0  # s: in less a base may well begin or end in motion
 
@@ -49,6 +50,6 @@ def check_accelerometer(run: str, signals: Signals, time: np.ndarray, position: 
         hint = "check its unit, that its axes are those of the base, and the order w, x, y, z of the quaternion"
     listed = ", ".join(f"{each:.3g}" for each in reading)
     raise GtauError(
-        f"run '{run}': the accelerometer of the base reads ({listed}) m/s2 in the world on average, where a base that is "
-        f"held reads (0, 0, {gravity:.4g}); {hint}."
+        f"run '{run}': the accelerometer of the base reads ({listed}) m/s2 in the world on average, where a base "
+        f"that is held reads (0, 0, {gravity:.4g}); {hint}."
     )
