@@ -113,8 +113,13 @@ def test_the_calibration_of_the_sensor_is_in_every_interval(standing: Truth, tmp
         assert np.sqrt(after.std**2 - before.std**2) == pytest.approx(0.02 * gain, rel=0.2)
 
 
-def test_check_shows_the_wrench(standing: Truth, tmp_path: Path) -> None:
+@pytest.mark.parametrize("units", ["N", "kN"])
+def test_check_shows_the_wrench(units: str, standing: Truth, tmp_path: Path) -> None:
     path = experiment(tmp_path, f"{BASE}\n  wrenches: [{AT_SOLE}]", standing)
+    if units == "kN":
+        thousandths = {name: 1e-3 * each if name.startswith("s") else each for name, each in standing.columns.items()}
+        pl.DataFrame(thousandths).write_csv(tmp_path / "log.csv")
+        path.write_text(path.read_text().replace("length: mm}", "length: mm}, wrenches: {force: kN, moment: kN m}"))
     ((wrench,),) = (log.wrenches for log in check_logs(path).logs)
     weight = 9.80665 * sum(value for name, value in standing.chi.items() if name.startswith("m_"))
     assert (wrench.body, wrench.axes) == ("3", "body")

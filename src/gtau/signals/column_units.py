@@ -20,6 +20,7 @@ from gtau.signals.columns import Signals, document_of, text_or_group
 from gtau.signals.pose_columns import PoseUnits
 from gtau.signals.presets import time_unit
 from gtau.signals.units import SHARES, Kind, is_angle, si_factor
+from gtau.signals.wrench_columns import WrenchUnits
 
 
 def _unit(kind: Kind) -> AfterValidator:
@@ -53,6 +54,7 @@ class Units(Keys):
     rated: dict[str, Positive] = Field(default_factory=dict)
     base: BaseUnits = BaseUnits()
     pose: PoseUnits = PoseUnits()
+    wrenches: WrenchUnits = WrenchUnits()
     temperature: Literal["degC", "K", "s", "min", "h"] = "degC"
 
     @model_validator(mode="after")
@@ -87,7 +89,7 @@ class Units(Keys):
         positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
         commands = [self._of_command(joint, signals) for joint in signals.position]
         commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
-        commands += [1.0 for each in signals.wrenches for _ in each.columns]
+        commands += [factor for each in signals.wrenches for factor in self.wrenches.scale(each)]
         return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
 
     def _of_command(self, joint: str, signals: Signals) -> float:

@@ -119,7 +119,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         labels = (*base.labels[:6], *positions, *base.labels[6:], *channels)
         position_scale, command_scale = (
             position_scale + base.scale(units.base),
-            command_scale + [1.0] * len(base.forces),
+            command_scale + [factor for each in base.wrenches for factor in units.wrenches.scale(each)],
         )
         positions, commands = [*positions, *base.pose], [*commands, *base.forces]
     if len(paths) == 1 and set(positions) & set(commands):

@@ -7,7 +7,7 @@ import re
 from functools import lru_cache
 from typing import Any, Literal
 
-Kind = Literal["time", "position", "current", "torque"]
+Kind = Literal["time", "position", "current", "torque", "force"]
 
 COMMON: dict[str, dict[str, float]] = {  # what nearly all logs hold, without the half second that pint takes to import
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -23,6 +23,7 @@ QUANTITIES: dict[Kind, tuple[str, ...]] = {
     "position": ("angle", "length"),
     "current": ("current",),
     "torque": ("torque", "force"),
+    "force": ("force",),
 }
 SHARES = {"%": 1e-2, "‰": 1e-3}  # of the rated current or torque
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?\s*", re.IGNORECASE)

@@ -3,19 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import FiniteFloat
+from pydantic import AfterValidator, FiniteFloat
 
 from gtau.documents.keys import Keys
 from gtau.robots.geometry import turn
 from gtau.robots.wrench import WRENCH, WrenchFrame
+from gtau.signals.units import si_factor
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 
 Vector = tuple[str, str, str]
 Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+def _of(kind: Literal["force", "torque"]) -> AfterValidator:
+    def checked(text: str) -> str:
+        si_factor(text, kind)
+        return text
+
+    return AfterValidator(checked)
+
+
+class WrenchUnits(Keys):
+    """Units of measured wrenches."""
+
+    force: Annotated[str, _of("force")] = "N"
+    moment: Annotated[str, _of("torque")] = "N m"
+
+    def scale(self, wrench: Wrench) -> list[float]:
+        """Return the factors to SI units of a wrench's columns."""
+        return [si_factor(self.force, "force")] * 3 + [si_factor(self.moment, "torque")] * (3 if wrench.moment else 0)
 
 
 class Wrench(Keys):
