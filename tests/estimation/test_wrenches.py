@@ -87,7 +87,13 @@ def test_a_foot_left_out_shows(leaning: Truth, tmp_path: Path) -> None:
 REFUSED = [
     ("method: tls", AT_SOLE, {"method": "tls"}, "method 'tls' takes no wrenches on bodies"),
     ("method: didim", AT_SOLE, {"method": "didim"}, "motion is simulated from the currents of motors"),
-    ("body", AT_SOLE.replace("body: 3", "body: foot"), {}, "the body 'foot', but those of robot 'arm' are 1, 2, 3;"),
+    (
+        "body",
+        AT_SOLE.replace("body: 3", "body: foot"),
+        {},
+        "but bodies of robot 'arm' bear the names of their joints: 1, 2, 3; write the joint that moves it, and 'at' in",
+    ),
+    ("close", AT_SOLE.replace("body: 3", "body: '33'"), {}, "write the joint that moves it (did you mean '3'?)"),
     ("base", AT_SOLE.replace("body: 3", "body: trunk"), {}, "under 'wrenches' of 'base'"),
     ("twice", AT_SOLE.replace("[sx, sy, sz]", "[sx, sy, smx]"), {}, "the column 'smx' under 'wrenches' is given twice"),
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any, Literal
@@ -239,9 +240,12 @@ def reduce_runs(
     bodies = [body for body in robot.bodies if body not in robot.base]
     for frame in runs[0].wrenches:
         if frame.body not in bodies:
+            close = get_close_matches(frame.body, bodies, n=1)
+            hint = f" (did you mean '{close[0]}'?)" if close else ""
             raise GtauError(
-                f"'wrenches' names the body '{frame.body}', but those of robot '{robot.name}' are {', '.join(bodies)}; "
-                "correct the name."
+                f"'wrenches' names the body '{frame.body}', but bodies of robot '{robot.name}' bear the names of their "
+                f"joints: {', '.join(bodies)}; write the joint that moves it{hint}, and, with 'axes: "
+                "body', 'at' in that joint's frame."
             )
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
