@@ -181,7 +181,7 @@ def test_one_reversed_current_is_a_negative_gain_and_said(
     result = identify(ROBOT, [command(run, [0, 1, 2], (1, -1, 1)) for run in runs])
     assert result.drive_gains["12"].value == pytest.approx(-DRIVE_GAINS["12"], rel=0.006)
     assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD
-    assert "Joint '12': it is negative" in " ".join(result.summary().split())
+    assert "Joint '12': negative gain, as the current is positive" in " ".join(result.summary().split())
 
 
 def longer(names: Sequence[str], factor: float) -> Robot:

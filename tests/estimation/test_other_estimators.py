@@ -119,3 +119,5 @@ def test_alternatives_are_listed_with_the_result() -> None:
     result = identify(ROBOT, logs())
     listed = {each.hypothesis for each in result.alternatives}
     assert {INSTRUMENTS, "two-stage least squares", "a bandwidth 0.7 times as large"} <= listed
+    named = {each.subject for each in result.alternatives if each.hypothesis == "a bandwidth 0.7 times as large"}
+    assert "the gain of 'left' that results from a bandwidth 0.7 times as large" in named

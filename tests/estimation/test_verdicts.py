@@ -13,10 +13,11 @@ from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.physical_plausibility import cannot_be_negative, judge_parameter
-from gtau.estimation.diagnostics.verdict import Outcome, known_verdict, parameter_verdict, percent_text, worst
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict, known_verdict, parameter_verdict, percent_text, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.factors import STRETCHES
 from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.headline import headline
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.lack_of_fit import INFLATED
 from gtau.model.home import load_robot
@@ -231,3 +232,10 @@ def test_autocorrelated_residuals_are_a_lack_of_fit(result: Result, runs: list[R
     assert "the model lacks something" not in " ".join(result.summary().split())
     for joint in JOINTS:
         assert (lacking.drive_gains[joint].std or 0.0) > (result.drive_gains[joint].std or 0.0)
+
+
+def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
+    turned = Verdict(Outcome.GOOD, "negative gain", "reverse a sign")
+    gains = {joint: replace(gain, verdict=turned) for joint, gain in result.drive_gains.items()}
+    names = " and ".join(f"'{joint}'" for joint in gains)
+    assert headline(replace(result, drive_gains=gains)).endswith(f". Joints {names}: negative gain; reverse a sign.")

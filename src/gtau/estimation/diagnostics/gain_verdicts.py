@@ -129,8 +129,8 @@ def _verdict(
     if solution.gains[j] < 0:
         return Verdict(
             Outcome.GOOD,
-            "it is negative",
-            "its current is positive against its motion: reverse the sign of one of the two if that is not intended",
+            "negative gain, as the current is positive against the motion",
+            "reverse the sign of one of the two if that is not intended",
         )
     return GOOD
 

@@ -98,7 +98,7 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
             found.append(
                 Alternative(
                     hypothesis=each.estimator,
-                    subject=f"{each.estimator} as the estimator of {name}",
+                    subject=f"{name} that results from {each.estimator}",
                     size=found_size[0],
                     std=found_size[1],
                     unit="of itself",

@@ -23,17 +23,11 @@ def headline(result: IdentifiedModel) -> str:
     estimated = any(gain.std is not None for gain in gains)
     sentences = [_good(gains, result.statistics.get("accuracy", 0.0))] if estimated else []
     for outcome in (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE):
-        reasons: dict[tuple[str, str], list[Estimate]] = {}
-        for gain in gains:
-            if gain.verdict.outcome == outcome:
-                reasons.setdefault((gain.verdict.why, gain.verdict.advice), []).append(gain)
-        sentences += [_sentence(outcome, members, why, advice) for (why, advice), members in reasons.items()]
+        sentences += [_sentence(outcome, *group) for group in _by_reason(gains, outcome)]
     accuracy = 100 * result.statistics.get("accuracy", 0.0)
     sentences += _weak([gain for gain in gains if gain.verdict.outcome == Outcome.WEAK], accuracy)
     remarks = [
-        f"Joint '{gain.name}': {gain.verdict.why}; {gain.verdict.advice}."
-        for gain in gains
-        if gain.verdict.outcome == Outcome.GOOD and gain.verdict.why
+        f"{_subject(members)}: {why}; {advice}." for members, why, advice in _by_reason(gains, Outcome.GOOD) if why
     ]
     return " ".join([*sentences, *remarks])
 
@@ -65,13 +59,25 @@ def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
 
 
 def _sentence(outcome: Outcome, gains: Sequence[Estimate], why: str, advice: str) -> str:
-    names = " and ".join(", ".join(f"'{gain.name}'" for gain in gains).rsplit(", ", 1))
-    subject = f"Joint {names}" if len(gains) == 1 else f"Joints {names}"
     said = {
         Outcome.CONTRADICTORY: "contradicts the description" if len(gains) == 1 else "contradict the description",
         Outcome.NOT_IDENTIFIABLE: "has no identifiable gain" if len(gains) == 1 else "have no identifiable gains",
     }[outcome]
-    return f"{subject} {said}: {why}; {advice}."
+    return f"{_subject(gains)} {said}: {why}; {advice}."
+
+
+def _by_reason(gains: Sequence[Estimate], outcome: Outcome) -> list[tuple[list[Estimate], str, str]]:
+    """Collect the gains of an outcome that share why and advice, so that these are said once."""
+    reasons: dict[tuple[str, str], list[Estimate]] = {}
+    for gain in gains:
+        if gain.verdict.outcome == outcome:
+            reasons.setdefault((gain.verdict.why, gain.verdict.advice), []).append(gain)
+    return [(members, why, advice) for (why, advice), members in reasons.items()]
+
+
+def _subject(gains: Sequence[Estimate]) -> str:
+    names = " and ".join(", ".join(f"'{gain.name}'" for gain in gains).rsplit(", ", 1))
+    return f"Joint {names}" if len(gains) == 1 else f"Joints {names}"
 
 
 def _number(count: int) -> str:

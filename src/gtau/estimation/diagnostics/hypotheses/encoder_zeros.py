@@ -36,7 +36,7 @@ def _candidates(fit: Fit) -> Candidates:
         return at_full_rate(window, dataset, columns)
 
     return Candidates(
-        tuple(f"the zero of encoder '{joint}'" for joint in model.actuated),
+        tuple(f"an error in the zero of encoder '{joint}'" for joint in model.actuated),
         tuple("deg" if turn else "mm" for turn in turns),
         np.full((n, 1), PLAUSIBLE_ZERO),
         offer,

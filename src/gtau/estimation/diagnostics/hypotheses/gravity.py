@@ -55,7 +55,7 @@ def _candidates(fit: Fit) -> Candidates | None:
             return f"another clock: {why}", advice
         return f"another gravity, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2", ADVICE
 
-    return Candidates((*names, "the strength of gravity"), ("deg", "deg", "%"), plausible, offer, describe)
+    return Candidates((*names, "gravity of another strength"), ("deg", "deg", "%"), plausible, offer, describe)
 
 
 GRAVITY = Hypothesis(
