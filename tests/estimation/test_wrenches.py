@@ -19,6 +19,7 @@ from gtau.estimation.regression.factors import CURRENTS, PUSH, joined
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.signals.experiment import read_experiment
+from gtau.signals.notes import Kind
 from gtau.signals.run import read_run
 
 BASE = f"{{body: trunk, {POSE}}}"
@@ -57,6 +58,17 @@ def test_a_force_sensor_between_flange_and_tool_gives_the_scale(tmp_path: Path) 
     for joint in GAINS:
         assert dict(result.drive_gains[joint].scale) == pytest.approx({"wrench on '3'": 1.0})
         assert result.drive_gains[joint].verdict.outcome in (Outcome.GOOD, Outcome.WEAK)
+
+
+def test_a_tool_in_every_run_gives_no_scale(tmp_path: Path) -> None:
+    """Its wrench is what the inertia of the last link would do as well, but for noise."""
+    carrying = simulated(5, moving=False, tool=True)
+    path = experiment(tmp_path, "", carrying, f"  wrenches: [{AT_SOLE}]")
+    with pytest.raises(
+        GtauError, match="the wrench on 3 moves as one of the robot's own bodies in every run, so"
+    ) as no:
+        identify(path)
+    assert [f"{note}." for note in check_logs(path).notes if note.kind == Kind.SCALE] == [str(no.value)]
 
 
 def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.base_parameters import independent_columns
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds.prior_knowledge import ANSWERED, OWN_BODY
 from gtau.robots.robot import Robot
 from gtau.signals.payload import Payload
 
@@ -22,7 +23,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
     Raises
     ------
     GtauError
-        Without any of them, with one payload in all runs, or where what is known acts on no joint in a way of its own.
+        Without any of them, with one payload in all runs, or where what is known acts on no joint in a way of its own;
+        a wrench does not that comes of one tool in all runs.
     """
     problem = system.problem
     other = "or use --method wls with prior_gains"
@@ -41,6 +43,10 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
             "the same payload; "
             f"add a run without payload, {other}."
         )
+    if problem.pushed and not (problem.driveless or problem.sensors or len(problem.known) or weighed):
+        own, answered = own_of_wrenches(problem)
+        if own < OWN_BODY and answered < ANSWERED:
+            raise GtauError(_always_carried(problem.pushed, other))
     if problem.n_theta in independent_columns(_with_scale(problem))[0]:
         return
     if problem.sensors:
@@ -77,6 +83,36 @@ def _hidden(stated: Sequence[str], other: str) -> GtauError:
         f"the known parameters under 'priors' ({names}) cannot give the scale of the drive gains, as they act on "
         "the motors only together with unknown ones; give priors for all parameters of the same sums (gtau robot lists "
         f"them), or for the base parameter, {other}."
+    )
+
+
+def own_of_wrenches(problem: Problem) -> tuple[float, float]:
+    """Compute the share of the torque of wrenches that no parameter explains, and the share of that in the currents.
+
+    What a tool that is always carried does to its sensor is what unknown inertia of the body would do. That leaves
+    noise, to which no current answers; of another load the currents show all that the wrench does, over the gain. The
+    second share is that of squares; both are of rows weighted by each joint's noise, and of a base that is fixed.
+    """
+    n, joints, rows = problem.n_theta, len(problem.joints), []
+    for j, (R, sigma) in enumerate(zip(problem.triangles, problem.own_sigma, strict=True)):
+        currents = np.zeros((len(R), joints))
+        currents[:, j] = R[:, n + 1]
+        rows.append(np.column_stack([R[:, :n], currents, R[:, n]]) / sigma)
+    stacked = np.concatenate(rows)
+    columns, torque = stacked[:, :-1] / np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), 1e-300), stacked[:, -1]
+    left, unanswered = (
+        float(np.linalg.norm(torque - of @ np.linalg.lstsq(of, torque, rcond=None)[0]))
+        for of in (columns[:, :n], columns)
+    )
+    return left / (float(np.linalg.norm(torque)) or 1.0), 1 - (unanswered / (left or 1.0)) ** 2
+
+
+def _always_carried(bodies: Sequence[str], other: str) -> str:
+    several = len(bodies) > 1
+    return (
+        f"the wrench{'es' * several} on {', '.join(bodies)} {'move' if several else 'moves'} as one of the robot's own "
+        f"bodies in every run, so that {'they give' if several else 'it gives'} no scale; add a run without the tool, "
+        f"or with another, {other}."
     )
 
 

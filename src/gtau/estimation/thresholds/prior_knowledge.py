@@ -26,6 +26,22 @@ HIDDEN_KNOWN = Threshold(
     "0.0022 (UPV, CAD masses)",
     "those, and benchmarks/zoo.py --only upv_gains",
 )
+OWN_BODY = Threshold(
+    0.1,
+    "share of the torque of measured wrenches that no parameter explains, below which a tool may cause it in all runs",
+    "0.49 to 0.69 (with and without a tool of 3 kg); 0.010 to 0.089 (with it, and with 1.02 to 1.2 of it)",
+    "0.0034 to 0.037 (the same tool in every run, its force noisy by 0.05 to 5 N); 0.24 and more with a wrong point, "
+    "axes or body",
+    "the arm of tests/estimation/test_wrenches.py, 20 s with a fixed base, two to three sets of logs; held together "
+    "with ANSWERED",
+)
+ANSWERED = Threshold(
+    0.1,
+    "share of the squares of what OWN_BODY leaves to which the currents answer, below which it is but noise",
+    "0.995 and more (with and without); 0.26 to 0.998 (with 1.02 to 1.2 of it)",
+    "0.0003 to 0.030 (the same tool)",
+    "the same logs",
+)
 LEG_PROBABILITY = Threshold(1e-3, "probability that legs which are alike differ by as much", NONE, NONE, "a level")
 LEG_DIFFERENCE = Threshold(20.0, "difference of a parameter between like legs, per cent", NONE, NONE, "a choice")
 LEG_DIFFERENCE_STD = Threshold(5.0, "the same in standard deviations", NONE, NONE, "a level")
