@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
-from gtau.signals.column_names import taken_apart
+from gtau.signals.column_names import base_like, taken_apart, wrench_like
 from gtau.signals.discovery import discover
 from gtau.signals.draft_text import draft_text
 from gtau.signals.experiment import read_experiment
@@ -370,6 +371,42 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
     floating = CliRunner().invoke(app, [*init, "--base", "floating"]).output
     assert "is not drafted; start from docs/experiment-file.md, 'A base that floats'." in floating
     assert "name it too" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output
+
+
+def test_columns_of_a_base_and_of_wrenches_are_named(tmp_path: Path) -> None:
+    """In the file as CHECK, and what does not look like either as not used."""
+    pose, hook = "px,py,pz,qw,qx,qy,qz", "hook_fx,hook_fy,hook_fz,hook_mx,hook_my,hook_mz"
+    log = save(tmp_path / "log.csv", f"t,q1,q2,i1,i2,{pose},{hook},other", TIME, Q, V, np.ones((len(TIME), 14)))
+    draft = discover([log])
+    assert ",".join(draft.motion) == pose
+    assert ",".join(draft.wrenches) == hook
+    assert draft.others == ("other",)
+    text = draft_text(draft, tmp_path)
+    assert "# CHECK: px, py, pz, qw, qx, qy, qz look like the motion of a base." in text
+    assert "# CHECK: hook_fx, hook_fy, hook_fz, hook_mx, hook_my, hook_mz look like forces and moments." in text
+    fixed = discover([log], base="fixed")
+    assert (fixed.motion, fixed.base, fixed.wrenches) == ((), "fixed", draft.wrenches)
+    assert "px" in fixed.others
+    assert not {"base", "wrenches"} & set(discover([save(tmp_path / "a.csv", "t,q1,q2,i1,i2", TIME, Q, V)]).open)
+
+
+@pytest.mark.parametrize(
+    ("names", "motion", "wrenches"),
+    [
+        ("/imu/orientation/x /imu/orientation/y /imu/orientation/z /imu/orientation/w", (3, 0, 1, 2), ()),
+        ("acc_z acc_x acc_y", (1, 2, 0), ()),
+        ("Fx [N]|Fy [N]|Fz [N]|Mx [Nm]|My [Nm]|Mz [Nm]", (), range(6)),
+        ("foot.force.x foot.force.y foot.force.z hand.torque.x hand.torque.y hand.torque.z", (), range(3)),
+        ("px py pz", (), ()),  # without an orientation: of anything
+        ("tcp_qw tcp_qx tcp_qy tcp_qz", (), ()),  # of a tool
+        ("fx fy mx my mz", (), ()),
+        ("linear_velocity_x linear_velocity_y linear_velocity_z max may maz", (), ()),
+    ],
+)
+def test_names_of_vectors(names: str, motion: Sequence[int], wrenches: Sequence[int]) -> None:
+    listed = names.split("|" if "|" in names else " ")
+    assert base_like(listed) == tuple(listed[k] for k in motion)
+    assert wrench_like(listed) == tuple(listed[k] for k in wrenches)
 
 
 def test_a_single_column_without_a_header_is_refused(tmp_path: Path) -> None:

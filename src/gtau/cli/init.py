@@ -61,7 +61,7 @@ def init(
                 f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
                 "floats is not drafted; start from docs/experiment-file.md, 'A base that floats'."
             )
-        draft = replace(discover(logs, known, robot), base=base_choice(base))
+        draft = discover(logs, known, robot, base_choice(base))
         if ask:
             draft = _answered(draft)
         write_atomically(out, draft_text(draft, out.parent))
@@ -116,6 +116,7 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
         "position": ", ".join(f"{joint}: {column}" for joint, column in draft.position.items()),
         draft.kind: ", ".join(f"{joint}: {column}" for joint, column in draft.command.items()),
         "units": ", ".join(f"{key} in {unit}" for key, unit in draft.units.items()),
+        "to check": ", ".join((*draft.motion, *draft.wrenches)),
         "not used": "; ".join(draft.others),
     }
     lines = [f"written: {out}, with these columns of the logs"]

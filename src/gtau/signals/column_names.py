@@ -26,8 +26,16 @@ PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "
 REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d", "soll"])
 TEMPERATURE = frozenset(["temp", "temps", "temperature", "temperatures"])
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
+TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # whose motion is not that of a base
 SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
 COMPOUND = re.compile("(ist|soll|motor|gelenk|achs)(?=strom|winkel|lage|position|drehmoment|moment|geschw)")  # German
+COMPONENTS = {  # words before the letter of an axis, and all axes
+    "position": ("p|pos|position", "xyz"),
+    "quaternion": ("q|quat|quaternion|orientation", "wxyz"),
+    "acceleration": ("a|acc|accel|acceleration", "xyz"),
+    "force": ("f|force", "xyz"),
+    "moment": ("m|t|moment|torque", "xyz"),
+}
 COMMAND = frozenset(["v", "u", "control", "action", "command"])  # currents or torques, unless they are velocities
 UNITS = {
     "deg": "deg",
@@ -104,6 +112,33 @@ def is_temperature(name: str) -> bool:
 def is_pose(name: str) -> bool:
     """Decide from its name whether a column looks like a component of a pose."""
     return not POSE.isdisjoint(_words(name))
+
+
+def base_like(names: Sequence[str]) -> tuple[str, ...]:
+    """Select columns that may say how a base moved: its orientation, its position beside that, and accelerations."""
+    names = [name for name in names if TOOL.isdisjoint(_words(name))]
+    quaternions, accelerations = _vectors(names, "quaternion"), _vectors(names, "acceleration")
+    places = [of for prefix, of in _vectors(names, "position").items() if prefix in quaternions]
+    return tuple(name for of in (*places, *quaternions.values(), *accelerations.values()) for name in of)
+
+
+def wrench_like(names: Sequence[str]) -> tuple[str, ...]:
+    """Select columns that may be forces and, about the same point, moments."""
+    moments = _vectors(names, "moment")
+    return tuple(
+        name for prefix, force in _vectors(names, "force").items() for name in (*force, *moments.get(prefix, ()))
+    )
+
+
+def _vectors(names: Sequence[str], kind: str) -> dict[str, tuple[str, ...]]:
+    """Collect the columns of each whole vector of a kind in ``COMPONENTS``, by what stands before its components."""
+    words, axes = COMPONENTS[kind]
+    pattern = re.compile(rf"(.*?)(?<![a-z])(?:{words})[^a-z0-9]*([{axes}])(?:\s*[\[(].*)?", re.IGNORECASE)
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        if component := pattern.fullmatch(name):
+            found.setdefault(component[1], {})[component[2].lower()] = name
+    return {prefix: tuple(of[axis] for axis in axes) for prefix, of in found.items() if len(of) == len(axes)}
 
 
 def _words(text: str) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
-from gtau.signals.column_names import is_pose, is_temperature
+from gtau.signals.column_names import base_like, is_pose, is_temperature, wrench_like
 from gtau.signals.log_contents import Group, LogContents
 
 LARGEST_CURRENT = 100.0  # A; commands of no known kind that reach further are taken for torques, to be checked
@@ -27,8 +27,8 @@ class Draft:
     of their own. ``position`` and ``command`` are columns by joint, ``kind`` what the latter hold. ``masses`` (kg) of
     payloads by log come from the names of the files. ``sensors`` are columns of torque sensors by joint, such by their
     names, ``torques`` those that may be. ``others`` are columns that might be meant instead. Columns
-    of ``temperature`` are by joint, or one for all; those of a ``pose`` are only listed. ``base`` says how
-    the robot's base is placed.
+    of ``temperature`` are by joint, or one for all; those of a ``pose``, of the ``motion`` of a base and of
+    ``wrenches`` are only listed. ``base`` says how the robot's base is placed.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -48,10 +48,12 @@ class Draft:
     open: tuple[str, ...] = ()
     temperature: Mapping[str, str] | str | None = None
     pose: tuple[str, ...] = ()
+    motion: tuple[str, ...] = ()
+    wrenches: tuple[str, ...] = ()
     base: Any = None
 
 
-def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None) -> Draft:
+def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
     """Find out what logs hold that were recorded alike.
 
     Parameters
@@ -62,6 +64,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         Its actuated joints are looked for in the names, and its kinds and numbers of joints help to tell units.
     source : str, optional
         What the experiment file is to name as the robot.
+    base : optional
+        What it is to say of the robot's base; where it says so, no columns are taken for the motion of a base.
 
     Raises
     ------
@@ -127,6 +131,9 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         group.listed for group in command_log.groups if torques and set(torques.values()) <= set(group.columns.values())
     }
     used_names = {*positions.columns.values(), *commands.columns.values()}
+    free = [name for name in position_log.table.columns if name not in (*used_names, *time)]
+    motion, wrenches = base_like(free) if base is None else (), wrench_like(free)
+    unsure += ["base"] * bool(motion) + ["wrenches"] * bool(wrenches)
     draft = Draft(
         logs=tuple(runs),
         robot=source,
@@ -138,9 +145,16 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
         command_time=command_time,
         temperature=_temperature([name for name in position_log.table.columns if name not in time], columns),
-        pose=tuple(name for name in position_log.table.columns if is_pose(name) and name not in used_names),
+        pose=tuple(name for name in free if is_pose(name)),
+        motion=motion,
+        wrenches=wrenches,
+        base=base,
         masses={run[0]: mass for run in runs if (mass := _mass_in_name(run[0])) is not None},
-        others=tuple(each for each in alike if each not in used),
+        others=tuple(
+            listed
+            for listed, group in alike.items()
+            if listed not in used and not set(group.columns.values()) <= {*motion, *wrenches}
+        ),
         sensors=sensors,
         torques=torques,
         reasons=reasons,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,10 @@ UNSURE = {
     "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
     "clock": "confirm the time column, as others grow, too",
     "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
+    "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
+    "(docs/experiment-file.md, 'A base that floats')",
+    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a base that "
+    "floats under 'base:' (docs/experiment-file.md, 'Wrenches on bodies')",
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
 """What a person has to confirm or add, by what was open in the draft."""
@@ -56,8 +60,21 @@ def draft_text(draft: Draft, folder: Path) -> str:
     if draft.temperature is not None:
         lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
     if draft.pose:
-        listed = ", ".join(draft.pose[:8]) + (", ..." if len(draft.pose) > 8 else "")
-        lines.append(f"  # A pose tests the robot's geometry; if {listed} hold one, describe it under 'pose:'.")
+        lines.append(
+            f"  # A pose tests the robot's geometry; if {_first(draft.pose)} hold one, describe it under 'pose:'."
+        )
+    if draft.motion:
+        lines += [
+            f"  # {CHECK}{_first(draft.motion)} look like the motion of a base. If it moved, write",
+            "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here",
+            "  # (docs/experiment-file.md, 'A base that floats').",
+        ]
+    if draft.wrenches:
+        lines += [
+            f"  # {CHECK}{_first(draft.wrenches)} look like forces and moments. Describe those that act",
+            "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'",
+            "  # (docs/experiment-file.md, 'Wrenches on bodies').",
+        ]
     if draft.sensors:
         lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")
     if draft.torques:
@@ -83,6 +100,10 @@ def draft_text(draft: Draft, folder: Path) -> str:
             "#   payload: {name: steel, mass: 1.2, mass_std: 0.001}",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _first(columns: Sequence[str]) -> str:
+    return ", ".join(columns[:8]) + (", ..." if len(columns) > 8 else "")
 
 
 def _robot(draft: Draft, folder: Path) -> Any:
