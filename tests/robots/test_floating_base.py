@@ -14,6 +14,7 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.floating import refuse_floating
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.robot import Robot
@@ -194,3 +195,10 @@ def test_the_command_shows_a_floating_base(tmp_path: Path) -> None:
     refused = CliRunner().invoke(app, ["robot", str(path)])
     assert "base: fixed" in refused.output
     assert "base: floating" in refused.output
+
+
+def test_fixing_a_base_is_advised_only_where_it_did_not_move(tmp_path: Path) -> None:
+    robot = load_robot(written(tmp_path, "arm.urdf", ARM), base="floating")
+    with pytest.raises(GtauError, match=r"simulation is not supported there; where the base did not move, fix it by"):
+        refuse_floating(robot, "simulation is")
+    refuse_floating(load_robot("five-bar"), "simulation is")
