@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from floating_logs import AT_HOOK, AT_PLATE, BY_GAUGE, GAINS, POSE, Truth, deviations, experiment, simulated
+from floating_logs import AT_HOOK, AT_PLATE, BY_GAUGE, GAINS, HOOK, POSE, Truth, deviations, experiment, simulated
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
+from gtau.estimation.results.headline import headline
 from gtau.estimation.results.result import Result
 from gtau.signals.run import read_run
 
@@ -116,10 +118,22 @@ def test_in_flight_the_weighed_mass_gives_the_scale(tmp_path: Path) -> None:
 
 
 def test_a_wrong_wrench_shows(hung: Truth, tmp_path: Path) -> None:
-    """Forces that the robot exerts instead of those that act on it turn all gains around."""
+    """Forces that the robot exerts instead of those that act on it give it a negative mass; moments about elsewhere."""
     columns = hung.columns | {name: -hung.columns[name] for name in ("hx", "hy", "hz", "hmx", "hmy", "hmz")}
-    result = identify(experiment(tmp_path, f"{{body: trunk, {POSE}, wrenches: [{AT_HOOK}]}}", Truth(hung.chi, columns)))
-    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
+    held = f"{{body: trunk, {POSE}, wrenches: [{AT_HOOK}]}}"
+    result = identify(experiment(tmp_path, held, Truth(hung.chi, columns)))
+    mass = sum(value for name, value in hung.chi.items() if name.startswith("m_"))
+    sentence = f"the wrenches give the robot a mass of -{mass:.3g} kg; log the forces on the body, or reverse their sig"
+    assert headline(result).count(sentence) == 1
+    verdicts = {gain.verdict for gain in result.drive_gains.values()}
+    assert {verdict.outcome for verdict in verdicts} == {Outcome.CONTRADICTORY}
+    result = identify(experiment(tmp_path, held.replace(str(HOOK.tolist()), "[0.3, 0.05, 0]"), hung))
+    (verdict,) = {gain.verdict for gain in result.drive_gains.values()}
+    assert verdict.outcome == Outcome.CONTRADICTORY
+    assert re.fullmatch(r"the model leaves \d\d % of the moments on the base 'trunk' unexplained", verdict.why)
+    assert "point ('at')" in verdict.advice
+    assert "trunk_" not in headline(result)
+    assert "is known to" not in headline(result).replace("No drive gain is known to 3 %", "")
 
 
 BASE = f"{{body: trunk, {POSE}, wrenches: [{AT_HOOK}]}}"

@@ -190,6 +190,16 @@ def test_every_number_has_a_verdict_and_good_ones_say_nothing(result: Result) ->
         assert bool(each.verdict.advice) == (each.verdict.outcome != Outcome.GOOD)
 
 
+def test_no_gain_is_called_known_that_another_joint_makes_doubtful(result: Result) -> None:
+    wrong, doubt = Verdict(Outcome.CONTRADICTORY, "why", "advice"), Verdict(Outcome.WEAK, "elsewhere", "do that first")
+    gains = [
+        replace(gain, verdict=each) for gain, each in zip(result.drive_gains.values(), (wrong, doubt), strict=True)
+    ]
+    said = headline(replace(result, drive_gains=dict(zip(JOINTS, gains, strict=True))))
+    assert f"Joint '{JOINTS[1]}' is in doubt: elsewhere; do that first." in said
+    assert "is known to +-" not in said
+
+
 def test_a_light_payload_is_weak_or_with_more_noise_refused() -> None:
     light = Payload(name="light", mass=0.02)
 

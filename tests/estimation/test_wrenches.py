@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,11 @@ def test_a_force_sensor_between_flange_and_tool_gives_the_scale(tmp_path: Path) 
     result = identify(path)
     z = [(result.drive_gains[joint].value - gain) / result.drive_gains[joint].std for joint, gain in GAINS.items()]
     check(result, np.array(z), 3)
+    on_another = path.with_name("another.yaml")
+    on_another.write_text(path.read_text().replace("body: 3", "body: 2"))
+    wrong = [gain.verdict for gain in identify(on_another).drive_gains.values()]
+    assert Outcome.CONTRADICTORY in {verdict.outcome for verdict in wrong}
+    assert all(("body of each wrench" in each.advice) == (each.outcome == Outcome.CONTRADICTORY) for each in wrong)
     for joint in GAINS:
         assert dict(result.drive_gains[joint].scale) == pytest.approx({"wrench on '3'": 1.0})
         assert result.drive_gains[joint].verdict.outcome in (Outcome.GOOD, Outcome.WEAK)
@@ -93,7 +99,9 @@ def check(result: Result, z: np.ndarray, count: int) -> None:
 
 def test_a_foot_left_out_shows(leaning: Truth, tmp_path: Path) -> None:
     result = identify(experiment(tmp_path, HELD, leaning))
-    assert {gain.verdict.outcome for gain in result.drive_gains.values()} <= {Outcome.CONTRADICTORY, Outcome.WEAK}
+    (verdict,) = {gain.verdict for gain in result.drive_gains.values()}
+    assert verdict.outcome == Outcome.CONTRADICTORY
+    assert re.search(r"% of the forces on the base 'trunk' unexplained; .* that none is missing", verdict.sentence)
 
 
 REFUSED = [

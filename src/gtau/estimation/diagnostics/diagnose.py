@@ -18,6 +18,7 @@ from gtau.estimation.diagnostics.prior_checks import check_limits, check_payload
 from gtau.estimation.diagnostics.sensor_checks import SensorScale, check_sensors, sensor_scales
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict
+from gtau.estimation.diagnostics.wrench_checks import check_wrenches
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.lack_of_fit import MISFIT_GIVEN
 from gtau.signals.notes import Kind, Note
@@ -67,10 +68,11 @@ def diagnose(
     sensors = sensor_scales(fit) if fit.free_gains else ()
     if fit.free_gains:
         verdicts: Sequence[Verdict] = gain_verdicts(fit, findings, uncertainty, accuracy, prior_gains)
+        verdicts = check_wrenches(verdicts, fit)
         verdicts = check_sensors(check_payloads(verdicts, payloads), sensors, accuracy)
         verdicts = check_priors(verdicts, robot, fit.gains, prior_gains)
     else:
-        verdicts = _given_verdicts(fit, findings)
+        verdicts = check_wrenches(_given_verdicts(fit, findings), fit)
     wrong_priors = contradicted(fit, uncertainty.covariance, accuracy)
     verdicts = check_mass(verdicts, fit, wrong_priors)
     verdicts = share_doubts(check_limits(verdicts, robot, torques), joints)

@@ -144,10 +144,12 @@ def ripple_notes(found: PositionRipple, fit: Fit) -> list[Note]:
         if moves[k]
         else ""
     )
+    base = joints[j] in fit.system.problem.driveless  # its rows are no joints of the user
+    where = f"of the base '{fit.dataset.robot.floating}'" if base else f"at joint '{joints[j]}'"
     what = (
-        f"residuals repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance at joint "
-        f"'{joints[j]}'): ripple of the motors, cables or springs, which the model lacks. They repeat in every run, so "
-        "the scatter between blocks does not show them; the standard deviations include how far the estimates move "
+        f"residuals repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance {where}): ripple of "
+        "the motors, cables or springs, which the model lacks. They repeat in every run, so the scatter between blocks "
+        "does not show them; the standard deviations include how far the estimates move "
         f"when they are modelled{of_gains}"
     )
-    return [Note(Kind.MODEL, what, joint=joints[j])]
+    return [Note(Kind.MODEL, what, joint="" if base else joints[j])]

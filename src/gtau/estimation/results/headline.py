@@ -25,7 +25,13 @@ def headline(result: IdentifiedModel) -> str:
     for outcome in (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE):
         sentences += [_sentence(outcome, *group) for group in _by_reason(gains, outcome)]
     accuracy = 100 * result.statistics.get("accuracy", 0.0)
-    sentences += _weak([gain for gain in gains if gain.verdict.outcome == Outcome.WEAK], accuracy)
+    weak = [gain for gain in gains if gain.verdict.outcome == Outcome.WEAK]
+    doubted = [gain for gain in weak if (gain.half_width or 0.0) <= accuracy]  # for what is wrong elsewhere
+    sentences += _weak([gain for gain in weak if gain not in doubted], accuracy)
+    sentences += [
+        f"{_subject(members)} {'is' if len(members) == 1 else 'are'} in doubt: {why}; {advice}."
+        for members, why, advice in _by_reason(doubted, Outcome.WEAK)
+    ]
     remarks = [
         f"{_subject(members)}: {why}; {advice}." for members, why, advice in _by_reason(gains, Outcome.GOOD) if why
     ]
