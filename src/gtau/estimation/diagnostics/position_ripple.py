@@ -146,10 +146,11 @@ def ripple_notes(found: PositionRipple, fit: Fit) -> list[Note]:
     )
     base = joints[j] in fit.system.problem.driveless  # its rows are no joints of the user
     where = f"of the base '{fit.dataset.robot.floating}'" if base else f"at joint '{joints[j]}'"
+    ripple = "ripple of the motors, cables or springs, which the model lacks"
+    cause = "a wrench is wrong or missing" if base else ripple
     what = (
-        f"residuals repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance {where}): ripple of "
-        "the motors, cables or springs, which the model lacks. They repeat in every run, so the scatter between blocks "
-        "does not show them; the standard deviations include how far the estimates move "
-        f"when they are modelled{of_gains}"
+        f"residuals repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance {where}): {cause}. "
+        "They repeat in every run, so the scatter between blocks does not show them; the standard "
+        f"deviations include how far the estimates move when they are modelled{of_gains}"
     )
     return [Note(Kind.MODEL, what, joint="" if base else joints[j])]
