@@ -216,8 +216,8 @@ def test_a_description_is_refuted_only_where_it_explains_more_than_missing_physi
             nothing[:2], "", description, 1.0,
         )  # fmt: skip
 
-    def refuted(*alternatives: Alternative) -> list[str]:
-        ripple = PositionRipple(np.zeros(2), np.zeros(4))
+    def refuted(*alternatives: Alternative, repeating: float = 0.0) -> list[str]:
+        ripple = PositionRipple(np.full(2, repeating), np.zeros(4))
         return [each.hypothesis for each in Findings(1.0, alternatives, ripple, ()).refuted]
 
     gravity = alternative("gravity", 0.3, True)
@@ -227,3 +227,6 @@ def test_a_description_is_refuted_only_where_it_explains_more_than_missing_physi
     assert refuted(gravity, *lag) == []  # 0.4 in both joints
     assert refuted(replace(gravity, share=0.9), *lag) == ["gravity"]
     assert refuted(replace(gravity, share=0.03)) == []
+    # cables repeat at the same positions, of which gravity explains little; a wrong gravity explains most of it
+    assert refuted(gravity, repeating=0.7) == []
+    assert refuted(gravity, repeating=0.5) == ["gravity"]

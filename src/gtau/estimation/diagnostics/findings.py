@@ -21,7 +21,7 @@ from gtau.estimation.diagnostics.verdict import Refutation
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.lack_of_fit import LACKING
 from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_GAIN_CHANGE
-from gtau.estimation.thresholds.refutation import DOMINANT, PROBABLE, REFUTED_SHARE, SCALED
+from gtau.estimation.thresholds.refutation import DOMINANT, OF_REPEATING, PROBABLE, REFUTED_SHARE, SCALED
 from gtau.progress import Progress, silent
 
 
@@ -57,13 +57,15 @@ class Findings:
 
         Each is tried alone, so what a lag of the currents leaves, say, goes in part with gravity, with lengths and with
         currents that change: none of these refutes the description unless it explains more than the lag of all joints.
+        So does what repeats at the same positions, cables or ripple: a wrong description would explain most of that.
         """
         held = [each for each in self.alternatives if each.probability > PROBABLE and each.significant]
         of_physics: dict[str, float] = {}
         for each in held:
             if not each.description:
                 of_physics[each.hypothesis] = of_physics.get(each.hypothesis, 0.0) + each.share
-        least = max([REFUTED_SHARE, *of_physics.values()])
+        repeating = float(np.maximum(self.ripple.shares, 0.0).mean())
+        least = max([REFUTED_SHARE, OF_REPEATING * repeating, *of_physics.values()])
         found = [each for each in held if each.description and each.share > least]
         return tuple(sorted(found, key=lambda each: -each.share))
 
