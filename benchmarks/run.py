@@ -132,6 +132,7 @@ def prepared(robot: Robot, samples: int) -> InMemoryRun:
     time = np.arange(samples) / 1000.0
     run = Run.__new__(Run)
     object.__setattr__(run, "name", "made up")
+    object.__setattr__(run, "joints", tuple(f"joint {k + 1}" for k in range(path[0].shape[1])))
     return InMemoryRun(run, SampleWindow(time, *path, command, command, command, np.ones(path[0].shape, dtype=bool)))
 
 
