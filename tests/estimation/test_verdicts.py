@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.physical_plausibility import cannot_be_negative, judge_parameter
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict, known_verdict, parameter_verdict, percent_text, worst
+from gtau.estimation.diagnostics.wrench_checks import base_misfit
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.factors import STRETCHES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.headline import headline
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.lack_of_fit import INFLATED
+from gtau.estimation.thresholds.lack_of_fit import BASE_MISFIT, INFLATED
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
@@ -249,3 +251,17 @@ def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
     gains = {joint: replace(gain, verdict=turned) for joint, gain in result.drive_gains.items()}
     names = " and ".join(f"'{joint}'" for joint in gains)
     assert headline(replace(result, drive_gains=gains)).endswith(f". Joints {names}: negative gain; reverse a sign.")
+
+
+@pytest.mark.parametrize(("left", "unexplained"), [(0.05, False), (1.0, True)])
+def test_moments_of_a_base_that_hangs_still_are_no_misfit(left: float, unexplained: bool) -> None:
+    """Hung above its centre of mass a base has moments of 0.05 N m, all noise, while its terms of 3 N m cancel."""
+    problem = SimpleNamespace(
+        base_channels=np.ones(6, dtype=bool),
+        balance=lambda theta: np.array([2.0, 2.0, 100.0, left, left, left]),
+        largest_terms=lambda theta: np.array([2.0, 2.0, 100.0, 3.0, 3.0, 3.0]),
+    )
+    solution = SimpleNamespace(theta=np.zeros(1), sigma=np.array([0.5, 0.5, 0.5, left, left, left]))
+    shares = base_misfit(SimpleNamespace(system=SimpleNamespace(problem=problem), solution=solution))
+    assert shares["forces"] < 0.01
+    assert (shares["moments"] > BASE_MISFIT) == unexplained

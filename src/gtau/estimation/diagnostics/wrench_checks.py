@@ -80,10 +80,15 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     """Compute the unexplained shares (rms) of the forces and moments on a floating base, empty for a fixed one.
 
     They are shares of all that is measured together, of wrenches on bodies too; of forces and moments in three
-    directions each, as what acts in one of them may be small.
+    directions each, as what acts in one of them may be small. Where all of it is, of a third of the model's terms.
     """
-    problem = fit.system.problem
+    problem, theta = fit.system.problem, fit.solution.theta
     rows = np.flatnonzero(problem.base_channels)
-    left, whole = fit.solution.sigma[rows] ** 2, problem.balance(fit.solution.theta)[rows] ** 2
+    left, whole = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
+    terms = problem.largest_terms(theta)[rows] ** 2
     parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}
-    return {what: float(np.sqrt(left[of].sum() / max(whole[of].sum(), 1e-300))) for what, of in parts.items()}
+    # a base that hangs still at its centre of mass has hardly a moment but noise
+    return {
+        what: float(np.sqrt(left[of].sum() / max(whole[of].sum(), terms[of].sum() / 9, 1e-300)))
+        for what, of in parts.items()
+    }

@@ -165,9 +165,12 @@ class Problem:
 
     def balance(self, theta: np.ndarray) -> np.ndarray:
         """Return each channel's signal, rms, (c,); for a silent one the largest of the terms that cancel each other."""
+        return np.where(self.silent, self.largest_terms(theta), self.signal)
+
+    def largest_terms(self, theta: np.ndarray) -> np.ndarray:
+        """Return the largest of the model's terms in each channel, rms, (c,)."""
         terms = [np.linalg.norm(R[:, : self.n_theta], axis=0) * np.abs(theta) for R in self.triangles]
-        largest = np.array([each.max(initial=0.0) for each in terms]) / np.sqrt(self.total_rows)
-        return np.where(self.silent, largest, self.signal)
+        return np.asarray(np.array([each.max(initial=0.0) for each in terms]) / np.sqrt(self.total_rows))
 
     @property
     def smallest_sigma(self) -> np.ndarray:
