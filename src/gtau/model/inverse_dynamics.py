@@ -81,6 +81,11 @@ class Regressor:
         return motion.c, motion.yd, motion.ydd, passive
 
 
+def _regressor(names: tuple[str, ...], inputs: list[ca.SX], matrix: ca.SX) -> Regressor:
+    rows, columns = (np.array(index, dtype=int) for index in matrix.sparsity().get_triplet())
+    return Regressor(names, inputs, matrix, rows, columns)
+
+
 class InverseDynamics:
     """``tau_idm = IDM_st(q, qd, qdd) chi_st`` of a serial, tree or parallel robot.
 
@@ -162,24 +167,30 @@ class InverseDynamics:
             inputs, whole = self._symbolic
             position = {name: k for k, name in enumerate(self.parameter_names)}
             W = whole[:, [position[name] for name in names]]
-            rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
-            self._regressors[names] = Regressor(names, inputs, W, rows, columns)
+            self._regressors[names] = _regressor(names, inputs, W)
         return self._regressors[names]
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
         """Return the columns of wrenches on bodies, six of each: their product with the wrenches are torques ``J^T w``.
 
-        Columns of a wrench are its moment (x, y, z) and its force (x, y, z); see
-        :func:`gtau.model.dynamics.wrench_torques`.
+        Parameters
+        ----------
+        frames : sequence of WrenchFrame
+            Of k wrenches.
+
+        Returns
+        -------
+        Regressor
+            (n, 6 k): of each wrench its moment (x, y, z), N m, and its force (x, y, z), N, eq. (14); see
+            :func:`gtau.model.dynamics.wrench_torques`.
         """
         frames = tuple(frames)
         if frames not in self._wrenches:
-            (c, yd, ydd, passive), J = self._inputs
+            inputs, J = self._inputs
             wrench = ca.SX.sym("w", 6 * len(frames))
-            matrix = ca.jacobian(wrench_torques(self.layout, c, J, frames, wrench), wrench)
-            rows, columns = (np.array(index, dtype=int) for index in matrix.sparsity().get_triplet())
+            matrix = ca.jacobian(wrench_torques(self.layout, inputs[0], J, frames, wrench), wrench)
             names = tuple(f"{kind}_{frame.body}" for frame in frames for kind in WRENCH)
-            self._wrenches[frames] = Regressor(names, [c, yd, ydd, passive], matrix, rows, columns)
+            self._wrenches[frames] = _regressor(names, inputs, matrix)
         return self._wrenches[frames]
 
     @cached_property

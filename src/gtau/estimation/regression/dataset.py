@@ -223,7 +223,8 @@ def reduce_runs(
     Raises
     ------
     GtauError
-        Where a run does not suit the robot, or the robot's loops cannot be closed along it.
+        Where a run does not suit the robot, or the robot's loops cannot be closed along it; where runs have wrenches on
+        different bodies, or one that the robot lacks, or a payload beyond a sensor that feels it already.
     """
     model = model_of(robot)
     runs = tuple(arrange(run, model.actuated) for run in runs)
