@@ -86,6 +86,10 @@ def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> N
     errors = again.validate(read_run(tmp_path / "log.csv", signals=described.signals, units=described.units))
     assert len(errors) == 9
     assert max(error.relative for error in errors) < 6
+    tool = {"name": "tool", "mass": 1.0}
+    carrying = read_run(tmp_path / "log.csv", described.signals, tool, described.units)
+    with pytest.raises(GtauError, match="whose wrench is measured: the sensor feels it"):
+        again.predict(carrying)
 
 
 def check(result: Result, z: np.ndarray, count: int) -> None:

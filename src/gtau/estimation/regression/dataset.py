@@ -233,13 +233,31 @@ def reduce_runs(
     if len({run.wrenches for run in runs}) > 1:
         raise GtauError("the runs have wrenches on different bodies; give the same 'wrenches' for all runs.")
     for run in runs:
-        if run.payload is not None and robot.tool in [frame.body for frame in run.wrenches]:
-            raise GtauError(
-                f"run '{run.name}': the payload '{run.payload.name}' is on '{robot.tool}', whose wrench is measured: "
-                "the sensor feels it already; remove the 'payload', or the sensor from 'wrenches'."
-            )
+        check_wrenches(robot, run)
+    preparation = preparation or choose_preparation(runs, decimator)
+    progress("base parameters", 0, 1)
+    base = base_parameters(model, sensors=sensors_of(robot, runs))
+    prepared = prepare_runs(model, runs, preparation)
+    return Dataset(robot, model, base, preparation, prepared, (), priors or {}, mapper, shard).reduced(
+        progress=progress
+    )
+
+
+def check_wrenches(robot: Robot, run: Run) -> None:
+    """Check that the wrenches of a run act on bodies of the robot, and feel no payload that is stated too.
+
+    Raises
+    ------
+    GtauError
+        A body is unknown, or the payload sits on a body whose wrench is measured.
+    """
+    if run.payload is not None and robot.tool in [frame.body for frame in run.wrenches]:
+        raise GtauError(
+            f"run '{run.name}': the payload '{run.payload.name}' is on '{robot.tool}', whose wrench is measured: "
+            "the sensor feels it already; remove the 'payload', or the sensor from 'wrenches'."
+        )
     bodies = [body for body in robot.bodies if body not in robot.base]
-    for frame in runs[0].wrenches:
+    for frame in run.wrenches:
         if frame.body not in bodies:
             close = get_close_matches(frame.body, bodies, n=1)
             hint = f" (did you mean '{close[0]}'?)" if close else ""
@@ -248,13 +266,6 @@ def reduce_runs(
                 f"joints: {', '.join(bodies)}; write the joint that moves it{hint}, and, with 'axes: "
                 "body', 'at' in that joint's frame."
             )
-    preparation = preparation or choose_preparation(runs, decimator)
-    progress("base parameters", 0, 1)
-    base = base_parameters(model, sensors=sensors_of(robot, runs))
-    prepared = prepare_runs(model, runs, preparation)
-    return Dataset(robot, model, base, preparation, prepared, (), priors or {}, mapper, shard).reduced(
-        progress=progress
-    )
 
 
 def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
