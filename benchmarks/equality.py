@@ -166,7 +166,7 @@ def numbers(folder: Path) -> dict[str, object]:
     }
     groups |= {f"payload {k} {each.name}": each.parameters for k, each in enumerate(found.payloads)}
     for each in found.sensors:
-        groups[f"sensor {each.joint}"] = {"delay": each.delay, **({"scale": each.scale} if each.scale else {})}
+        groups[f"sensor {each.joint}"] = {"delay": each.delay, **({"scale": each.ratio} if each.ratio else {})}
     for group, estimates in groups.items():
         for name, estimate in estimates.items():
             out[f"{group} {name}"] = [estimate.value, estimate.std]
