@@ -175,7 +175,7 @@ def numbers(folder: Path) -> dict[str, object]:
     for each in found.residuals:
         out[f"residual {each.joint}"] = [each.relative, None]
     if found.consistency is not None:
-        out |= {f"consistent {name}": [value, None] for name, value in found.consistency.parameters.items()}
+        out |= {f"consistent {name}": [value, None] for name, value in found.consistency.standard.items()}
     for run in read_runs(experiment, experiment.validation):
         for each in found.validate(run):
             out[f"prediction {run.name} {each.joint}"] = [each.relative, None]
