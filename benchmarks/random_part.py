@@ -256,7 +256,7 @@ def judge(case: Case, system: System, solution: Solution) -> Repetition:
 def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetition]) -> dict[str, object]:
     from scipy.special import stdtrit
 
-    from gtau.estimation.regression.base_parameters import base_parameters
+    from gtau.model.base_parameters import base_parameters
 
     base = base_parameters(case.model)
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from gtau.errors import GtauError
     from gtau.estimation.compare import compare
     from gtau.estimation.identify import identify
-    from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
     from gtau.estimation.results.estimate import Estimate
     from gtau.estimation.results.result import Result
     from gtau.estimation.weigh import weigh
     from gtau.excitation.design import design as excite
     from gtau.excitation.problem_of_file import read_design
     from gtau.export.registry import export_model
+    from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
     from gtau.robots.robot import Robot

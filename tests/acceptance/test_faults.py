@@ -15,9 +15,9 @@ import gtau.estimation.regression.dataset
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.lack_of_fit import INFLATED
+from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Mdh, Robot

@@ -10,7 +10,7 @@ from scipy.signal import butter, decimate, filtfilt
 
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 

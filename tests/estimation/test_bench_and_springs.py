@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.readers.native import parse_native

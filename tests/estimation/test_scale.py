@@ -28,13 +28,12 @@ from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.torque_sensors import seen_by_sensor
 from gtau.estimation.results.remarks import remarks
 from gtau.estimation.thresholds.prior_knowledge import HIDDEN_KNOWN
+from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot

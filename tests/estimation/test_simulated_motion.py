@@ -17,13 +17,13 @@ from gtau.estimation.estimators.instrumental_variables import Pair, instrumental
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.simulated_motion import POLE, reference_cutoff, resimulated
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.results.result import Result
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent

@@ -9,7 +9,6 @@ import pytest
 from robots_for_tests import CLOSED, four_bar, hexapod, palletizer, random_samples
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.excitation.closure_gradients import Slopes, in_platform_space, pullback
 from gtau.excitation.constraints import constraint_usages
 from gtau.excitation.criteria import NAMED, criterion
@@ -18,6 +17,7 @@ from gtau.excitation.information import Window, derivative
 from gtau.excitation.regressor import smooth_regressor
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring

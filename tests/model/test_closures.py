@@ -25,7 +25,7 @@ from robots_for_tests import (
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.base_parameters import base_parameters
 from gtau.model.coordinates import coordinates
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

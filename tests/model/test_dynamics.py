@@ -14,7 +14,7 @@ from robots_for_tests import ROBOTS, SERIAL, home, random_samples, seven_r, traj
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters, symmetric_order
+from gtau.model.base_parameters import BaseParameters, base_parameters, symmetric_order
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import DRIVE, INERTIAL, Coupling, Robot

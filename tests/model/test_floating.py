@@ -10,7 +10,7 @@ from free_flyer import regressor
 from robots_for_tests import hexapod, seven_r, tree
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import base_parameters, independent_columns
+from gtau.model.base_parameters import base_parameters, independent_columns
 from gtau.model.home import close_home
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion

@@ -11,11 +11,10 @@ from robots_for_tests import OBLIQUE, four_bar, hexapod, home, planar_3rrr
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.leg_symmetry import leg_differences
-from gtau.estimation.regression.base_parameters import base_parameters, symmetric_order
-from gtau.estimation.regression.legs import identical_legs
+from gtau.model.base_parameters import base_parameters, symmetric_order
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.geometry import pose_of
+from gtau.robots.geometry import identical_legs, pose_of
 from gtau.robots.readers.urdf import turning
 from gtau.robots.robot import Attachment, Closure, Coupling, Joint, Mdh, Platform, Pose, Robot
 

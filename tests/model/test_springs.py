@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import base_parameters
-from gtau.estimation.regression.legs import identical_legs
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import poses
 from gtau.model.random_states import random_motion
-from gtau.robots.geometry import attached
+from gtau.robots.geometry import attached, identical_legs
 from gtau.robots.parts import select_joints
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text

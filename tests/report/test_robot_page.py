@@ -11,7 +11,7 @@ import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant
 
 from gtau import identify
-from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.report.robot_figure import robot_figure

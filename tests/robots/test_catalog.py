@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from engines import Mujoco, Pinocchio, closed_torques, random_parameters, torques_of
 
-from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.base_parameters import base_parameters
 from gtau.model.coordinates import coordinates
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -10,9 +10,9 @@ from robots_for_tests import slider_crank
 
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate
 from gtau.estimation.results.result import Result
+from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
 from gtau.robots.units import torque_unit, unit_of

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.regression.base_parameters import BaseParameters
 from gtau.estimation.regression.factors import EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import assemble_system
 from gtau.estimation.regression.triangle import triangle
+from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.payload import Payload
 

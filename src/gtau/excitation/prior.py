@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import BaseParameters
 from gtau.estimation.results.result import Result
+from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
 from gtau.robots.robot import INERTIAL, Robot

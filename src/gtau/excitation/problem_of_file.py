@@ -12,7 +12,6 @@ from gtau.documents.kinds import DESIGN, refuse_other_kind
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import base_parameters
 from gtau.estimation.results.result import Result
 from gtau.excitation.clearance import Clearance, Shape, capsule, clearance, hull
 from gtau.excitation.closure_gradients import in_platform_space
@@ -20,6 +19,7 @@ from gtau.excitation.design_file import DesignFile, DesignPrior, LimitsEntry, Sh
 from gtau.excitation.prior import given_parameters, massless, noise_of, parameters_of, rough_noise, rough_parameters
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.regression.base_parameters import base_parameters
+from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
 from gtau.robots.plausibility import oddities, tool_note

@@ -20,10 +20,10 @@ from gtau.estimation.estimators.newton import (
     whitening,
 )
 from gtau.estimation.estimators.solution import Iterate, jackknife
-from gtau.estimation.regression.base_parameters import independent_columns
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds.refutation import APART
+from gtau.model.base_parameters import independent_columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.regression.base_parameters import BaseParameters, independent_columns
+from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import INERTIAL
 from gtau.signals.payload import Payload

@@ -12,11 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.regression.base_parameters import BaseParameters
 from gtau.estimation.regression.carried_payload import CarriedPayload
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, PUSH
 from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS, Friction
-from gtau.estimation.regression.torque_sensors import of_drive, sensor_name
+from gtau.estimation.regression.torque_sensors import sensor_name
+from gtau.model.base_parameters import BaseParameters, of_drive
 
 
 @dataclass(frozen=True, eq=False)

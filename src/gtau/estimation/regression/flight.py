@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import BaseParameters
 from gtau.estimation.regression.factors import CURRENTS, Factors
+from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.experiment import Prior
 

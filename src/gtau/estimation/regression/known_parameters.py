@@ -12,7 +12,7 @@ from difflib import get_close_matches
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import BaseParameters
+from gtau.model.base_parameters import BaseParameters
 from gtau.signals.experiment import Prior
 
 RANK = 1e-9  # of the largest singular value: a combination to which unknown parameters add no more

@@ -19,9 +19,9 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.regression.base_parameters import independent_columns
 from gtau.estimation.regression.torque_sensors import sensor_name
 from gtau.estimation.regression.triangle import triangle
+from gtau.model.base_parameters import independent_columns
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.base_parameters import BaseParameters, independent_columns
 from gtau.estimation.regression.carried_payload import CarriedPayload, carried_payload
 from gtau.estimation.regression.column_maps import ColumnMaps, drift_name
 from gtau.estimation.regression.factors import CURRENTS, PUSH, Factors
@@ -17,6 +16,7 @@ from gtau.estimation.regression.friction import TEMPERATURE_TERMS, Friction, tra
 from gtau.estimation.regression.known_parameters import known_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.torque_sensors import joint_behind
+from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
 from gtau.signals.experiment import Prior

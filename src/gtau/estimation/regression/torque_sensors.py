@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from gtau.errors import GtauError
-from gtau.robots.robot import DRIVE, Robot
+from gtau.robots.robot import Robot
 from gtau.signals.run import Run
 
 BEARING = ("fv", "fs")  # friction that a sensor's bearing may have of its own
@@ -31,17 +29,6 @@ def bearing_terms(sensors: Sequence[str]) -> tuple[str, ...]:
 def joint_behind(body: str, robot: Robot) -> str:
     """Return the joint of a sensor, or the joint or platform that a parameter's name ends in."""
     return body if body in robot.bodies else body.removesuffix("_sensor")
-
-
-def of_drive(name: str, joint: str) -> bool:
-    """Decide whether a standard parameter belongs to the drive of a joint."""
-    kind, body = name.split("_", 1)
-    return kind in DRIVE and body == joint
-
-
-def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
-    """Mark with 1 the standard parameters that the sensor of a joint measures in its row, with 0 those of the drive."""
-    return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
 def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:

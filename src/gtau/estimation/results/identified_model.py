@@ -10,7 +10,6 @@ import numpy as np
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
@@ -21,6 +20,7 @@ from gtau.estimation.results.estimate import (
     TorqueError,
 )
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
+from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
 from gtau.signals.notes import Note

@@ -9,12 +9,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.legs import identical_legs
-from gtau.estimation.regression.torque_sensors import seen_by_sensor
-from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.geometry import identical_legs
+from gtau.robots.robot import DRIVE, INERTIAL, Robot
 
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
 IDLE = 1e-10  # share of the largest column: a smaller one is rounding
@@ -75,6 +73,17 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
     return [name for name in order if name in wanted]
 
 
+def of_drive(name: str, joint: str) -> bool:
+    """Decide whether a standard parameter belongs to the drive of a joint."""
+    kind, body = name.split("_", 1)
+    return kind in DRIVE and body == joint
+
+
+def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
+    """Mark with 1 the standard parameters that the sensor of a joint measures in its row, with 0 those of the drive."""
+    return np.array([not of_drive(name, joint) for name in names], dtype=float)
+
+
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on busy cores threads make the QR a hundred times slower
 def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = ()) -> BaseParameters:
     """Find the base parameters chi of eq. (21) from the structure of the robot's model.
@@ -121,7 +130,7 @@ def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] 
 def _settled_triangle(
     idm: InverseDynamics, columns: Sequence[int], rng: np.random.Generator, sensors: Sequence[str]
 ) -> np.ndarray:
-    """Factor the regressor's ``columns`` at so many random states that more leave its rank the same."""
+    """Factor the regressor's ``columns`` until more random states no longer raise the rank."""
     full, n, n_st = idm.full, len(idm.actuated), len(idm.parameter_names)
     seen = {idm.actuated.index(joint): seen_by_sensor(idm.parameter_names, joint) for joint in sensors}
     samples = max(SAMPLES, -(-ROWS * n_st // n))
@@ -131,7 +140,7 @@ def _settled_triangle(
         W = np.zeros((n, samples, n_st))
         W[full.rows, :, full.columns] = full(idm.layout, motion)
         rows = [W.reshape(-1, n_st), *(W[j] * felt for j, felt in seen.items())]
-        R = triangle(np.vstack([R, *(each[:, columns] for each in rows)]))
+        R = np.asarray(np.linalg.qr(np.vstack([R, *(each[:, columns] for each in rows)]), mode="r"))
         before, rank = rank, len(independent_columns(R)[0])
         if rank == before:
             return R
