@@ -66,21 +66,21 @@ class ConstraintUsage:
 
 
 def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
-    """Compute the usage of all limits along all motions, with gradients (N, task.size); see :func:`loads_of_one`."""
+    """Compute the usage of all limits along all motions, with gradients (N, task.size); see :func:`usages_of_motion`."""
     for k, point in enumerate(points):
         padding = (0, 0), (k * point.task.series.size, (len(points) - 1 - k) * point.task.series.size)
-        for load in loads_of_one(point, shares[k] if shares else None):
+        for usage in usages_of_motion(point, shares[k] if shares else None):
             if len(points) == 1:
-                yield load
+                yield usage
                 continue
 
-            def rows(own: Callable[[], np.ndarray] = load.rows, padding: tuple[tuple[int, int], ...] = padding) -> Any:
+            def rows(own: Callable[[], np.ndarray] = usage.rows, padding: tuple[tuple[int, int], ...] = padding) -> Any:
                 return np.pad(own(), padding)
 
-            yield replace(load, what=f"{load.what} in run {k + 1}", rows=rows)
+            yield replace(usage, what=f"{usage.what} in run {k + 1}", rows=rows)
 
 
-def loads_of_one(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
+def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
     """Compute the usage of all limits along one motion, with gradients (N, series.size) with respect to its numbers.
 
     ``share`` (n,) is the part of each joint's samples that lies away from its reversals, where it has been counted;

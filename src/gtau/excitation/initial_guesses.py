@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.excitation.constraints import ConstraintUsage, loads_of_one
+from gtau.excitation.constraints import ConstraintUsage, usages_of_motion
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate_one
 from gtau.excitation.nlp import Programme
 from gtau.excitation.task import DesignProblem
@@ -57,7 +57,7 @@ def _scaled(task: DesignProblem, grid: Grid, runs: tuple[int, ...], x: np.ndarra
             near = evaluate_one(task, x, grid, runs, near)
         except GtauError:
             return None
-        return tuple(loads_of_one(near))
+        return tuple(usages_of_motion(near))
 
     resting = used(np.zeros_like(x))
     if resting is None:

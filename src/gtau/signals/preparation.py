@@ -102,7 +102,7 @@ class PreparedRun:
         (n,) Whether a joint moves at all.
     speeds : ndarray
         (n, n) Mean of ``qd qd^T`` over these samples: what the joints' thresholds of speed refer to.
-    friction_speed_ratios : ndarray
+    motor_to_joint_speed : ndarray
         (n_y, n) Speeds of joints whose friction acts in the rows of the motors for which the entry is not zero, from
         the motors' speeds; of each motor's own joint, and of others in coupled chains.
     notes : tuple of Note
@@ -114,7 +114,7 @@ class PreparedRun:
     kept: range
     moves: np.ndarray
     speeds: np.ndarray
-    friction_speed_ratios: np.ndarray
+    motor_to_joint_speed: np.ndarray
     notes: tuple[Note, ...] = ()
 
     def __len__(self) -> int:
@@ -148,10 +148,10 @@ class PreparedRun:
             for each, filtered in zip((command, command_d, command_dd), pushes, strict=True):
                 each[:, c:] = filtered
         limit = preparation.speed_fraction * np.sqrt(
-            np.einsum("yi,ij,yj->y", self.friction_speed_ratios, self.speeds, self.friction_speed_ratios)
+            np.einsum("yi,ij,yj->y", self.motor_to_joint_speed, self.speeds, self.motor_to_joint_speed)
         )
-        slow = np.abs(qd @ self.friction_speed_ratios.T) < limit
-        rubbing = np.abs(self.friction_speed_ratios) > 1e-9
+        slow = np.abs(qd @ self.motor_to_joint_speed.T) < limit
+        rubbing = np.abs(self.motor_to_joint_speed) > 1e-9
         # joints without friction may rest
         moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
         valid = self.valid(start, stop)
@@ -180,7 +180,7 @@ class InMemoryRun:
         return SampleWindow(*(block(getattr(self.all, field.name), start, stop) for field in fields(SampleWindow)))
 
 
-def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarray | None = None) -> PreparedRun:
+def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray | None = None) -> PreparedRun:
     """Find where in a run its joints move.
 
     The rest at the beginning and the end, where no joint exceeds its speed threshold, is cut off.
@@ -191,12 +191,12 @@ def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarra
         One run.
     preparation : Preparation
         Of its experiment.
-    friction_speed_ratios : ndarray, optional
+    motor_to_joint_speed : ndarray, optional
         See :class:`PreparedRun`; a joint of its own for each motor if left out.
 
     Returns
     -------
-    Prepared
+    PreparedRun
         Not decimated: the decimator takes the columns of the model.
 
     Raises
@@ -232,7 +232,7 @@ def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarra
             "side); give a longer log of a moving robot."
         )
     kept = range(first, last + 1)
-    ratios = np.eye(n) if friction_speed_ratios is None else friction_speed_ratios
+    ratios = np.eye(n) if motor_to_joint_speed is None else motor_to_joint_speed
     # Of the moving part alone, as rest lowers the rms speed that the threshold refers to.
     within = [(max(start, kept.start), min(stop, kept.stop)) for start, stop in pieces]
     moved = [
@@ -246,7 +246,7 @@ def prepare(run: Run, preparation: Preparation, friction_speed_ratios: np.ndarra
         kept=kept,
         moves=moves,
         speeds=np.sum(moved, axis=0) / len(kept),
-        friction_speed_ratios=ratios,
+        motor_to_joint_speed=ratios,
         notes=tuple(_notes(run, found, preparation, np.any(ratios, axis=0))),
     )
 

@@ -70,7 +70,7 @@ def instrumental(
 
     Parameters
     ----------
-    dataset, assembly, solution : Dataset, Assembly, Solution
+    dataset, system, solution : Dataset, System, Solution
         What was identified without instruments, where the simulations begin.
     free_gains : bool
         Estimate the gains, or take those of ``solution``.

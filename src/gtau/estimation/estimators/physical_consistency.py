@@ -82,7 +82,7 @@ def consistent(
 
     Parameters
     ----------
-    dataset, assembly, solution : Dataset, Assembly, Solution
+    dataset, system, solution : Dataset, System, Solution
         What was identified without regard to consistency.
     priors : mapping
         Standard parameter to what is known of it.

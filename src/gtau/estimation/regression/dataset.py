@@ -276,11 +276,11 @@ def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Prepa
     GtauError
         Where nothing moves in a run, or its log is shorter than its filters.
     """
-    ratios = friction_speed_ratios(model)
+    ratios = motor_to_joint_speed(model)
     return tuple(within_limits(model.robot, prepare(run, preparation.at(run.rate), ratios)) for run in runs)
 
 
-def friction_speed_ratios(model: InverseDynamics) -> np.ndarray:
+def motor_to_joint_speed(model: InverseDynamics) -> np.ndarray:
     """Compute speeds (n_y, n) of the joints that each motor drives, through couplings too, for their friction.
 
     The ratios do not change along a run. Where closures drive the joints, a motor's own joint is all.

@@ -167,6 +167,7 @@ def build_result(
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
         data=dataset.runs,
+        known=(dataset.model, base),
         singular_values=() if not gain_std.any() else _singular_values(problem, solution.sigma),
     )
 

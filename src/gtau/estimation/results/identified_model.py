@@ -78,6 +78,8 @@ class IdentifiedModel:
     singular_values : tuple of float
         Of ``W_tot`` (eq. 33) in falling order, rows weighted by the residuals and columns of unit length; empty where
         the gains were given, and not held by ``model.json``.
+    known : tuple of InverseDynamics and BaseParameters, optional
+        The robot's model and base parameters, where the identification has them already; else they are derived.
     """
 
     robot: Robot
@@ -105,6 +107,7 @@ class IdentifiedModel:
     singular_values: tuple[float, ...] = ()
     geometry: GeometryTest | None = None
     temperatures: ReferenceTemperatures | None = None
+    known: tuple[InverseDynamics, BaseParameters] | None = None
 
     def __post_init__(self) -> None:
         for name in ("drive_gains", "delays", "parameters", "essential", "friction"):
@@ -121,11 +124,13 @@ class IdentifiedModel:
     @cached_property
     def model(self) -> InverseDynamics:
         """The robot's model."""
-        return InverseDynamics(self.robot)
+        return self.known[0] if self.known else InverseDynamics(self.robot)
 
     @cached_property
     def base(self) -> BaseParameters:
         """The robot's base parameters, of motors and torque sensors together."""
+        if self.known:
+            return self.known[1]
         return base_parameters(self.model, sensors=[each.joint for each in self.sensors])
 
     @property

@@ -30,7 +30,7 @@ def payload_estimates(
     """Collect the payload of every loaded run, known and unknown parameters together.
 
     ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
-    known payloads, by name; ``freedom`` as in :func:`make_result`.
+    known payloads, by name; ``freedom`` the degrees of freedom behind each.
     """
     robot = dataset.robot
     found = named_values(system.problem, theta, np.sqrt(np.diag(covariance)))

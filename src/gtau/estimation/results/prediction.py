@@ -8,7 +8,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.carried_payload import known_values
-from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, friction_speed_ratios
+from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, term_columns, transmitted
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
@@ -36,7 +36,7 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
         )
     check_wrenches(result.robot, run)
     preparation = at_rate_of([run], result.preparation)
-    prepared = prepare(run, preparation, friction_speed_ratios(model))
+    prepared = prepare(run, preparation, motor_to_joint_speed(model))
     decimator = preparation.decimator
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     regressor = model.columns(base.standard)

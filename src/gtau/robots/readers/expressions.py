@@ -29,8 +29,8 @@ FUNCTIONS: Mapping[str, Callable[..., float]] = {
 RESERVED = frozenset({COORDINATE, "pi", *FUNCTIONS})
 """Names that a constant cannot have."""
 
-LinearisedWindow = tuple[float, float]
-"""``(coefficient, constant)`` of an expression linear in the joint coordinate ``q``."""
+AffineInQ = tuple[float, float]
+"""``(coefficient, constant)`` of ``coefficient * q + constant``, ``q`` being the joint coordinate."""
 
 
 def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
@@ -60,7 +60,7 @@ def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
     return constant
 
 
-def linear(text: str, names: Mapping[str, float] | None = None) -> LinearisedWindow:
+def linear(text: str, names: Mapping[str, float] | None = None) -> AffineInQ:
     """Find coefficient and constant of an expression linear in the joint coordinate, such as ``q - a``.
 
     Parameters and errors are those of `evaluate`; here the text may hold ``q``.
@@ -92,7 +92,7 @@ def linear(text: str, names: Mapping[str, float] | None = None) -> LinearisedWin
     return result
 
 
-def _value(node: ast.expr, names: Mapping[str, float]) -> LinearisedWindow:
+def _value(node: ast.expr, names: Mapping[str, float]) -> AffineInQ:
     match node:
         case ast.Constant(value=float() | int() as number) if not isinstance(number, bool):
             return 0.0, float(number)
@@ -117,7 +117,7 @@ def _value(node: ast.expr, names: Mapping[str, float]) -> LinearisedWindow:
             )
 
 
-def _named(name: str, names: Mapping[str, float]) -> LinearisedWindow:
+def _named(name: str, names: Mapping[str, float]) -> AffineInQ:
     if name == COORDINATE:
         return 1.0, 0.0
     if name == "pi":
@@ -127,7 +127,7 @@ def _named(name: str, names: Mapping[str, float]) -> LinearisedWindow:
     return 0.0, names[name]
 
 
-def _operation(operator: ast.operator, left: LinearisedWindow, right: LinearisedWindow) -> LinearisedWindow:
+def _operation(operator: ast.operator, left: AffineInQ, right: AffineInQ) -> AffineInQ:
     (p, a), (q, b) = left, right
     match operator:
         case ast.Add():
@@ -149,7 +149,7 @@ def _operation(operator: ast.operator, left: LinearisedWindow, right: Linearised
             raise ValueError("only the operators + - * / ** are read here")
 
 
-def _call(name: str, arguments: list[LinearisedWindow]) -> float:
+def _call(name: str, arguments: list[AffineInQ]) -> float:
     count = 2 if name == "atan2" else 1
     if len(arguments) != count:
         raise ValueError(f"{name} takes {count} value{'s' if count > 1 else ''}, not {len(arguments)}")

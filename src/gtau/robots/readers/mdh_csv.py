@@ -11,7 +11,7 @@ from typing import TypeVar
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
 from gtau.robots.geometry import short_angles_note
-from gtau.robots.readers.expressions import RESERVED, LinearisedWindow, evaluate, linear
+from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
 from gtau.robots.robot import GROUND, Robot
 
@@ -100,7 +100,7 @@ def _row(number: int, cells: list[str], header: list[str], constants: dict[str, 
     values = dict(zip(header, cells, strict=True))
     name = values["j"]
 
-    def read(column: str) -> LinearisedWindow:
+    def read(column: str) -> AffineInQ:
         text = re.sub(rf"\bq_?{re.escape(name)}\b", "q", values[column])
         try:
             return linear(text, constants)

@@ -12,7 +12,7 @@ from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document, parse_yaml, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.floating import base_joints
-from gtau.robots.readers.expressions import RESERVED, LinearisedWindow, evaluate, linear
+from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.robot import (
     DAMPING,
     INERTIAL,
@@ -46,7 +46,7 @@ def _angle(text: str, info: ValidationInfo) -> float:
     return angle
 
 
-def _coordinate(text: str, info: ValidationInfo) -> LinearisedWindow:
+def _coordinate(text: str, info: ValidationInfo) -> AffineInQ:
     factor, constant = linear(text, info.context)
     if info.field_name == "theta" and in_degrees(constant):
         raise ValueError(f"{text} adds more than a turn, in rad; {DEGREES_ADVICE}, such as deg({constant:g})")
@@ -55,7 +55,7 @@ def _coordinate(text: str, info: ValidationInfo) -> LinearisedWindow:
 
 Number = Annotated[float, BeforeValidator(_number)]
 Angle = Annotated[float, BeforeValidator(_angle)]
-Coordinate = Annotated[LinearisedWindow, BeforeValidator(_coordinate)]
+Coordinate = Annotated[AffineInQ, BeforeValidator(_coordinate)]
 """A number that may hold the joint coordinate ``q``."""
 Triple = tuple[Number, Number, Number]
 Angles = tuple[Angle, Angle, Angle]
