@@ -66,7 +66,7 @@ class ConstraintUsage:
 
 
 def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
-    """Compute the usage of all limits along all motions, with gradients (N, task.size); see :func:`usages_of_motion`."""
+    """Compute the usage of all limits along all motions, with gradients (N, task.size) as :func:`usages_of_motion`."""
     for k, point in enumerate(points):
         padding = (0, 0), (k * point.task.series.size, (len(points) - 1 - k) * point.task.series.size)
         for usage in usages_of_motion(point, shares[k] if shares else None):
