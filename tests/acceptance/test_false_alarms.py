@@ -13,7 +13,7 @@ import gtau.estimation.regression.dataset
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.base_parameters import BaseParameters, base_parameters
-from gtau.estimation.thresholds.lack_of_fit import INFLATED
+from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.payload import Payload

@@ -34,7 +34,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.torque_sensors import seen_by_sensor
 from gtau.estimation.results.remarks import remarks
-from gtau.estimation.thresholds.prior_knowledge import HIDDEN_KNOWN
+from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot

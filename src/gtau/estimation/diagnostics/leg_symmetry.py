@@ -12,7 +12,7 @@ from gtau.estimation.regression.base_parameters import BaseParameters
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.legs import identical_legs
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.prior_knowledge import LEG_DIFFERENCE, LEG_DIFFERENCE_STD, LEG_PROBABILITY
+from gtau.estimation.thresholds.estimates import LEG_DIFFERENCE, LEG_DIFFERENCE_STD, LEG_PROBABILITY
 from gtau.robots.robot import Robot
 from gtau.signals.notes import Kind, Note
 

@@ -23,7 +23,7 @@ from gtau.estimation.estimators.solution import Iterate, jackknife
 from gtau.estimation.regression.base_parameters import independent_columns
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.thresholds.refutation import APART
+from gtau.estimation.thresholds.estimates import APART
 
 
 @dataclass(frozen=True, eq=False)
