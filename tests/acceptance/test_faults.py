@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.lack_of_fit import INFLATED
+from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -9,20 +9,27 @@ import numpy as np
 import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 
-from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, model_covariance, support
+from gtau.estimation.diagnostics.alternatives import (
+    Alternative,
+    Tried,
+    compete,
+    find_alternatives,
+    model_covariance,
+    same_effects,
+    support,
+)
 from gtau.estimation.diagnostics.findings import Findings
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
-from gtau.estimation.diagnostics.hypotheses.registry import HYPOTHESES
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
 from gtau.estimation.diagnostics.position_ripple import PositionRipple
-from gtau.estimation.diagnostics.same_effect import Tried, same_effects
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.thresholds.plausible_sizes import ALTERNATIVE_PRIOR
+from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import InMemoryRun

@@ -9,7 +9,7 @@ import pytest
 from five_bar_logs import STEEL, Plant
 from scipy.signal import lfilter
 
-from gtau.estimation.diagnostics.command_lag import command_lags, lag_notes
+from gtau.estimation.diagnostics.log_checks import command_lags, lag_notes
 from gtau.estimation.grades import Grade, grade_of
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs

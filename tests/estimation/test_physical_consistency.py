@@ -25,7 +25,7 @@ from gtau.estimation.estimators.semidefinite import (
 )
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.prior_knowledge import LAST_OVERHANG, OVERHANG
+from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.model.home import load_robot
 from gtau.robots.geometry import extent, longest_placement
 from gtau.robots.robot import INERTIAL

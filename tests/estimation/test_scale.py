@@ -32,7 +32,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.results.remarks import remarks
-from gtau.estimation.thresholds.prior_knowledge import HIDDEN_KNOWN
+from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN
 from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gtau.estimation.diagnostics.swapped_channels import unexplained
+from gtau.estimation.diagnostics.log_checks import unexplained
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs

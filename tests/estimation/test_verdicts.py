@@ -21,7 +21,7 @@ from gtau.estimation.regression.factors import STRETCHES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.headline import headline
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.lack_of_fit import BASE_MISFIT, INFLATED
+from gtau.estimation.thresholds.estimates import BASE_MISFIT, INFLATED
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run

@@ -11,9 +11,8 @@ import numpy as np
 
 from gtau import display
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.command_lag import lag_notes
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.diagnostics.plausibility import require_felt_payload
+from gtau.estimation.diagnostics.log_checks import lag_notes, require_felt_payload
 from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, Mapper, model_of, prepare_runs, reduce_runs, robot_notes

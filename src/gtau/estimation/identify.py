@@ -10,8 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.command_lag import lag_notes
-from gtau.estimation.diagnostics.plausibility import require_felt_payload
+from gtau.estimation.diagnostics.log_checks import lag_notes, require_felt_payload
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
@@ -21,7 +20,7 @@ from gtau.estimation.regression.dataset import Mapper, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.accuracy import ACCURACY
+from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot

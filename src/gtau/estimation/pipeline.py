@@ -20,7 +20,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import PAPER
 from gtau.estimation.results.build import build_result
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.accuracy import ACCURACY
+from gtau.estimation.thresholds.estimates import ACCURACY
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest, percent
 from gtau.estimation.results.geometry_text import late
-from gtau.estimation.thresholds.geometry import POSE_DELAY_STD
+from gtau.estimation.thresholds.logs import POSE_DELAY_STD
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Column, folded, number, paragraph, sentence, table, text, verdict
 from gtau.report.html.series import COLOURS, Arrays, Line, chart, key, zoom_tools

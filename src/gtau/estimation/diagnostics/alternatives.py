@@ -19,8 +19,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
-from gtau.estimation.diagnostics.hypotheses.registry import HYPOTHESES
 from gtau.estimation.diagnostics.linearisation import (
     LinearisedWindow,
     central_windows,
@@ -31,12 +31,10 @@ from gtau.estimation.diagnostics.linearisation import (
     side_by_side,
     stack,
 )
-from gtau.estimation.diagnostics.same_effect import Tried, same_effects
 from gtau.estimation.diagnostics.score_test import ScoreTests, score_tests
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.thresholds.plausible_sizes import ALTERNATIVE_PRIOR
-from gtau.estimation.thresholds.refutation import REFUTED_STD, TOGETHER_SHARE
+from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD, SAME_EFFECT, TOGETHER_SHARE
 
 CERTAIN = 1e9  # log factor that stands for certainty
 WINDOWS = 10  # of a run, within which residuals may be autocorrelated
@@ -261,3 +259,55 @@ def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarr
     for each in alternatives:
         total += each.mean_square * np.outer(each.slopes, each.slopes)
     return total
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate, counted once with those of the same effect.
+
+    ``column`` is its own in the windows, ``joint`` the number of its joint, or None where it acts on all joints;
+    ``plausible`` is the standard deviation of the sizes that experience allows. Only candidates which contradict the
+    ``description``, or only those which do not, can stand for each other.
+    """
+
+    column: int
+    joint: int | None
+    plausible: float
+    description: bool
+
+
+def same_effects(tried: Sequence[Tried], windows: Sequence[LinearisedWindow]) -> list[list[int]]:
+    """Group candidates whose torques are proportional to each other, those without effect each by itself.
+
+    Parameters
+    ----------
+    tried : sequence of Tried
+        All candidates.
+    windows : sequence of LinearisedWindow
+        Their columns.
+
+    Returns
+    -------
+    list of list of int
+        Positions in ``tried``, those with the largest plausible effect first.
+    """
+    products = np.sum([np.einsum("jpm,jpn->jmn", each.offered, each.offered) for each in windows], axis=0)
+    of_all = products.sum(axis=0)
+
+    def product(one: Tried, other: Tried) -> float:
+        return float((of_all if one.joint is None else products[one.joint])[one.column, other.column])
+
+    def same(one: Tried, other: Tried) -> bool:
+        if (one.joint, one.description) != (other.joint, other.description):
+            return False
+        squares = product(one, one) * product(other, other)
+        return squares > 0 and 1 - product(one, other) ** 2 / squares < SAME_EFFECT
+
+    groups: list[list[int]] = []
+    for k in sorted(range(len(tried)), key=lambda k: -product(tried[k], tried[k]) * tried[k].plausible ** 2):
+        group = next((each for each in groups if same(tried[each[0]], tried[k])), None)
+        if group is None:
+            groups.append([k])
+        else:
+            group.append(k)
+    return groups

@@ -20,7 +20,7 @@ from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict
 from gtau.estimation.diagnostics.wrench_checks import check_wrenches
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.lack_of_fit import MISFIT_GIVEN
+from gtau.estimation.thresholds.estimates import MISFIT_GIVEN
 from gtau.signals.notes import Kind, Note
 
 

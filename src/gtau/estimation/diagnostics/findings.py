@@ -10,18 +10,24 @@ from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_
 from gtau.estimation.diagnostics.gain_change import gain_changes
 from gtau.estimation.diagnostics.lack_of_fit import lack_of_fit
 from gtau.estimation.diagnostics.lengths import other_length
+from gtau.estimation.diagnostics.log_checks import swapped_channels
 from gtau.estimation.diagnostics.other_estimators import (
     alternatives_of,
     other_estimators,
     two_stage_difference,
 )
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
-from gtau.estimation.diagnostics.swapped_channels import swapped_channels
 from gtau.estimation.diagnostics.verdict import Refutation
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.lack_of_fit import LACKING
-from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_GAIN_CHANGE
-from gtau.estimation.thresholds.refutation import DOMINANT, OF_REPEATING, PROBABLE, REFUTED_SHARE, SCALED
+from gtau.estimation.thresholds.estimates import (
+    DOMINANT,
+    LACKING,
+    OF_REPEATING,
+    PLAUSIBLE_GAIN_CHANGE,
+    PROBABLE,
+    REFUTED_SHARE,
+    SCALED,
+)
 from gtau.progress import Progress, silent
 
 

@@ -18,7 +18,7 @@ from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, modelled, residuals, to_gains
 from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.refutation import DOMINANT, TIE
+from gtau.estimation.thresholds.estimates import DOMINANT, TIE
 
 
 @dataclass(frozen=True, eq=False)

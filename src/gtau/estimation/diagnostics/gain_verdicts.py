@@ -18,9 +18,7 @@ from gtau.estimation.diagnostics.other_estimators import TWO_STAGE
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, percent_text
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.accuracy import LOST_GAIN, NAMED_SHARE
-from gtau.estimation.thresholds.lack_of_fit import MISFIT
-from gtau.estimation.thresholds.refutation import APART_REFUTED
+from gtau.estimation.thresholds.estimates import APART_REFUTED, LOST_GAIN, MISFIT, NAMED_SHARE
 
 NORMAL = 1.96  # standard deviations in half a 95 % interval
 BARE = (

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.flight import whole_mass
-from gtau.estimation.thresholds.refutation import APART
+from gtau.estimation.thresholds.estimates import APART
 from gtau.signals.notes import Kind, Note
 
 ADVICE = "check its value, and the units and signs of what else gives the scale: payloads, sensors, wrenches"

@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.prior_knowledge import LEG_DIFFERENCE, LEG_DIFFERENCE_STD, LEG_PROBABILITY
+from gtau.estimation.thresholds.estimates import LEG_DIFFERENCE, LEG_DIFFERENCE_STD, LEG_PROBABILITY
 from gtau.model.base_parameters import BaseParameters
 from gtau.robots.geometry import identical_legs
 from gtau.robots.robot import Robot

@@ -24,7 +24,7 @@ from gtau.estimation.diagnostics.linearisation import (
     stack,
 )
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.geometry import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_SHARE, LENGTH_TRIED
+from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_SHARE, LENGTH_TRIED
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME
 from gtau.progress import Progress, silent

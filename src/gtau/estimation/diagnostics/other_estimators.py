@@ -36,7 +36,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.thresholds.refutation import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD
+from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD
 from gtau.signals.filters import below_nyquist
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict, parameter_verdict
-from gtau.estimation.thresholds.accuracy import NEGATIVE_STD
+from gtau.estimation.thresholds.estimates import NEGATIVE_STD
 
 NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
 TERM = re.compile(r"([+-])\s*(?:[\d.e+-]+ )?([a-z]+\d?)_")

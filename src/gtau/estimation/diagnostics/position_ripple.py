@@ -28,7 +28,7 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.thresholds.refutation import RIPPLE_SHARE
+from gtau.estimation.thresholds.estimates import RIPPLE_SHARE
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import InMemoryRun
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
-from gtau.estimation.thresholds.prior_knowledge import EFFORT_FACTOR, PRIOR_FACTOR
+from gtau.estimation.thresholds.estimates import EFFORT_FACTOR, PRIOR_FACTOR
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit
 

@@ -22,7 +22,7 @@ from gtau.estimation.estimators.newton import (
 from gtau.estimation.estimators.solution import Iterate, jackknife
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.thresholds.refutation import APART
+from gtau.estimation.thresholds.estimates import APART
 from gtau.model.base_parameters import independent_columns
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import ceil, floor, log10
 
-from gtau.estimation.thresholds.accuracy import WEAK_PARAMETER
-from gtau.estimation.thresholds.refutation import APART
+from gtau.estimation.thresholds.estimates import APART, WEAK_PARAMETER
 
 
 class Outcome(StrEnum):

@@ -14,8 +14,7 @@ import numpy as np
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.flight import whole_mass
-from gtau.estimation.thresholds.accuracy import NEGATIVE_STD
-from gtau.estimation.thresholds.lack_of_fit import BASE_MISFIT
+from gtau.estimation.thresholds.estimates import BASE_MISFIT, NEGATIVE_STD
 
 WRENCHES = (
     "check the signs, axes, point ('at') and body of each wrench, that none is missing, and that they share the "

@@ -11,7 +11,7 @@ from gtau.estimation.regression.problem import Problem, delayed
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.torque_sensors import BEARING, bearing_terms
 from gtau.estimation.regression.triangle import triangle
-from gtau.estimation.thresholds.accuracy import FRICTION_TERM_GAIN, FRICTION_TERM_STD
+from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TERM_STD
 from gtau.progress import Progress
 
 LOAD_PASSES = 6  # of the logs, at most, for friction that depends on the torques transmitted

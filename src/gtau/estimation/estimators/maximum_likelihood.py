@@ -24,8 +24,7 @@ from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.lack_of_fit import MISFIT
-from gtau.estimation.thresholds.prior_knowledge import HIDDEN_KNOWN
+from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN, MISFIT
 
 
 def ml(problem: Problem) -> Solution:

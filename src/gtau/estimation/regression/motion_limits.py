@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.thresholds.motion_limits import (
+from gtau.estimation.thresholds.logs import (
     BEYOND_LIMITS,
     FAR_BEYOND_LIMITS,
     FARTHEST_SLIDE,

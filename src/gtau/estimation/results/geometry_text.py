@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest, percent
-from gtau.estimation.thresholds.geometry import POSE_DELAY_STD
+from gtau.estimation.thresholds.logs import POSE_DELAY_STD
 
 WIDTH = 80
 NAME = 36

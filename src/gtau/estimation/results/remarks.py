@@ -8,7 +8,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
-from gtau.estimation.thresholds.lack_of_fit import INFLATED
+from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.signals.columns import Signals
 from gtau.signals.notes import Kind, Note

@@ -21,7 +21,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.remarks import VISIBLE, findings
 from gtau.estimation.results.scale_text import all_sources, scale_lines
 from gtau.estimation.results.singularity_distances import NearestPose
-from gtau.estimation.thresholds.accuracy import ACCURACY
+from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.signals.notes import Note
 
 WIDTH = 80

@@ -13,3 +13,27 @@ and only of parameters near zero), p differences from instrumental variables at 
 own standard deviation (none did), likeness of legs at 1e-3, and one autocorrelation at 1.8 (none of 320 experiments).
 benchmarks/false_alarms.py counts what they do together; docs/coverage.md has the result.
 """
+
+from __future__ import annotations
+
+
+class Threshold(float):
+    """A number that decides an outcome, and why it has its value."""
+
+    statistic: str
+    healthy: str
+    faulty: str
+    evidence: str
+
+    def __new__(cls, value: float, statistic: str, healthy: str, faulty: str, evidence: str) -> Threshold:
+        """Make the number and attach the evidence."""
+        made = super().__new__(cls, value)
+        made.statistic, made.healthy, made.faulty, made.evidence = statistic, healthy, faulty, evidence
+        return made
+
+    def __getnewargs__(self) -> tuple[float, str, str, str, str]:  # type: ignore[override]
+        """Return the arguments with which copy and pickle rebuild the threshold."""
+        return float(self), self.statistic, self.healthy, self.faulty, self.evidence
+
+
+NONE = "not measured"

@@ -1,8 +1,10 @@
-"""What is found in the logs."""
+"""Thresholds of what is read: logs, motion, logged poses."""
 
 from __future__ import annotations
 
-from gtau.estimation.thresholds.threshold import NONE, Threshold
+from gtau.estimation.thresholds import NONE, Threshold
+
+# What is found in the logs.
 
 COSTLY_REPAIR = Threshold(
     0.02,
@@ -56,4 +58,146 @@ DELAY_STD = Threshold(
     "0.01 (Orthoglide)",
     "0.3 (-43 +- 12 ms)",
     "Orthoglide; a log reported by a user",
+)
+
+
+# Whether a log can be of this robot ("shared": the logs of UR10e, TX40, Orthoglide and Aliengo).
+
+BEYOND_LIMITS = Threshold(
+    0.02,
+    "motion outside a joint's limits, of their range, from which a note says so",
+    "never outside (shared)",
+    NONE,
+    "a choice: less is the offset of an encoder",
+)
+FAR_BEYOND_LIMITS = Threshold(
+    1.0,
+    "the same, from which the log is refused: another unit, joint or robot",
+    "never outside (shared)",
+    "57 times the share of the range that is used (deg read as rad)",
+    "tests/estimation/test_motion_limits.py",
+)
+TOO_FAST = Threshold(
+    3.0,
+    "rms speed over the joint's limit of speed, from which the log is refused",
+    "0.57 (shared)",
+    "57 (deg read as rad), 1000 (ms read as s)",
+    "the factors between units",
+)
+FASTEST_TURN = Threshold(
+    30.0,
+    "rms speed of a joint without limit, rad/s, from which the clock or unit is wrong",
+    "1.4 (Aliengo), 10 (fast deltas)",
+    "77 (Aliengo, deg read as rad)",
+    "shared logs; the speed of deltas from experience",
+)
+FASTEST_SLIDE = Threshold(10.0, "the same, m/s", "0.34 (shared)", "340 (ms read as s)", "shared logs")
+FARTHEST_TURN = Threshold(
+    40.0,
+    "range of a joint's positions, rad, from which they are rather in deg",
+    "1.1 (Aliengo) to 6.0 (UR10e)",
+    "62 to 340 (those, deg read as rad)",
+    "shared logs",
+)
+FARTHEST_SLIDE = Threshold(
+    30.0,
+    "the same of a prismatic joint, in lengths of the robot, from which they are rather in mm",
+    "0.40 to 0.64 (Orthoglide)",
+    "400 to 640 (Orthoglide, mm read as m)",
+    "shared logs",
+)
+LEAST_TURN = Threshold(
+    0.06,
+    "range of the joint that turns most, rad, below which positions said to be in deg are rather in rad",
+    "0.3 to 6.0",
+    "0.005 to 0.1 (rad read as deg)",
+    "UR10e, TX40, Panda and Aliengo logs",
+)
+LEAST_SLIDE = Threshold(
+    3e-3,
+    "the same of prismatic joints, in lengths of the robot, where positions are said to be in mm",
+    "0.40 to 0.64 (Orthoglide)",
+    "0.0004 to 0.0006 (m read as mm)",
+    "shared logs",
+)
+
+
+# What torques and logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU described in docs/zoo.md).
+
+LENGTH_SHARE = Threshold(
+    0.1, "the same, of another length", "below 0.05 (clean)", "0.24 to 0.96 (bars 2 % off)", "faults"
+)
+LENGTH_CHANGE = Threshold(
+    0.005, "relative change of that length", "below 0.005 where residuals are tiny", "0.02", "faults"
+)
+LENGTH_TRIED = Threshold(
+    0.02,
+    "length over the longest of the robot, below which it is not tried",
+    "0.042 and more (17 robots of the catalog and of the shared data): all are tried",
+    NONE,
+    "these robots; docs/catalog.md",
+)
+LENGTH_ALIKE = Threshold(
+    0.8,
+    "share that another length explains over the largest, from which both are equally likely",
+    "0.85 to 1, of the length that is wrong",
+    "0.46 (a bar 2 % off, the next best length)",
+    "tests/acceptance/test_faults.py, tests/estimation/test_geometry.py (a forearm 1.4 % off)",
+)
+GEOMETRY_SHARE = Threshold(
+    0.5,
+    "share of the variance of the pose residuals that a length or an encoder zero explains, of what is left",
+    "0.02 (UPV, the controller's pose), 0.29 (its tracker), 0.28 (its tracker taken for the controller's frame)",
+    "0.82 to 0.99999 (UPV, one radius or three 26 mm off), above 0.9 (simulated, 1 % off)",
+    "tests/estimation/test_geometry.py",
+)
+GEOMETRY_STD = Threshold(
+    6.0,
+    "change of a length or zero that explains the pose, in standard deviations",
+    "up to 9 where the share is small (UPV, tracker)",
+    "24 to 30,000 (UPV, 26 mm off)",
+    "tests/estimation/test_geometry.py; the share decides where systematic residuals of a tracker are certain",
+)
+GEOMETRY_CHANGE = Threshold(
+    0.005,
+    "that change, of the length, of the robot's mean length (zeros in m) or in rad",
+    "0.000003 (UPV, the controller's pose)",
+    "0.01 (simulated), 0.08 (UPV, 26 mm off)",
+    "a choice: what is less is not worth another robot file",
+)
+GEOMETRY_RMS = Threshold(
+    0.01,
+    "distance between logged and computed positions, rms, of the robot's mean length, above which a pose that no "
+    "length explains does not confirm the geometry",
+    "0.000002 (UPV, the controller's pose), 0.003 (its tracker)",
+    "0.02 (UPV, its tracker taken for the controller's frame)",
+    "UPV",
+)
+GEOMETRY_LIKELY = Threshold(
+    0.5,
+    "share that a constant explains to first order, over GEOMETRY_SHARE, from which it is fitted for good",
+    NONE,
+    "a fit explains at most 1.09 times what the first order says, where it is more than GEOMETRY_SHARE",
+    "tests/estimation/test_geometry.py, UPV",
+)
+GEOMETRY_ALIKE = Threshold(
+    1.5,
+    "squares of the residuals that another constant leaves, over those that the best leaves: with less it is as likely",
+    "1.02 (a length and a zero that act alike), 1.2 (a tracker taken for the controller's frame)",
+    "3 (UPV, tracker), 43 and more elsewhere",
+    "tests/estimation/test_geometry.py, UPV",
+)
+GEOMETRY_FREE = Threshold(
+    1e-3,
+    "rms effect of a constant on the pose that frames and other free constants leave, over its effect",
+    "0.011 and more, of constants that have an effect of their own",
+    "0.00015 and less, of constants that have none",
+    "tests/estimation/test_geometry.py, UPV",
+)
+POSE_DELAY_STD = Threshold(
+    0.02,
+    "standard deviation of the delay of a pose, s, above which it is not shown",
+    NONE,
+    NONE,
+    "a choice: two samples of a camera at 100 Hz",
 )

@@ -1,14 +1,19 @@
-"""What a hypothesis is: candidate torques, and how large they may plausibly be."""
+"""Hypotheses: candidate torques, and how large they may plausibly be."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from gtau.estimation.diagnostics.linearisation import Offer
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.rows import Labels
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import Motion
+from gtau.signals.preparation import InMemoryRun
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,3 +89,25 @@ def rms_torques(fit: Fit) -> np.ndarray:
 def rms_speeds(fit: Fit) -> np.ndarray:
     """Find the largest rms speed of each joint in a run, (n,), rad/s or m/s."""
     return np.sqrt(np.max([np.diag(run.speeds) for run in fit.dataset.prepared], axis=0))
+
+
+@lru_cache(maxsize=2)  # hypotheses are tried window by window
+def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
+    """Compute configurations, velocities and accelerations of a ``model`` along a window.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    """
+    return shifted_motion(model, window, None, None)
+
+
+def shifted_motion(
+    model: InverseDynamics, window: InMemoryRun, shift: np.ndarray | None, start: np.ndarray | None
+) -> Motion:
+    """Shift a motion by ``shift`` (n,), from a configuration ``start`` (n_c,) near the first one."""
+    of = window.samples()
+    labels = Labels(window.run.name, of.time)
+    q, qd, qdd = (np.ascontiguousarray(each.T) for each in (of.q if shift is None else of.q + shift, of.qd, of.qdd))
+    return model.rates(model.path(q, labels, start), qd, qdd, labels)

@@ -1,4 +1,8 @@
-"""Another gravity: a base that is tilted. Torques are linear in gravity, so its changes are candidate columns."""
+"""Errors of the description of robot and logs: encoder zeros and gravity.
+
+An encoder's zero adds a constant to its joint's position. Torques are linear in gravity, so a tilted base and another
+strength of gravity are candidate columns.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,56 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
-from gtau.estimation.diagnostics.hypotheses.window_motion import window_motion
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis, shifted_motion, window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
-from gtau.estimation.diagnostics.plausibility import other_clock
+from gtau.estimation.diagnostics.log_checks import other_clock
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.plausible_sizes import PLAUSIBLE_GRAVITY, PLAUSIBLE_TILT
-from gtau.estimation.thresholds.refutation import CLOCK_REVERSED, CLOCK_SIZE
+from gtau.estimation.thresholds.estimates import (
+    CLOCK_REVERSED,
+    CLOCK_SIZE,
+    PLAUSIBLE_GRAVITY,
+    PLAUSIBLE_TILT,
+    PLAUSIBLE_ZERO,
+)
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.preparation import InMemoryRun
+
+DEGREE, MILLIMETRE = np.pi / 180, 1e-3
+STEP = 0.1  # of the unit: the torques' change is linear over this
+
+
+def _encoder_zeros(fit: Fit) -> Candidates:
+    dataset = fit.dataset
+    model, n = dataset.model, len(dataset.model.actuated)
+    turns = [dataset.robot.joint(joint).kind == "revolute" for joint in model.actuated]
+    unit = np.array([DEGREE if turn else MILLIMETRE for turn in turns])
+    regressor = model.columns(dataset.base.standard)
+
+    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+        motion = window_motion(model, window)
+        before = regressor.torques_along(model.layout, motion, values)
+        columns = np.zeros((n, *before.shape))
+        for k, shift in enumerate(np.diag(STEP * unit)):
+            try:
+                moved = shifted_motion(model, window, shift, motion.c[:, 0])
+            except GtauError:
+                continue  # the loops do not close there: nothing is said of this zero
+            columns[k] = (regressor.torques_along(model.layout, moved, values) - before) / STEP
+        return at_full_rate(window, dataset, columns)
+
+    return Candidates(
+        tuple(f"an error in the zero of encoder '{joint}'" for joint in model.actuated),
+        tuple("deg" if turn else "mm" for turn in turns),
+        np.full((n, 1), PLAUSIBLE_ZERO),
+        offer,
+    )
+
+
+ENCODER_ZEROS = Hypothesis(
+    "encoder zeros", True, _encoder_zeros, "check the zeros of the encoders against the robot's own", description=True
+)
+
 
 DEGREE = np.pi / 180
 ADVICE = (
@@ -23,7 +68,7 @@ ADVICE = (
 )
 
 
-def _candidates(fit: Fit) -> Candidates | None:
+def _gravity(fit: Fit) -> Candidates | None:
     dataset = fit.dataset
     robot = dataset.robot
     gravity = np.array(robot.gravity)
@@ -61,7 +106,7 @@ def _candidates(fit: Fit) -> Candidates | None:
 GRAVITY = Hypothesis(
     "gravity",
     True,
-    _candidates,
+    _gravity,
     ADVICE,
     description=True,
 )

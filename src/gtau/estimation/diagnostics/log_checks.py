@@ -1,0 +1,170 @@
+"""Tests of the logs: commands that lag, channels that are swapped, currents that never felt the payload.
+
+Torque causes acceleration, so the command of a drive comes before the motion by its delay. One that comes after the
+motion was filtered or stamped late. A low-pass of first order with time constant T makes ``v + T v'`` of what the
+motion asks for; any other filter and a late stamp do so to first order. T follows from each joint's own equations,
+whether its gain is estimated, given, or 1.
+
+Units of positions are checked against the robot's size before (:mod:`gtau.estimation.regression.motion_limits`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step
+from gtau.estimation.diagnostics.verdict import Refutation
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.motion_limits import clock_advice
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds.estimates import SWAPPED, UNFELT_PAYLOAD
+from gtau.estimation.thresholds.logs import DELAY_MOTION, LAG_LEAST, LAG_LOSS, LAG_SAMPLES, LAG_STD
+from gtau.signals.notes import Kind, Note
+from gtau.signals.run import Run
+
+
+def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate each joint's lag T of command behind motion, with standard error, both (n,) in s; NaN where unknown.
+
+    It minimises what the joint's own model leaves of ``v + T v'``. Noise n of the command adds ``T^2 n'^2`` to that,
+    which ``n n''`` takes away on average (parts integrated). The error is that of a ratio, from its scatter over the
+    units.
+    """
+    lag, error = np.full(len(problem.joints), np.nan), np.full(len(problem.joints), np.nan)
+    first = problem.n_theta + 1
+    for j in range(len(problem.joints)):
+        R, columns = problem.triangles[j], problem.own_columns[j]
+        model = np.linalg.lstsq(R[:, columns], R[:, first:], rcond=None)[0]
+        rest = problem.blocks[:, j, :, first:] - problem.blocks[:, j][:, :, columns] @ model
+        r, rate, change = np.moveaxis(rest, -1, 0)  # (U, p) each
+        along, whole = np.einsum("up,up->u", r, rate), np.einsum("up,up->u", rate, rate)
+        of_motion = whole + np.einsum("up,up->u", r, change)
+        share = of_motion.sum() / max(whole.sum(), 1e-300)
+        if share * whole.sum() > DELAY_MOTION * np.linalg.norm(of_motion - share * whole):
+            lag[j] = -along.sum() / of_motion.sum()
+            error[j] = np.linalg.norm(along + lag[j] * of_motion) / of_motion.sum()
+    return lag, error
+
+
+def lag_notes(dataset: Dataset, system: System) -> list[Note]:
+    """Note joints whose commands lag behind the motion in all runs; ``system`` is that of all runs."""
+    kind, bandwidth = dataset.runs[0].kind, dataset.preparation.bandwidth
+    rate = min(run.rate for run in dataset.runs)
+    lags, errors = command_lags(system.problem)
+    known = np.isfinite(lags) & (errors > 0)
+    if not known.any():
+        return []
+    weights = 1 / errors[known] ** 2
+    lag = float(weights @ lags[known] / weights.sum())
+    scatter = weights @ (lags[known] - lag) ** 2 / max(known.sum() - 1, 1)
+    std = float(np.sqrt(max(scatter, 1.0) / weights.sum()))
+    if lag < max(LAG_LEAST, LAG_SAMPLES / rate) or lag < LAG_STD * std:
+        return []
+    phase = 2 * np.pi * bandwidth * lag
+    size = f"by {1e3 * lag:.2g} ms (+-{1e3 * std:.2g} ms)" if phase < 1 else f"by more than {1e3 * lag / phase:.2g} ms"
+    loss = 100 * (1 - 1 / np.sqrt(1 + phase**2))
+    what = (
+        f"the {kind}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass of that "
+        f"time constant attenuates them by {loss:.2g} % at the bandwidth of the motion, {bandwidth:.3g} Hz"
+    )
+    action = f"log the {kind}s before any filter and with the time stamps of the positions"
+    return [Note(Kind.FILTERED if loss > 100 * LAG_LOSS else Kind.READING, what, action)]
+
+
+def unexplained(dataset: Dataset) -> np.ndarray:
+    """Compute the share of each joint's current (columns) that each joint's regressor (rows) leaves unexplained.
+
+    Each joint is fitted by itself, with other parameters for each payload.
+    """
+    n, regressor = len(dataset.model.actuated), dataset.model.columns(dataset.base.standard)
+    loads = [None if run.payload is None else run.payload.name for run in dataset.runs]
+    kinds = list(dict.fromkeys(loads))
+    rows: list[list[np.ndarray]] = [[] for _ in range(n)]
+    currents: list[list[np.ndarray]] = [[] for _ in range(n)]
+    for run, piece in central_windows(dataset):
+        mine = np.array([loads[run] == kind for kind in kinds], dtype=float)
+        for part in stream_rows(dataset.model, regressor, piece, dataset.preparation.at(piece.run.rate).decimator):
+            for j in range(n):
+                own = part.entries[regressor.rows == j][:, part.keep[j]].T
+                rows[j].append(np.kron(mine, own))
+                currents[j].append(part.currents[0, :n, part.keep[j]])
+    left = np.zeros((n, n))
+    for j in range(n):
+        W, V = np.concatenate(rows[j]), np.concatenate(currents[j])
+        rest = V + W @ least_squares_step(W, V)
+        left[j] = np.linalg.norm(rest, axis=0) / np.maximum(np.linalg.norm(V, axis=0), 1e-300)
+    return left
+
+
+def swapped_channels(dataset: Dataset) -> tuple[Refutation, ...]:
+    """Find the pairs of joints whose currents (or torques) look swapped."""
+    left, joints = unexplained(dataset), dataset.model.actuated
+    columns = "torques" if dataset.runs[0].kind == "torque" else "currents"
+    return tuple(
+        Refutation(
+            (j, k),
+            f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: "
+            f"{100 * max(left[j, k], left[k, j]):.2g} % of them would stay unexplained if they were exchanged, "
+            f"{100 * min(left[j, j], left[k, k]):.2g} % as they are",
+            f"check that position and {columns[:-1]} columns belong together, in all runs",
+        )
+        for j, k in combinations(range(len(joints)), 2)
+        if left[j, k] < SWAPPED * left[j, j] and left[k, j] < SWAPPED * left[k, k]
+    )
+
+
+def other_clock(gravity: float, runs: Sequence[Run]) -> tuple[str, str]:
+    """Explain, with advice, residuals that ask for gravity of the same direction, ``gravity`` times as large.
+
+    Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
+    torques against those of gravity, whose length on Earth is known to 0.3 %.
+    """
+    size, accelerations, rate = ("larger", "large", "high") if gravity > 1 else ("smaller", "small", "low")
+    return (
+        f"gravity would have to be {size}, as accelerations are too {accelerations}: the sampling rate is too {rate} "
+        "(or all lengths of the robot are wrong)",
+        f"{clock_advice(runs[0])}; then check the robot's lengths",
+    )
+
+
+def require_felt_payload(system: System) -> None:
+    """Refuse logs whose currents are explained as well without the payload as with it.
+
+    Each joint's current is fitted by its own equations, once with the columns of all payloads and once with none.
+
+    Raises
+    ------
+    GtauError
+        Where no joint's residual grows without them: the currents never felt the payload.
+    """
+    if not any(each.payload for each in system.payloads):
+        return
+    own = {name for each in system.payloads for name in each.unknown}
+    problem = system.problem
+    n = problem.n_theta
+    if np.any(problem.total_rows < 3 * (n + 1)):
+        return  # with so few equations, the robot's own parameters explain whatever the payload does
+    robot_columns = [k for k, name in enumerate(problem.parameters) if name not in own]
+    without = np.array([_residual(problem, j, robot_columns) for j in range(len(problem.joints))])
+    with_all = np.array([_residual(problem, j, list(range(n + 1))) for j in range(len(problem.joints))])
+    if np.all(without < UNFELT_PAYLOAD * with_all):
+        name = next(each.payload.name for each in system.payloads if each.payload)
+        raise GtauError(
+            f"the currents are explained as well without payload '{name}' (residual of the worst joint "
+            f"{100 * without.max():.2g} % of its current, {100 * with_all.max():.2g} % with it), so they do not fix "
+            "the drive gains; give actual currents or the references of the current loops, not targets of the "
+            "controller's own model, check which runs carry the payload, or log longer runs with a heavier one."
+        )
+
+
+def _residual(problem: Problem, joint: int, columns: list[int]) -> float:
+    """Compute the relative residual of a joint's current, fitted by ``columns`` of its own equations."""
+    R, v = problem.triangles[joint], problem.n_theta + 1
+    solved = np.linalg.lstsq(R[:, columns], R[:, v], rcond=1e-10)[0]
+    return float(np.linalg.norm(R[:, v] - R[:, columns] @ solved) / np.linalg.norm(R[:, v]))

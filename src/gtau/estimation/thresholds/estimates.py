@@ -1,0 +1,320 @@
+"""Thresholds of what is estimated: accuracy, lack of fit, plausible sizes, prior knowledge, refutation."""
+
+from __future__ import annotations
+
+from gtau.estimation.thresholds import NONE, Threshold
+
+# How well gains, parameters and friction terms must be known, and by what they are named.
+
+ACCURACY = Threshold(
+    0.03,
+    "half the relative width of a gain's 95 % interval",
+    "0.11 to 0.17 % (Orthoglide)",
+    "above 3 % (faults)",
+    "a choice: the accuracy usually asked of a payload or a contact force; --accuracy changes it",
+)
+LOST_GAIN = Threshold(0.5, "relative random standard deviation of a gain", "below 0.05 (UR10e pairs)", NONE, "a choice")
+WEAK_PARAMETER = Threshold(0.2, "relative standard deviation of a parameter", NONE, NONE, "a choice")
+NEGATIVE_STD = Threshold(
+    4.0,
+    "standard deviations below zero of a parameter that cannot be negative",
+    NONE,
+    "11 (an armature of -0.0022 +- 0.0002 kg m2 from a log filtered wrongly)",
+    "a level: one in 30,000 by chance",
+)
+NAMED_SHARE = Threshold(
+    0.5,
+    "share of the model part in a gain's variance from which its cause is named",
+    NONE,
+    NONE,
+    "a choice: the larger part is named",
+)
+FRICTION_TERM_GAIN = Threshold(
+    0.02,
+    "share of a joint's residual that a friction term takes away",
+    "0 (Orthoglide)",
+    "0.5 and more (UR10e pairs)",
+    "300 Monte Carlo repetitions on the Orthoglide logs",
+)
+FRICTION_TERM_STD = Threshold(1 / 3, "relative standard deviation of a friction term", NONE, NONE, "a level")
+
+
+# Whether the model explains the data.
+
+MISFIT = Threshold(
+    0.25,
+    "share of a joint's current that is unexplained, gains estimated",
+    "up to 0.045 (UR10e pairs)",
+    "0.5 and more (sign flipped in one run, swapped channels)",
+    "faults, UR10e pairs",
+)
+MISFIT_GIVEN = Threshold(
+    0.5,
+    "share of a joint's torque that is unexplained, gains given",
+    "up to 0.14 (TX40)",
+    "0.98 (a log filtered wrongly)",
+    "docs/measured.md; issue reports of a Franka Panda log",
+)
+BASE_MISFIT = Threshold(
+    0.15,
+    "share of the forces, or of the moments, on a floating base that is unexplained",
+    "up to 0.011 (held or standing), 0.021 (in flight)",
+    "0.28 and more (wrong axes, point or body of a wrench, the sign of one of two), 0.22 (a foot left out)",
+    "the arm of tests/estimation/test_wrenches.py and test_floating.py; no logs of a real floating base",
+)
+LACKING = Threshold(
+    1.3,
+    "standard errors by the jackknife over those of white residuals, from which lengths, ripple and swapped "
+    "channels are tried",
+    "1.0 (Orthoglide), up to 1.2 (clean)",
+    "1.8 to 3.5 (faults)",
+    "faults, clean",
+)
+INFLATED = Threshold(
+    1.8,
+    "the same, from which the summary says so",
+    "up to 1.7 (320 simulated experiments of 24 s, benchmarks/false_alarms.py), 1.2 (clean)",
+    "1.9, 2.2 (UR10e pairs, whose friction is richer than the model)",
+    "benchmarks/false_alarms.py, clean, UR10e pairs",
+)
+
+
+# How large alternatives may plausibly be: standard deviations before the data, from experience and data sheets.
+
+ALTERNATIVE_PRIOR = Threshold(
+    0.2,
+    "probability of a group of alternatives before the data",
+    "rms z between the gains of the UR10e pairs: 0.89 with 0.5, 0.93 with 0.2, 0.95 with 0.1",
+    NONE,
+    "UR10e pairs; simulated gains without a departure had 0.65 and 0.67 with 0.5 (benchmarks/calibration.py)",
+)
+PLAUSIBLE_CUBIC = Threshold(
+    0.2, "cubic friction at three times the rms speed, of the friction", NONE, NONE, "experience"
+)
+PLAUSIBLE_LOAD_FRICTION = Threshold(
+    0.05, "friction coefficient of the load", "0.02 to 0.1 in strain-wave gears", NONE, "UR10e pairs"
+)
+PLAUSIBLE_STRIBECK = Threshold(0.3, "Stribeck friction at rest, of the friction", NONE, NONE, "experience")
+STRIBECK_SPEED = Threshold(0.1, "Stribeck speed, in rms speeds", NONE, NONE, "experience")
+PLAUSIBLE_FRICTION_DRIFT = Threshold(0.1, "relative change of friction along a run", NONE, NONE, "experience")
+PLAUSIBLE_SATURATION = Threshold(
+    0.03,
+    "relative fall of a torque constant up to twice the rms current",
+    "0 to 0.05",
+    NONE,
+    "data sheets of servo motors",
+)
+PLAUSIBLE_GAIN_DRIFT = Threshold(
+    0.005,
+    "relative change of a torque constant along a run",
+    "0.001 a kelvin of the magnets",
+    NONE,
+    "data sheets of servo motors",
+)
+PLAUSIBLE_GAIN_CHANGE = Threshold(
+    0.005, "the same between runs", "0.001 a kelvin of the magnets", NONE, "data sheets of servo motors"
+)
+PLAUSIBLE_LAG = Threshold(
+    1e-4,
+    "coefficient of the torque's second derivative, s2",
+    "elastic at 16 Hz, or a filter of 14 ms",
+    NONE,
+    "experience",
+)
+PLAUSIBLE_ZERO = Threshold(0.5, "error of an encoder's zero, degrees or mm", NONE, NONE, "experience")
+PLAUSIBLE_TILT = Threshold(1.0, "tilt of the base, degrees", NONE, NONE, "experience")
+PLAUSIBLE_GRAVITY = Threshold(
+    0.2, "deviation of local gravity from the standard, per cent", "0.26 at most on Earth", NONE, "latitude and height"
+)
+
+
+# What is known beside the data: data sheets, payloads, likeness of legs, where a body's mass may be.
+
+PRIOR_FACTOR = Threshold(
+    2.0,
+    "gain over its prior, or the inverse",
+    "1.1 (data sheets are right to 10 %)",
+    "1000 (mA for A)",
+    "faults; the paper's introduction",
+)
+EFFORT_FACTOR = Threshold(2.0, "rms torque over the joint's limit of effort", "below 1", "1000 (g for kg)", "faults")
+PAYLOAD_MOVES = Threshold(
+    0.01,
+    "relative move of the gains when a known payload parameter is estimated instead",
+    "below 0.01",
+    "above (a parameter 50 % off)",
+    "faults",
+)
+HIDDEN_KNOWN = Threshold(
+    0.01,
+    "share of the known parameters' torque that no unknown one explains, below which a refusal names it as the cause",
+    "0.03 to 0.20 (arm and five-bar of tests/estimation/test_scale.py, priors of moments and inertias)",
+    "0.0022 (UPV, CAD masses)",
+    "those, and benchmarks/zoo.py --only upv_gains",
+)
+OWN_BODY = Threshold(
+    0.1,
+    "share of the torque of measured wrenches that no parameter explains, below which a tool may cause it in all runs",
+    "0.49 to 0.69 (with and without a tool of 3 kg); 0.010 to 0.089 (with it, and with 1.02 to 1.2 of it)",
+    "0.0034 to 0.037 (the same tool in every run, its force noisy by 0.05 to 5 N); 0.24 and more with a wrong point, "
+    "axes or body",
+    "the arm of tests/estimation/test_wrenches.py, 20 s with a fixed base, two to three sets of logs; held together "
+    "with ANSWERED",
+)
+ANSWERED = Threshold(
+    0.1,
+    "share of the squares of what OWN_BODY leaves to which the currents answer, below which it is but noise",
+    "0.995 and more (with and without); 0.26 to 0.998 (with 1.02 to 1.2 of it)",
+    "0.0003 to 0.030 (the same tool)",
+    "the same logs",
+)
+LEG_PROBABILITY = Threshold(1e-3, "probability that legs which are alike differ by as much", NONE, NONE, "a level")
+LEG_DIFFERENCE = Threshold(20.0, "difference of a parameter between like legs, per cent", NONE, NONE, "a choice")
+LEG_DIFFERENCE_STD = Threshold(5.0, "the same in standard deviations", NONE, NONE, "a level")
+OVERHANG = Threshold(
+    0.5,
+    "reach of a body's mass beyond the ball around its joints, in lengths of the robot's longest link",
+    "median 0.02, 97 % of bodies up to 0.5, at most 1.06 (a Panda file with made-up inertias)",
+    "2 (a wrist of 2 kg with a radius of gyration of 1.2 m: UR10e, without the bound)",
+    "571 bodies of 62 URDF files (example-robot-data), those of 0.5 % of the robot's mass and more",
+)
+LAST_OVERHANG = Threshold(
+    1.2,
+    "the same of a body that no other follows, whose length no joint shows",
+    "median 0.43, at most 1.14",
+    NONE,
+    "150 bodies of the same files",
+)
+
+
+# What refutes the description of robot and logs, or the choice of the estimator.
+
+PROBABLE = Threshold(
+    0.5,
+    "probability after the data, from which an alternative counts as true",
+    NONE,
+    NONE,
+    "an even chance: what the data make likelier than the model itself",
+)
+REFUTED_STD = Threshold(
+    6.0,
+    "size of a description alternative in standard deviations",
+    "up to 4.8 (UR10e pairs), 3.2 (Orthoglide)",
+    "8 to 44 (faults)",
+    "faults, UR10e pairs, Orthoglide",
+)
+REFUTED_SHARE = Threshold(
+    0.05,
+    "share of the residual variance that it explains",
+    "up to 0.03 at more than 6 deviations with moves above the accuracy: none (UR10e pairs); 0.06 to 0.21 beside a "
+    "lag or elasticity of 0.07 to 0.39, which then explains it",
+    "0.06 to 0.86 (faults)",
+    "faults, UR10e pairs; a dVRK arm, and currents low-passed or joints elastic in benchmarks/calibration.py",
+)
+OF_REPEATING = Threshold(
+    0.5,
+    "share of the residual variance that it explains over that which repeats at the same positions, mean of all joints",
+    "0.08 and 0.19 (gravity on a dVRK arm, whose cables repeat)",
+    "1.3 and more (base tilted, encoder zeros off, payload off-centre: arm, five-bar, UR10e)",
+    "dVRK with 105 and 205 g; benchmarks/calibration.py, 24 experiments",
+)
+TOGETHER_SHARE = Threshold(
+    0.3,
+    "the same, of all columns of a hypothesis together",
+    "below 0.2 (clean)",
+    "0.9 (gravity along another axis)",
+    "faults, clean",
+)
+SAME_EFFECT = Threshold(
+    1e-5,
+    "1 - cos2 of the torques of two alternatives, below which they count once",
+    "0.0009 (two encoder zeros, slow logs), 0.005 and more elsewhere (alternatives to 60 fits of seven robots)",
+    "8e-7 (the zero of a leg's first encoder and a tilt of its base), rounding (a hypothesis listed twice)",
+    "tests/acceptance, tests/estimation/test_alternatives.py",
+)
+SWAPPED = Threshold(
+    0.5,
+    "unexplained share with the other joint's current over that with its own",
+    "far above 1",
+    "below 0.3",
+    "tests/estimation/test_swapped_channels.py",
+)
+SCALED = Threshold(
+    0.3, "change of a current between runs that no motor makes", "0", "2 (reversed), 1000 (units)", "faults"
+)
+TIE = Threshold(
+    1e-6,
+    "relative difference of the significance of two changes, below which the first of them counts",
+    NONE,
+    "rounding (of two runs one is as much larger as the other is smaller)",
+    "two runs of a five-bar, whose order rounding had decided",
+)
+DOMINANT = Threshold(
+    0.3,
+    "share of the residual variance that goes with currents out of scale in some runs, from which ripple is not "
+    "looked for",
+    "up to 0.12 (ripple)",
+    "0.53 to 0.71 (2 % out of scale)",
+    "tests/estimation/test_gain_change.py",
+)
+APART = Threshold(
+    3.5,
+    "standard deviations between a declared value of a payload and what all else gives",
+    "below 3 (clean, UR10e pairs)",
+    "10 and more (3 % wrong mass of one of two payloads)",
+    "clean, faults, 300 Monte Carlo repetitions on the Orthoglide logs",
+)
+APART_REFUTED = Threshold(
+    10.0,
+    "Hausman's statistic of 2SLS against the estimator used, from which the gain is contradictory",
+    "up to 3.1 (clean), 2.6 (UR10e pairs)",
+    "127 (an unloaded run declared loaded)",
+    "clean, 300 Monte Carlo repetitions on the Orthoglide logs",
+)
+NOISE_STD = Threshold(
+    4.0,
+    "Hausman's statistic of instrumental variables against the estimator used, of a parameter that moves by more than "
+    "its standard deviation, from which noise of the positions is named",
+    "no parameter of UR10e pairs, Orthoglide, TX40 or Panda moves by so much; up to 3.9 where it moves less (UR10e)",
+    "4.2 and 4.5 (five-bar, positions noisy by 0.4 mrad behind a filter of 100 Hz, 16 s), 7 to 18 (Aliengo, whose "
+    "command is made from the measured position)",
+    "shared logs, tests/estimation/test_other_estimators.py",
+)
+DIFFERENT_STD = Threshold(
+    3.0,
+    "standard deviations by which another estimator finds a parameter otherwise, from which that is an alternative",
+    NONE,
+    NONE,
+    "a level: one in 370 by chance; differences in a gain are alternatives whatever their size",
+)
+DIFFERENT_PROBABILITY = Threshold(
+    0.1, "probability of such an alternative, from which it is listed", NONE, NONE, "a choice"
+)
+RIPPLE_SHARE = Threshold(
+    0.3,
+    "share of a joint's residual variance that repeats at the same positions",
+    "below 0.2 (clean)",
+    "0.4 to 0.9 (ripple put in)",
+    "tests/estimation/test_position_ripple.py",
+)
+CLOCK_SIZE = Threshold(
+    0.9,
+    "part of what another gravity explains that another strength of it explains alone: the clock is wrong",
+    NONE,
+    "0.97 (UR10e at 95 Hz read as 125)",
+    "UR10e logs with another rate declared",
+)
+CLOCK_REVERSED = Threshold(
+    -0.9,
+    "factor of gravity, below which it is rather reversed than of another strength",
+    NONE,
+    "-1 (upside down)",
+    "faults",
+)
+UNFELT_PAYLOAD = Threshold(
+    1.1,
+    "residual of the currents without the payload over that with it",
+    "16 (UR10e, actual currents)",
+    "1.03 (UR10e, target currents, which never feel the payload)",
+    "UR10e logs",
+)
