@@ -177,8 +177,7 @@ def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, mon
     estimate = {key: each for key, each in model["drive_gains"][0].items() if key not in ("joint", "scale")}
     documented("An estimate", estimate)
     assert {"joint"} ^ set(model["delays"][0]) == set(estimate)
-    for parameter in (model["parameters"][0], model["essential"][0]):
-        assert keys("An estimate") | keys("A parameter") == set(parameter)
+    assert keys("An estimate") | keys("A parameter") == set(model["parameters"][0])
     documented("A payload", model["payloads"][0])
     assert set(model["payloads"][0]["parameters"]["mx"]) == {*estimate, "name", "known", "regrouping"}
     documented("A torque error", model["residuals"][0])

@@ -72,11 +72,16 @@ def test_a_name_that_is_not_there_is_answered_with_those_that_are(result: gtau.R
 
 def test_what_is_known_only_in_sums_is_marked(result: gtau.Result) -> None:
     lost = replace(next(iter(result.essential.values())), value=0.1, std=0.2)
-    marked = replace(result, essential={**result.essential, lost.name: lost}).summary()
+
+    def summary(name: str, std: float) -> str:
+        return replace(result, parameters={**others, name: replace(lost, std=std)}).summary()
+
+    others = {name: replace(each, essential=False) for name, each in result.parameters.items()}
+    marked = summary(lost.name, 0.2)
     assert re.search(rf"{lost.name} .*200\.00   kg m2   \*\n", marked)
     assert "* known only in sums" in marked
-    assert "*" not in replace(result, essential={lost.name: replace(lost, std=0.01)}).summary()
-    untold = replace(result, essential={**result.essential, lost.name: replace(lost, std=2.0)}).summary()
+    assert "*" not in summary(lost.name, 0.01)
+    untold = summary(lost.name, 2.0)
     assert lost.name not in untold
     assert "  and 1 more, known only in sums with others: standard deviations over 1000 %\n" in untold
 

@@ -40,7 +40,9 @@ def model_of(
         return unit_of(kind, robot, body)
 
     parameters = {
-        name: Estimate(name, float(value), abs(float(value)) / 50 + 1e-4, unit(own), base.regroupings[name])
+        name: Estimate(
+            name, float(value), abs(float(value)) / 50 + 1e-4, unit(own), base.regroupings[name], essential=True
+        )
         for name, own, value in zip(base.names, base.standard, values, strict=True)
     }
     friction = {}
@@ -57,7 +59,6 @@ def model_of(
         drive_gains={joint: Estimate(joint, float(gain), 0.01, f"{unit}/A") for joint, gain, unit in pairs},
         delays={joint: Estimate(joint, 0.0, None, "s") for joint in joints},
         parameters=parameters,
-        essential=parameters,
         friction=friction,
         payloads=(PayloadEstimate("tool 2", "loaded", payload, frozenset({"m"}), GOOD),),
         residuals=(),

@@ -7,10 +7,10 @@ from pathlib import Path
 import yaml
 
 from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.estimates_table import estimates_table
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
-from gtau.export.tables import rows
 
 HEAD = """\
 # Identified model of '{robot}', written by 'gtau export'. SI units; std: standard deviation; interval: 95 %.
@@ -21,7 +21,7 @@ HEAD = """\
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME.yaml`` into ``out``."""
     groups: dict[str, dict[str, object]] = {}
-    for row in rows(result):
+    for row in estimates_table(result):
         groups.setdefault(_key(row.group), {})[row.estimate.name] = _entry(row.estimate)
     document = {"robot": result.robot.name, "method": result.method, "runs": list(result.runs), **groups}
     text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)

@@ -34,12 +34,10 @@ POORLY_KNOWN = 1000.0  # per cent: of a larger standard deviation the value says
 def parameters_section(result: Result) -> Section:
     """Show essential, cancelled and friction parameters in one table that sorts and searches."""
     rows, faint = [], []
-    entries = [(name, result.essential.get(name, each)) for name, each in result.parameters.items()]
-    for name, each in entries:
-        kept = name in result.essential
-        role = "essential" if kept else "not identifiable" if each.value is None else "cancelled"
+    for name, each in result.parameters.items():
+        role = "essential" if each.essential else "not identifiable" if each.value is None else "not essential"
         rows.append(_parameter_row(name, each, role))
-        if not kept:
+        if not each.essential:
             faint.append(len(rows) - 1)
     rows += [_parameter_row(name, each, "friction, by BIC") for name, each in result.friction.items()]
     columns = [
@@ -53,8 +51,8 @@ def parameters_section(result: Result) -> Section:
     ]
     cancelled, loss = len(result.parameters) - len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (
-        f"{len(result.essential)} of {len(result.parameters)} base parameters are essential; cancelling the other "
-        f"{cancelled} raises the torque error of the worst joint by {loss:.2g} %. "
+        f"{len(result.essential)} of {len(result.parameters)} base parameters are essential; a fit without the "
+        f"other {cancelled} raises the torque error of the worst joint by {loss:.2g} %. "
         "A standard deviation above 100 % belongs to a parameter that the torques need but that is known only in sums."
     )
     return Section(

@@ -79,21 +79,24 @@ def build_result(
     found, free = named_values(problem, solution.theta, std), named_freedoms(problem, freedom)
     spread = _spread(system, solution.theta)
     model_part = {name: min(float(model_std[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
-    chosen = {
-        name: (float(value), float(deviation))
-        for name, value, deviation in zip(
-            essential.problem.parameters, essential.solution.theta, essential.std, strict=True
-        )
-    }
 
-    def parameter(k: int, values: Mapping[str, tuple[float, float]]) -> Estimate:
+    def parameter(k: int) -> Estimate:
         name, (kind, body) = base.names[k], base.standard[k].split("_", 1)
-        value, deviation = values.get(name, (None, None))
+        value, deviation = found.get(name, (None, None))
         unit = unit_of(kind, robot, body)
         verdict = judge_parameter(value, deviation, base.regroupings[name])
         model = None if deviation is None else model_part.get(name)
         return Estimate(
-            name, value, deviation, unit, base.regroupings[name], spread.get(name), verdict, free.get(name), model
+            name,
+            value,
+            deviation,
+            unit,
+            base.regroupings[name],
+            spread.get(name),
+            verdict,
+            free.get(name),
+            model,
+            name in essential.problem.parameters,
         )
 
     scales, signal = scale_shares(fit) if fit.free_gains else {}, problem.balance(solution.theta)
@@ -128,8 +131,7 @@ def build_result(
             )
             for k, joint in enumerate(joints)
         },
-        parameters={name: parameter(k, found) for k, name in enumerate(base.names)},
-        essential={name: parameter(k, chosen) for k, name in enumerate(base.names) if name in chosen},
+        parameters={name: parameter(k) for k, name in enumerate(base.names)},
         friction={
             name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]), freedom=free.get(name))
             for name, unit in _terms(system, robot, temperatures)

@@ -24,7 +24,8 @@ class Estimate:
     ``value`` is None where it is not identifiable, ``std`` None where the value is known. ``spread`` is the
     standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
     says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
-    ``model_std`` is the part of ``std`` that comes from what the model may lack; the rest is random. ``scale`` says
+    ``model_std`` is the part of ``std`` that comes from what the model may lack; the rest is random. ``essential``
+    says whether the reduction (paper, section 5.2) keeps a base parameter; None for other estimates. ``scale`` says
     what the scale of a drive gain rests on, in shares that add up to one; see :mod:`gtau.estimation.diagnostics.scale`.
     """
 
@@ -37,6 +38,7 @@ class Estimate:
     verdict: Verdict = GOOD
     freedom: float | None = None
     model_std: float | None = None
+    essential: bool | None = None
     scale: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:

@@ -42,11 +42,10 @@ class IdentifiedModel:
         Joint name to :class:`Estimate`.
     friction : dict
         Friction terms beyond the paper's that the data ask for; name to Estimate.
-    parameters, essential : dict
-        All base parameters, and those left by the reduction and re-estimated; name to Estimate. They differ for one
-        name: predict with ``parameters``, and read ``essential`` to see what these motions identify. The standard
-        deviation of an essential one is that with all parameters, as it absorbs what cancelled ones did; after the
-        paper's ratio rule it takes the cancelled ones for zero, as the rule does.
+    parameters : dict
+        All base parameters, with which the model predicts; name to Estimate. ``essential`` of each says whether the
+        reduction keeps it. As in the paper, ``as_paper`` estimates the kept ones again without the others, whose value
+        is then None.
     payloads : tuple of PayloadEstimate
         One entry for each loaded run.
     residuals : tuple of TorqueError
@@ -88,7 +87,6 @@ class IdentifiedModel:
     drive_gains: Mapping[str, Estimate]
     delays: Mapping[str, Estimate]
     parameters: Mapping[str, Estimate]
-    essential: Mapping[str, Estimate]
     friction: Mapping[str, Estimate]
     payloads: tuple[PayloadEstimate, ...]
     residuals: tuple[TorqueError, ...]
@@ -110,7 +108,7 @@ class IdentifiedModel:
     known: tuple[InverseDynamics, BaseParameters] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("drive_gains", "delays", "parameters", "essential", "friction"):
+        for name in ("drive_gains", "delays", "parameters", "friction"):
             object.__setattr__(self, name, Named(getattr(self, name)))
 
     def __repr__(self) -> str:
@@ -138,6 +136,11 @@ class IdentifiedModel:
         """Gains of the rows of the model, (n,): of the motors, N m/A or N/A, and 1 of a floating base."""
         known = self.drive_gains
         return np.array([known[joint].value if joint in known else 1.0 for joint in self.robot.actuated], dtype=float)
+
+    @property
+    def essential(self) -> Named:
+        """The base parameters that the reduction keeps (paper, section 5.2), with their values in ``parameters``."""
+        return Named({name: each for name, each in self.parameters.items() if each.essential})
 
     @property
     def params(self) -> dict[str, float]:

@@ -19,7 +19,7 @@ from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.robots.units import unit_of
 
-SCHEMA = "gtau-model/1"
+SCHEMA = "gtau-model/2"
 
 
 def to_document(result: IdentifiedModel) -> dict[str, Any]:
@@ -34,7 +34,6 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "drive_gains": [_estimate(each, "joint") | {"scale": dict(each.scale)} for each in result.drive_gains.values()],
         "delays": [_estimate(each, "joint") for each in result.delays.values()],
         "parameters": [_parameter(each) for each in result.parameters.values()],
-        "essential": [_parameter(each) for each in result.essential.values()],
         "friction": [_estimate(each) for each in result.friction.values()],
         "sensors": [
             {
@@ -128,4 +127,8 @@ def _verdict(verdict: Verdict) -> dict[str, Any]:
 
 
 def _parameter(estimate: Estimate) -> dict[str, Any]:
-    return _estimate(estimate) | {"regrouping": estimate.regrouping, "spread": estimate.spread}
+    return _estimate(estimate) | {
+        "regrouping": estimate.regrouping,
+        "spread": estimate.spread,
+        "essential": estimate.essential,
+    }

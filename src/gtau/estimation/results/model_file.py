@@ -134,7 +134,6 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
         drive_gains=_estimates(document["drive_gains"], "joint"),
         delays=_estimates(document["delays"], "joint"),
         parameters=_estimates(document["parameters"]),
-        essential=_estimates(document["essential"]),
         friction=_estimates(document["friction"]),
         sensors=tuple(
             SensorEstimate(
@@ -198,6 +197,7 @@ def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
         _read_verdict(entry),
         entry["freedom"],
         entry["model_std"],
+        entry.get("essential"),
         entry.get("scale", {}),
     )
 

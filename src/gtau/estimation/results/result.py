@@ -11,7 +11,7 @@ import numpy as np
 
 from gtau import display
 from gtau.estimation.results.estimate import Prediction, TorqueError
-from gtau.estimation.results.frames import result_frame
+from gtau.estimation.results.estimates_table import estimates_frame
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_file import load, save
 from gtau.estimation.results.prediction import predict, torque_errors, torques
@@ -105,7 +105,7 @@ class Result(IdentifiedModel):
 
     def to_frame(self) -> pl.DataFrame:
         """Return all estimates as a Polars table, one row each; ``to_frame().to_pandas()`` converts it."""
-        return result_frame(self)
+        return estimates_frame(self)
 
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)

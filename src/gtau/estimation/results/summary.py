@@ -62,9 +62,10 @@ def summary(result: IdentifiedModel) -> str:
         lines += ["-" * WIDTH, f"{'Further friction (BIC)':<26}{'value':>12}{'std':>10}{'std %':>8}   unit"]
         lines += [f"{_row(each.name, each)}   {each.unit}" for each in result.friction.values()]
         lines += reference_lines(result)
-    left_out = len(result.parameters) - len(result.essential)
-    listed = [each for each in result.essential.values() if (each.rel_std or 0.0) <= NOT_SHOWN]
-    hidden = len(result.essential) - len(listed)
+    left_out = sum(not each.essential for each in result.parameters.values())
+    essential = result.essential
+    listed = [each for each in essential.values() if (each.rel_std or 0.0) <= NOT_SHOWN]
+    hidden = len(essential) - len(listed)
     lines += [
         "-" * WIDTH,
         f"{'Essential parameters':<26}{'value':>12}{'std':>10}{'std %':>8}   unit",
@@ -76,9 +77,8 @@ def summary(result: IdentifiedModel) -> str:
             else []
         ),
         *textwrap.wrap(
-            f"{left_out} of {len(result.parameters)} base parameters are left out; by that the worst joint's torque "
-            f"errors {_growth(result.statistics['reduction_loss'])}. Those listed were estimated again without them, "
-            "so that values differ from those under 'parameters' in model.json, which has all.",
+            f"The other {left_out} of {len(result.parameters)} base parameters are not essential: without them the "
+            f"worst joint's torque errors {_growth(result.statistics['reduction_loss'])}.",
             WIDTH,
             initial_indent="  ",
             subsequent_indent="  ",
