@@ -25,9 +25,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Given
+from gtau.estimation.estimators.estimator import Given, jackknife
 from gtau.estimation.estimators.registry import estimator_of
-from gtau.estimation.estimators.solution import jackknife
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

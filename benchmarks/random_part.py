@@ -20,9 +20,9 @@ from threadpoolctl import threadpool_limits
 
 from gtau.estimation.diagnostics.delays import delay_verdicts
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, STRETCHES, Factors
 from gtau.estimation.regression.friction import Friction

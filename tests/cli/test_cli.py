@@ -121,7 +121,7 @@ def test_the_model_file_has_the_keys_that_are_promised(here: Path) -> None:
     assert payload["parameters"]["mx"]["rel_std"] > 0
 
 
-@pytest.mark.parametrize("method", ["mixed", "tls", "wls", "ols"])
+@pytest.mark.parametrize("method", ["2sls", "tls", "wls", "ols"])
 def test_every_method(here: Path, method: str) -> None:
     if method == "tls":
         write_pair(here, noise=0.003)  # at 0.01 A it fails, see below
@@ -275,7 +275,7 @@ def test_help_and_version() -> None:
 def test_an_unknown_method_is_told_the_known_ones(here: Path) -> None:
     result = run("identify", "experiment.yaml", "--method", "magic", "--out", "out")
     assert result.exit_code == 2
-    for name in ("magic", "ml", "mixed", "tls", "wls", "ols"):
+    for name in ("magic", "ml", "2sls", "tls", "wls", "ols"):
         assert name in result.stderr
     assert not (here / "out").exists()
 

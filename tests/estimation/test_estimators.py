@@ -11,10 +11,9 @@ import scipy.optimize
 
 from gtau.estimation.estimators import newton
 from gtau.estimation.estimators.essential_parameters import essential_parameters
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import ols, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.estimators.mixed_least_squares import mixed
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.problem import Problem, delayed
@@ -32,11 +31,10 @@ METHODS: dict[str, Callable[[Problem], Solution]] = {
     "ols": lambda problem: ols(problem, GAINS),
     "wls": lambda problem: wls(problem, GAINS),
     "ml": ml,
-    "mixed": mixed,
     "tls": tls,
 }
 every_method = pytest.mark.parametrize("method", METHODS)
-least_squares = pytest.mark.parametrize("method", ["ols", "wls", "ml", "mixed"])
+least_squares = pytest.mark.parametrize("method", ["ols", "wls", "ml"])
 
 
 def exact_rows(rng: np.random.Generator, per_unit: int = 15, curved: bool = True) -> np.ndarray:
@@ -100,7 +98,7 @@ def test_factors_say_the_same_as_rows(method: str, rng: np.random.Generator) -> 
     assert_same(METHODS[method](reduced(problem)), METHODS[method](problem), 1e-9)
 
 
-@pytest.mark.parametrize("method", ["ml", "mixed", "tls"])
+@pytest.mark.parametrize("method", ["ml", "tls"])
 def test_a_reversed_current_reverses_its_gain_alone(method: str, rng: np.random.Generator) -> None:
     units = noisy(exact_rows(rng), rng)
     before = METHODS[method](problem_of(units))
@@ -221,17 +219,6 @@ def test_total_least_squares_by_svd(rng: np.random.Generator) -> None:
     assert (np.diag(solution.covariance)[:size] > 0).all()
 
 
-def test_mixed_by_projection(rng: np.random.Generator) -> None:
-    problem = problem_of(noisy(exact_rows(rng, curved=False), rng))
-    W_tot = total(problem, [1 / own_model(problem, j)[2] for j in range(N)])
-    exact, currents = W_tot[:, [*range(N_THETA), N_THETA + N]], W_tot[:, N_THETA : N_THETA + N]
-    left = currents - exact @ np.linalg.lstsq(exact, currents, rcond=None)[0]
-    gains = np.linalg.svd(left)[2][-1]  # as many rows in either joint: their noise counts alike
-    rest = np.linalg.lstsq(exact, -currents @ gains, rcond=None)[0]
-    solution = mixed(problem)
-    np.testing.assert_allclose(np.r_[solution.theta, solution.gains], np.r_[rest[:-1], gains] / rest[-1], rtol=1e-9)
-
-
 def test_2sls_is_a_start_near_the_answer(rng: np.random.Generator) -> None:
     problem = problem_of(noisy(exact_rows(rng), rng))
     first = two_stage(problem)
@@ -254,13 +241,10 @@ def test_deviations_against_monte_carlo(method: str, rng: np.random.Generator) -
     actual = estimates.std(axis=0, ddof=1)[free]
     truth = np.concatenate([THETA, GAINS, DELAYS])[free]
     assert (np.abs(estimates.mean(axis=0)[free] - truth) < 4 * actual / np.sqrt(300)).all()
-    delays = free.copy()
-    delays[: N_THETA + N] = False
     told = np.sqrt(np.mean([np.diag(each.covariance) for each in solutions], axis=0))
-    some = free & ~delays if method == "mixed" else free  # it takes the delays as found by each joint alone
-    np.testing.assert_allclose(told[some] / estimates.std(axis=0)[some], 1.0, atol=0.15)
+    np.testing.assert_allclose(told[free] / estimates.std(axis=0)[free], 1.0, atol=0.15)
     jackknife = np.sqrt(np.mean([np.diag(each.jackknife) for each in solutions[:100]], axis=0))
-    np.testing.assert_allclose(jackknife[some] / estimates.std(axis=0)[some], 1.0, atol=0.2)
+    np.testing.assert_allclose(jackknife[free] / estimates.std(axis=0)[free], 1.0, atol=0.2)
 
 
 def test_deviations_of_total_least_squares(rng: np.random.Generator) -> None:
@@ -288,7 +272,7 @@ def smooth(rng: np.random.Generator, shape: tuple[int, ...], decay: float = 0.8)
     return x
 
 
-@pytest.mark.parametrize("method", ["wls", "ml", "mixed", "tls"])
+@pytest.mark.parametrize("method", ["wls", "ml", "tls"])
 def test_only_the_jackknife_sees_coloured_noise(method: str, rng: np.random.Generator) -> None:
     per_unit = 40
     length = UNITS * per_unit

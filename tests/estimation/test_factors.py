@@ -10,10 +10,9 @@ import pytest
 from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant
 
 from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import ols, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.estimators.mixed_least_squares import mixed
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
@@ -92,7 +91,6 @@ METHODS: dict[str, Callable[[Problem], Solution]] = {
     "ols": lambda problem: ols(problem, np.array(GAINS)),
     "wls": lambda problem: wls(problem, np.array(GAINS)),
     "ml": ml,
-    "mixed": mixed,
     "tls": tls,
 }
 

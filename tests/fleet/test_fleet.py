@@ -152,7 +152,7 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
     elif change == "experiment":
         (tmp_path / "e.yaml").write_text(ONE.replace("mass: 1.2", "mass: 1.3"))
     elif change == "method":
-        method = "mixed"
+        method = "2sls"
     else:
         from gtau.model.home import load_robot
         from gtau.robots.readers.native_text import native_text

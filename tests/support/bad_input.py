@@ -252,7 +252,7 @@ EXPERIMENTS = [
             experiment((LOADED, "")),
             method(name),
         )
-        for name in ("ml", "mixed", "tls")
+        for name in ("ml", "tls")
     ),
     *(
         Case(
@@ -261,7 +261,7 @@ EXPERIMENTS = [
             experiment((FREE, FREE + LOADED)),
             method(name),
         )
-        for name in ("ml", "mixed", "tls")
+        for name in ("ml", "tls")
     ),
     Case("payload of unknown mass", "no run has a payload of known mass", experiment((", mass: 1.2", ""))),
     Case("wls without gains", "joint 'left' has none; add 'prior_gains'", experiment((PRIOR, "")), method("wls")),

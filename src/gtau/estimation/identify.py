@@ -51,10 +51,10 @@ def identify(
         An experiment file, or what was read of it; or a robot, together with ``runs``.
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
-    method : {"ml", "huber", "ridge", "iv", "didim", "2sls", "mixed", "tls", "wls", "ols"}
+    method : {"ml", "huber", "ridge", "iv", "didim", "2sls", "tls", "wls", "ols"}
         Maximum likelihood (as it is, with Huber's weights against outliers, or with natural sizes of what is left
-        open), instrumental variables and DIDIM (against noise of the encoders), 2SLS, mixed LS-TLS and the paper's TLS
-        find the drive gains from a known payload, all but IV, mixed and TLS also from torque sensors and ``priors``;
+        open), instrumental variables and DIDIM (against noise of the encoders), 2SLS and the paper's TLS
+        find the drive gains from a known payload, all but IV and TLS also from torque sensors and ``priors``;
         weighted and ordinary least squares take ``prior_gains``, or torques. If left out, "wls" where logs hold
         torques, else "ml", or "tls" with ``as_paper``.
     prior_gains : mapping, optional

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.least_squares import wls
+from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.experiment_runs import experiment_of, read_runs
 from gtau.estimation.identify import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 

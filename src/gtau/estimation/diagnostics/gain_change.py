@@ -15,8 +15,8 @@ import numpy as np
 
 from gtau.estimation.diagnostics.linearisation import LinearisedWindow
 from gtau.estimation.diagnostics.score_test import score_tests
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, modelled, residuals, to_gains
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import DOMINANT, TIE
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.problem import Problem
 
 

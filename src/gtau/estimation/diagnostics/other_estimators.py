@@ -28,9 +28,8 @@ from gtau.estimation.diagnostics.linearisation import (
     linearise,
     window_rows,
 )
-from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains, whitening
-from gtau.estimation.estimators.solution import jackknife
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS

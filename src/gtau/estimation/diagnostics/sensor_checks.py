@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
-from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.estimator import Fit, Iterate, jackknife
 from gtau.estimation.estimators.newton import (
     jacobian,
     jacobian_of_known,
@@ -19,7 +19,6 @@ from gtau.estimation.estimators.newton import (
     to_gains,
     whitening,
 )
-from gtau.estimation.estimators.solution import Iterate, jackknife
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds.estimates import APART

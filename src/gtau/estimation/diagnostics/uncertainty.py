@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.diagnostics.findings import Findings
-from gtau.estimation.estimators.degrees_of_freedom import degrees_of_freedom
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
 
 

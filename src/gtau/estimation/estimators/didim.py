@@ -13,10 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
 from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.problem import Problem

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.estimators.estimator import Fit, Solve
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.estimator import Fit, Solution, Solve
 from gtau.estimation.regression.problem import Problem
 
 

@@ -20,11 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import jacobian, moved, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
-from gtau.estimation.estimators.solution import Iterate, Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import CURRENTS, EXTRA, PUSH, ROWS, STRETCHES, Factors
 from gtau.estimation.regression.friction import TERMS

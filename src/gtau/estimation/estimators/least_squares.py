@@ -15,9 +15,8 @@ from functools import partial
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solve
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution, Solve
 from gtau.estimation.estimators.newton import solve
-from gtau.estimation.estimators.solution import Iterate, Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System

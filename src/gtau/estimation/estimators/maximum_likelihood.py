@@ -16,10 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solve
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution, Solve
 from gtau.estimation.estimators.least_squares import fit_free, scarcity, with_given, wls
 from gtau.estimation.estimators.newton import solve
-from gtau.estimation.estimators.solution import Iterate, Solution
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem

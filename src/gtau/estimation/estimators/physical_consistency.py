@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Iterate, Solution, jackknife
 from gtau.estimation.estimators.newton import jacobian, moved, residuals, stacked
 from gtau.estimation.estimators.semidefinite import constrained_least_squares, pseudo_inertia
-from gtau.estimation.estimators.solution import Iterate, Solution, jackknife
 from gtau.estimation.estimators.standard_parameters import StandardUnknowns, standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.known_parameters import of_theta

@@ -25,7 +25,6 @@ PLACES = {
     "iv": "instrumental_variables.IV",
     "didim": "didim.DIDIM",
     "2sls": "two_stage.TWO_STAGE",
-    "mixed": "mixed_least_squares.MIXED",
     "tls": "total_least_squares.TLS",
     "wls": "least_squares.WLS",
     "ols": "least_squares.OLS",

@@ -12,10 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
 from gtau.estimation.estimators.least_squares import fit_free
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.known_parameters import of_theta

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.estimators.estimator import Solve
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.estimator import Solution, Solve
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.flight import whole_mass
 from gtau.estimation.regression.problem import Problem

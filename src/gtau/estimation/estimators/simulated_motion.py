@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.solution import Solution
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import System

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.semidefinite import Body, ball_row
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.carried_payload import known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem

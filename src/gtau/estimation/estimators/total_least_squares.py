@@ -2,20 +2,22 @@
 
 Choose it to follow the paper, or to compare with published results. On real logs its assumption seldom holds, and
 gains may come out absurd where maximum likelihood finds them.
+
+``W_tot = [-W_theta  V_tau  -known]`` and ``chi_tot = [theta g 1]``: all unknowns stand on one side, and the known
+payload sets the scale.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
-from gtau.estimation.estimators.homogeneous import scaled, solution_of, total_matrix
+from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
 from gtau.estimation.estimators.least_squares import fit_free
-from gtau.estimation.estimators.solution import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem, delayed
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.regression.triangle import leave_one_out, triangle
 
 
 def tls(problem: Problem) -> Solution:
@@ -26,15 +28,51 @@ def tls(problem: Problem) -> Solution:
     GtauError
         Where the known payload does not show in the currents, so that nothing sets the scale.
     """
-    r, weights = problem.total_rows.sum(), 1 / np.array([_own_sigma_W(problem, j) for j in range(len(problem.joints))])
-    blocks = total_matrix(problem, weights)  # eq. (33)
-    W_tot = triangle(*blocks)  # the same singular values and right singular vectors as all rows
+    r, joints = problem.total_rows.sum(), range(len(problem.joints))
+    weights = 1 / np.array([_own_sigma_W(problem, j) for j in joints])
+    units = [triangle(*(total_rows_of(problem, unit[j], j, weights[j]) for j in joints)) for unit in problem.blocks]
+    W_tot = triangle(*units)  # eq. (33): the same singular values and right singular vectors as all rows
     _, s, Vt = np.linalg.svd(W_tot)  # eq. (35)
-    chi = scaled(Vt[-1])  # V_c solves the closest compatible system, eqs. (34) and (36)
+    chi = _scaled(Vt[-1])  # V_c solves the closest compatible system, eqs. (34) and (36)
     sigma_W = s[-1] / np.sqrt(r - len(s))  # eq. (38), of errors as in eq. (37)
-    covariance = sigma_W**2 * (1 + chi[:-1] @ chi[:-1]) * _inverse_of_compatible(s, Vt.T)  # eq. (39)
+    n, n_theta = len(problem.joints), problem.n_theta
+    covariance = np.zeros((n_theta + 2 * n, n_theta + 2 * n))
+    inverse = _inverse_of_compatible(s, Vt.T)
+    covariance[: n_theta + n, : n_theta + n] = sigma_W**2 * (1 + chi[:-1] @ chi[:-1]) * inverse  # eq. (39)
+    theta, gains = chi[:n_theta], chi[n_theta:-1]
+    errors = np.zeros(n)
+    for j, R in enumerate(problem.triangles):
+        current = R[:, n_theta + 1 :] @ delayed(problem.own_delays[j])
+        errors[j] = np.sum((current - (R[:, :n_theta] @ theta + R[:, n_theta]) / gains[j]) ** 2)
+    sigma = np.sqrt(errors / np.maximum(problem.total_rows - (n_theta + n) / n, 1))
+
+    def replicates() -> np.ndarray:
+        shifts = np.array([(_scaled(np.linalg.svd(W)[2][-1]) - chi)[:-1] for W in leave_one_out(units)])
+        return np.hstack([shifts, np.zeros((len(units), n))])  # the delays are those of all units
+
     statistics = {"singular_ratio": float(s[-2] / s[-1]), "sigma_W": float(sigma_W)}
-    return solution_of(problem, chi, covariance, blocks, lambda W: scaled(np.linalg.svd(W)[2][-1]), statistics)
+    return Solution(theta, gains, problem.own_delays, sigma, covariance, replicates, statistics)
+
+
+def total_rows_of(problem: Problem, block: np.ndarray, j: int, weight: float) -> np.ndarray:
+    """Build rows of ``W_tot`` from a block (., n_theta + 4) of joint j (eq. 33)."""
+    n_theta = problem.n_theta
+    rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
+    rows[:, :n_theta] = -block[:, :n_theta]
+    rows[:, -1] = -block[:, n_theta]
+    # a gain that is known stands with the known payload
+    rows[:, n_theta + j if problem.free[j] else -1] += block[:, n_theta + 1 :] @ delayed(problem.own_delays[j])
+    return weight * rows
+
+
+def _scaled(direction: np.ndarray) -> np.ndarray:
+    """Scale a solution so that its last entry is 1, by which the known payload sets the scale."""
+    if abs(direction[-1]) < 1e-12 * np.linalg.norm(direction):
+        raise GtauError(
+            "the data do not determine the scale of the drive gains: the known payload does not show in the currents; "
+            "use a heavier payload or motions that lift and accelerate it."
+        )
+    return np.asarray(direction / direction[-1])
 
 
 def _own_sigma_W(problem: Problem, j: int) -> float:

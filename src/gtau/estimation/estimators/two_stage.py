@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution
 from gtau.estimation.estimators.least_squares import fit_free
 from gtau.estimation.estimators.newton import finish, least_squares, one_step, residuals, stacked
-from gtau.estimation.estimators.solution import Iterate, Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem, delayed
 from gtau.estimation.regression.system import System

@@ -15,8 +15,8 @@ from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict, parameter_verdict
 from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
-from gtau.estimation.estimators.homogeneous import total_rows_of
 from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.estimators.total_least_squares import total_rows_of
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, UNITS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
