@@ -19,10 +19,9 @@ import scipy.linalg
 
 from gtau.errors import GtauError
 from gtau.model.closures import closure_expressions
-from gtau.model.coordinates import Coordinates
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import configuration_rates, constant
+from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot

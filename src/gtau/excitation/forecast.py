@@ -15,7 +15,7 @@ from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.constraints import whole_run
 from gtau.excitation.evaluation import Grid, evaluate
 from gtau.excitation.task import DesignProblem
-from gtau.model.blas import single_threaded_blas
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.signals.preparation import prepare
 from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run

@@ -95,7 +95,7 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
 
             return read_par(path)
         case ".csv":
-            from gtau.robots.readers.mdh_csv import read_mdh_csv
+            from gtau.robots.readers.mdh_table import read_mdh_csv
 
             return read_mdh_csv(path)
         case ".xacro":
