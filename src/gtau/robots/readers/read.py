@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.documents.kinds import ROBOT, refuse_other_kind
+from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.robots.floating import float_base
 from gtau.robots.geometry import rounded
