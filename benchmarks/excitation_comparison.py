@@ -20,10 +20,9 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.excitation.design import check, design
+from gtau.excitation.design_file import read_design
 from gtau.excitation.forecast import forecast
-from gtau.excitation.initial_guesses import random_start
-from gtau.excitation.nlp import Programme
-from gtau.excitation.problem_of_file import read_design
+from gtau.excitation.nlp import Programme, random_start
 from gtau.excitation.task import DesignProblem
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))

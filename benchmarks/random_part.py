@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import Pool
+from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -36,8 +38,10 @@ from gtau.robots.robot import Robot
 from gtau.signals.filters import differentiate
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
-from gtau.simulation.plausible_parameters import random_bodies
 from gtau.simulation.trajectories import envelope, point_to_point, sines
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
+from plausible_parameters import random_bodies
 
 RATE, SECONDS = 400.0, 10.0
 SEED = 1

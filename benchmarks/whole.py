@@ -23,8 +23,8 @@ from peers import ExcitationByHand, figaroh_wls, gains_by_hand, random_parameter
 from table import Row, check, medians, motion
 
 import gtau
+from gtau.excitation.design_file import read_design
 from gtau.excitation.nlp import Programme
-from gtau.excitation.problem_of_file import read_design
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Limits, Mdh, Robot
-from gtau.simulation.plausible_parameters import body_parameters, random_parameters
 from gtau.simulation.trajectories import Envelope, envelope
+
+sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
+from plausible_parameters import body_parameters, random_parameters
 
 Parameters = Callable[[InverseDynamics, np.random.Generator], dict[str, float]]
 

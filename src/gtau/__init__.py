@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gtau.estimation.results.result import Result
     from gtau.estimation.weigh import weigh
     from gtau.excitation.design import design as excite
-    from gtau.excitation.problem_of_file import read_design
+    from gtau.excitation.design_file import read_design
     from gtau.export.registry import export_model
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot

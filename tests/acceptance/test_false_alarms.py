@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from plausible_parameters import random_parameters
 from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
@@ -18,7 +19,6 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
-from gtau.simulation.plausible_parameters import random_parameters
 from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 RATE, SECONDS = 400.0, 8.0

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plausible_parameters import random_parameters
 from typer.testing import CliRunner
 
 import gtau.robots
 from gtau.cli.commands import app
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.simulation.plausible_parameters import random_parameters
 
 CATALOG = sorted(path.stem for path in (Path(gtau.robots.__file__).parent / "catalog").glob("*.yaml"))
 SECONDS, STEEL = 8.0, 2.0  # s, kg

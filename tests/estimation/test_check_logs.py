@@ -7,7 +7,7 @@ import pickle
 from pathlib import Path
 
 import pytest
-from tests.support.five_bar_logs import STEEL, Plant, write_log
+from five_bar_logs import STEEL, Plant, write_log
 from typer.testing import CliRunner
 
 import gtau

@@ -34,9 +34,8 @@ from gtau.signals.preparation import Preparation, prepare
 from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run
 from gtau.simulation import plant
-from gtau.simulation.closed_loop import simulate
+from gtau.simulation.closed_loop import Drive, hardware, simulate
 from gtau.simulation.controllers import Controller, Reference
-from gtau.simulation.drive import Drive, hardware
 
 FIVE_BAR = load_robot("five-bar")
 KNOWN = Payload(name="steel", mass=STEEL["m"])

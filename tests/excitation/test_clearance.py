@@ -10,7 +10,7 @@ import pytest
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Clearance, capsule, clearance, hull
 from gtau.excitation.design import check, design
-from gtau.excitation.problem_of_file import read_design
+from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion

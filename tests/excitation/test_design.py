@@ -15,14 +15,12 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.excitation.criteria import relative_deviations
 from gtau.excitation.design import Design, Stopped, check, design
+from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate, information
-from gtau.excitation.forecast import forecast, sampled_motions
-from gtau.excitation.initial_guesses import random_start
-from gtau.excitation.nlp import Programme
-from gtau.excitation.problem_of_file import read_design
-from gtau.excitation.weak_parameters import Weak, weak_unknowns
+from gtau.excitation.forecast import Weak, forecast, sampled_motions, weak_unknowns
+from gtau.excitation.information import relative_deviations
+from gtau.excitation.nlp import Programme, random_start
 from gtau.report.excite_page import _payload_table, describe_design, design_page
 from gtau.signals.log_file import read_log
 

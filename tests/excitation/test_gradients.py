@@ -9,12 +9,10 @@ import pytest
 from robots_for_tests import CLOSED, four_bar, hexapod, palletizer, random_samples
 
 from gtau.errors import GtauError
-from gtau.excitation.closure_gradients import Slopes, in_platform_space, pullback
 from gtau.excitation.constraints import constraint_usages
-from gtau.excitation.criteria import NAMED, criterion
 from gtau.excitation.evaluation import design_grid, evaluate, objective
-from gtau.excitation.information import Window, derivative
-from gtau.excitation.regressor import smooth_regressor
+from gtau.excitation.gradients import Slopes, in_platform_space, pullback, smooth_regressor
+from gtau.excitation.information import NAMED, Window, criterion, derivative
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
 from gtau.model.base_parameters import base_parameters

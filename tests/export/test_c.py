@@ -18,9 +18,8 @@ from gtau.estimation.results.result import Result
 from gtau.export.c import export
 from gtau.export.identified import identified, torques
 from gtau.robots.robot import Robot
-from gtau.simulation.closed_loop import simulate
+from gtau.simulation.closed_loop import Drive, hardware, simulate
 from gtau.simulation.controllers import Reference, computed_torque
-from gtau.simulation.drive import Drive, hardware
 from gtau.simulation.plant import PlantState
 
 GCC = shutil.which("gcc")

@@ -26,9 +26,9 @@ from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
 from gtau.model.base_parameters import base_parameters
-from gtau.model.coordinates import coordinates
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.kinematics import coordinates
 from gtau.model.loop_closure import loop_errors
 from gtau.model.loop_paths import advance, follow
 from gtau.model.loops import CONDITION

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gtau.model.interpreter import edition
+from gtau.model.interpreter import compiled
 from gtau.model.interpreter.compiled import _cached
 
 
@@ -33,6 +33,6 @@ def test_without_a_home_nothing_was_compiled_before(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(edition, "_HERE", Path("nowhere"))
-    monkeypatch.setattr(edition.Path, "home" if isinstance(error, RuntimeError) else "rglob", refused)
-    assert not edition.is_compiled()
+    monkeypatch.setattr(compiled, "_HERE", Path("nowhere"))
+    monkeypatch.setattr(compiled.Path, "home" if isinstance(error, RuntimeError) else "rglob", refused)
+    assert not compiled.is_compiled()

@@ -8,12 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 from robots_for_tests import planar_3rrr
 
-from gtau.model.coordinates import coordinates
+from gtau.model.closures import solve as symbolic_solve
 from gtau.model.dynamics import parameter_names, torques
 from gtau.model.interpreter.lanes import LANES
 from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.least_squares import solve as symbolic_solve
+from gtau.model.kinematics import coordinates
 
 BATCHES = [0, 1, LANES - 1, LANES, LANES + 1, 3 * LANES + 5]
 

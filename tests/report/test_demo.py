@@ -18,7 +18,7 @@ from gtau.demo.files import LOGS
 from gtau.demo.page import COMMANDS, report
 from gtau.demo.run import demo
 from gtau.errors import GtauError
-from gtau.excitation.problem_of_file import read_design
+from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.experiment import read_experiment

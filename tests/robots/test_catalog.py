@@ -11,9 +11,9 @@ import pytest
 from engines import Mujoco, Pinocchio, closed_torques, random_parameters, torques_of
 
 from gtau.model.base_parameters import base_parameters
-from gtau.model.coordinates import coordinates
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.kinematics import coordinates
 from gtau.model.loop_closure import loop_errors
 from gtau.robots.readers.read import catalog_names
 from gtau.robots.robot import INERTIAL, Robot

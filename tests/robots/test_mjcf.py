@@ -11,10 +11,9 @@ from engines import closed_torques, random_parameters
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.model.coordinates import coordinates
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import poses
+from gtau.model.kinematics import coordinates, poses
 from gtau.model.loop_closure import loop_errors
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native

@@ -11,9 +11,9 @@ import pytest
 from engines import Mujoco, Pinocchio, closed_torques, random_parameters, tree_torques
 
 from gtau.errors import GtauError
-from gtau.model.coordinates import coordinates
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.kinematics import coordinates
 from gtau.model.loop_closure import CLOSED, loop_errors
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.native import read_native

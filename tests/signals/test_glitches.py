@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.support.five_bar_logs import GAINS, STEEL, Plant, write_log
+from five_bar_logs import GAINS, STEEL, Plant, write_log
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app

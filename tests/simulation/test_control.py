@@ -20,10 +20,9 @@ from gtau.robots.robot import Joint, Limits, Robot
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 from gtau.simulation import experiment_files
-from gtau.simulation.closed_loop import simulate, write_log
+from gtau.simulation.closed_loop import Drive, Sensors, hardware, simulate, write_log
 from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, Tracking, table
 from gtau.simulation.controllers import Reference, pid_with_velocity, simple_pid
-from gtau.simulation.drive import Drive, Sensors, hardware
 from gtau.simulation.experiment_files import simulate_experiment
 from gtau.simulation.motions import make_trajectory, moves_through
 from gtau.simulation.plant import Plant

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plausible_parameters import body_parameters, random_bodies, random_parameters
 
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import INERTIAL
-from gtau.simulation.plausible_parameters import body_parameters, random_bodies, random_parameters
 
 
 def test_every_body_is_rigid() -> None:

@@ -52,7 +52,7 @@ def excite(
         with progress_bar() as progress:
             from gtau.excitation.design import Design, Stopped
             from gtau.excitation.design import design as run
-            from gtau.excitation.problem_of_file import read_design
+            from gtau.excitation.design_file import read_design
             from gtau.report.excite_page import describe_design, design_page, write_design, write_trajectories
             from gtau.report.write_reports import write_design_report
 

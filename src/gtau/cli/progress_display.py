@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from gtau.model.interpreter.edition import is_compiled
+from gtau.model.interpreter.compiled import is_compiled
 
 EVERY = 60.0  # s between lines where stderr is no terminal
 STARTING = "starting"

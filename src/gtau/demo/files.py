@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import deepcopy
 from typing import Any
 
-from gtau.documents.yaml_text import yaml_text
+from gtau.documents.yaml_document import yaml_text
 from gtau.simulation.orthoglide_truth import (
     DRIVE_GAINS,
     PAYLOAD_MASS,

@@ -1,4 +1,4 @@
-"""Finding files, reading those of a sane size, and writing them so that they are either whole or not there."""
+"""Finding and recognising files, reading those of a sane size, and writing them so that they are whole or not there."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterable
+from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
 
@@ -99,3 +100,101 @@ def matching(pattern: Path) -> list[Path]:
     if pattern.exists():
         return [pattern]
     return in_order(Path(each) for each in glob(str(pattern), recursive=True))
+
+
+HEAD = 1 << 16  # bytes that are looked at
+LOG_LINES = 40  # of nothing but numbers make a table a log; tables of MDH parameters have one line a joint
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file: what a person calls it, and which command takes it."""
+
+    name: str
+    advice: str
+
+
+MODEL = Kind(
+    "a model that 'gtau identify' wrote",
+    "use it with 'gtau validate MODEL.json EXPERIMENT.yaml' or 'gtau payload MODEL.json EXPERIMENT.yaml'",
+)
+EXPERIMENT = Kind("an experiment file", "use it with 'gtau check', 'gtau identify' or 'gtau compare'")
+SIMULATION = Kind("a simulation file", "use it with 'gtau simulate'")
+DESIGN = Kind("a design file", "use it with 'gtau excite'")
+FLEET = Kind("a fleet file", "use it with 'gtau fleet'")
+ROBOT = Kind("a robot file", "use it with 'gtau robot', or name it under 'robot' in an experiment file")
+LOG = Kind("a log", "name it under 'runs' in an experiment file")
+DESIGNED = Kind("a design that 'gtau excite' wrote", "the trajectory beside it is what the robot is to follow")
+FOLDER = Kind("a folder", "give the file itself")
+PICTURE = Kind("a picture", "give the file itself")
+BINARY = Kind("a binary file of another program", "give the file itself")
+
+_KEYS = (
+    (EXPERIMENT, {"signals"}),
+    (SIMULATION, {"drives"}),
+    (FLEET, {"experiments", "folders"}),
+    (ROBOT, {"joints", "closed_loop", "name_mot"}),
+    (DESIGN, {"period", "harmonics", "repetitions", "prior", "limits", "space"}),
+)
+"""Keys that only one kind of YAML file has, the first that matches."""
+
+
+def kind_of(path: str | Path) -> Kind | None:
+    """Recognise a file by its content, or None where it is none of these kinds, or cannot be read."""
+    path = Path(path)
+    if path.is_dir():
+        return FOLDER
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+    except OSError:
+        return None
+    if head.startswith((b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"%PDF")):
+        return PICTURE
+    if head.startswith(b"PAR1"):
+        return LOG
+    if b"\x00" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16 has zeros too
+        return BINARY
+    text = head.decode("utf-8-sig", errors="replace").lstrip()
+    if text.startswith("{"):
+        schema = re.search(r'"schema"\s*:\s*"gtau-(\w+)/', text)
+        return {"model": MODEL, "design": DESIGNED}.get(schema[1]) if schema else None
+    if text.startswith("<"):
+        return ROBOT if re.search(r"<(robot|mujoco)\b", text) else None
+    if _is_table(text):
+        return LOG
+    keys = {match[2] for match in re.finditer(r"^([\"']?)([A-Za-z_]\w*)\1[ \t]*:(?:\s|$)", text, re.MULTILINE)}
+    return next((kind for kind, own in _KEYS if keys & own), None)
+
+
+def refuse_other_kind(path: str | Path, wanted: Kind) -> None:
+    """Refuse a file that is recognised as one of another kind, and name the command that takes it.
+
+    Raises
+    ------
+    GtauError
+        Where it is of another kind; a file that is not recognised is left to its reader.
+    """
+    found = kind_of(path)
+    if found is None or found == wanted:
+        return
+    advice = found.advice
+    if found == FOLDER:
+        inside = sorted(each for each in Path(path).glob("*") if each.is_file() and kind_of(each) == wanted)
+        advice = f"give the file itself{f', such as {inside[0]}' if inside else ''}"
+    raise GtauError(f"{path} is {found.name}, not {wanted.name}; {advice}.")
+
+
+def _is_table(text: str) -> bool:
+    """Decide whether nearly all lines hold two or more numbers and nothing else, as logs do below their header."""
+    lines = text.splitlines()[1:-1]  # without a header and a line that may be cut
+    numbers = sum(_is_numeric(line) for line in lines[:LOG_LINES])
+    return len(lines) >= LOG_LINES and numbers >= 0.9 * LOG_LINES
+
+
+def _is_numeric(line: str) -> bool:
+    fields = [each for each in re.split(r"[,;\t ]+", line.strip()) if each]
+    try:
+        return len(fields) > 1 and len([float(each) for each in fields]) > 1
+    except ValueError:
+        return False

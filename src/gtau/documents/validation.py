@@ -1,4 +1,4 @@
-"""What stands in a file, checked against a pydantic model: one sentence says what is wrong first."""
+"""Files checked against pydantic models: one sentence says what is wrong first."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ import types
 import typing
 from collections.abc import Mapping
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gtau.documents.yaml_document import Document, KeyPath
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
     from pydantic_core import ErrorDetails
 
-    Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model", bound=BaseModel)
+Positive = Annotated[FiniteFloat, Field(gt=0)]
+
+
+class Keys(BaseModel):
+    """A group of a file: a key that it does not know is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def validate(model_class: type[Model], document: Document, context: Any = None) -> Model:
@@ -39,8 +47,6 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
     GtauError
         One sentence on the first thing wrong, unknown keys before all else, with file, line and dotted key.
     """
-    from pydantic import ValidationError
-
     try:
         return model_class.model_validate(document.data, context=context)
     except ValidationError as failure:
@@ -77,8 +83,6 @@ def _written(location: KeyPath, data: Any) -> KeyPath:
 
 def _fields(annotation: Any, keys: KeyPath) -> set[str]:
     """List the keys that the model accepts at a place."""
-    from pydantic import BaseModel
-
     if hasattr(annotation, "__value__"):  # a `type` alias
         annotation = annotation.__value__
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)

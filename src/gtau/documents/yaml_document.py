@@ -1,4 +1,4 @@
-"""YAML files that people write, read safely, with the line of every key.
+"""YAML files that people write, read safely, with the line of every key; and YAML as a person would write it.
 
 Nothing in a file is ever executed or guessed: scalars stay the text they were written as (a joint may be called
 ``11``, ``01`` or ``on``), and anchors, tags and repeated keys are refused.
@@ -6,6 +6,7 @@ Nothing in a file is ever executed or guessed: scalars stay the text they were w
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -178,3 +179,33 @@ def _syntax(error: yaml.MarkedYAMLError) -> str:
     reported = " ".join(filter(None, (error.context, error.problem)))
     known = (sentence for part, sentence in SYNTAX if part in reported)
     return next(known, f"{reported}; correct the line")
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe, and with joints called ``11`` as they are written by hand, without quotes."""
+
+
+def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    kind = "int" if re.fullmatch("0|[1-9][0-9]*", text) else "str"
+    return dumper.represent_scalar(f"tag:yaml.org,2002:{kind}", text)
+
+
+_Dumper.add_representer(str, _text)
+
+
+def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
+    """Write mappings, lists, texts and numbers as YAML, keys in their order.
+
+    Parameters
+    ----------
+    data : object
+        Nested dicts and lists.
+    flow : bool, optional
+        Whether all of it stands in braces and brackets; if left out, only the innermost groups do.
+    width : float
+        Characters after which a line is broken.
+    """
+    text: str = yaml.dump(
+        data, Dumper=_Dumper, default_flow_style=flow, sort_keys=False, width=width, allow_unicode=True
+    )
+    return text

@@ -19,7 +19,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.results.estimate import PayloadEstimate
 from gtau.estimation.results.payload_estimates import payload_estimates
 from gtau.estimation.results.result import Result
-from gtau.model.blas import single_threaded_blas
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.signals.run import without_sensors
 

@@ -13,9 +13,8 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.model.coordinates import Coordinates
 from gtau.model.interpreter.program import Program, compile_program
-from gtau.model.kinematics import frames
+from gtau.model.kinematics import Coordinates, frames
 from gtau.robots.robot import GROUND, Pose, Robot
 
 Shape = tuple[Any, np.ndarray, np.ndarray]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from gtau.excitation.clearance import Clearance, Nearest
-from gtau.excitation.closure_gradients import Slopes
 from gtau.excitation.evaluation import Point
+from gtau.excitation.gradients import Slopes
 from gtau.excitation.task import DesignProblem
 from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.signals.payload import Payload

@@ -11,10 +11,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate
-from gtau.excitation.initial_guesses import promising_start
-from gtau.excitation.nlp import ITERATIONS, Programme, solve
+from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem, close
-from gtau.model.blas import single_threaded_blas
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 
 START = 0.6  # part of the limits that a start uses, so that it lies inside
@@ -79,7 +78,7 @@ def design(
     task : DesignProblem
         Robot, runs, limits and prior knowledge.
     criterion : str
-        See :func:`gtau.excitation.criteria.criterion`.
+        See :func:`gtau.excitation.information.criterion`.
     starts, seed : int
         Number of random motions to start from, and the seed of their generator.
     progress : callable, optional

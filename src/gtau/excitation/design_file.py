@@ -1,13 +1,30 @@
-"""The design file: which robot is to be identified, with which loads, within which limits."""
+"""The design file: which robot is to be identified, with which loads, within which limits; the problem it states."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from gtau.documents.keys import Keys, Positive
+from gtau.documents.files import DESIGN, refuse_other_kind
+from gtau.documents.validation import Keys, Positive, validate
+from gtau.documents.yaml_document import read_yaml
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
+from gtau.excitation.clearance import Clearance, Shape, capsule, clearance, hull
+from gtau.excitation.gradients import in_platform_space
+from gtau.excitation.prior import given_parameters, massless, noise_of, parameters_of, rough_noise, rough_parameters
+from gtau.excitation.task import DesignProblem, MotionLimits
+from gtau.excitation.trajectory import FourierSeries
+from gtau.model.base_parameters import base_parameters
+from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.floating import refuse_floating
+from gtau.robots.robot import Pose, Robot
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 
@@ -118,3 +135,191 @@ class DesignFile(Keys):
                 "add it to 'runs'"
             )
         return self
+
+
+TURN = np.pi  # rad, reach of a joint without position limits
+TURNING = 0.3  # rad, reach of a platform's turns
+
+
+def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
+    """Read a design file.
+
+    Returns
+    -------
+    Task, dict of str to str
+        What is to be designed, and what was assumed because the file does not say it, with a sentence on each:
+        ``parameters``, ``gains``, ``noise``, ``acceleration``.
+
+    Raises
+    ------
+    GtauError
+        The file or something it names cannot be read, or something in it is missing, misspelt or contradictory.
+    """
+    refuse_other_kind(path, DESIGN)
+    return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))
+
+
+def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
+    """Make the task of a design file, and list what was assumed."""
+    robot = load_robot(file.robot)
+    refuse_floating(robot, "exciting trajectories are")
+    for key in ("position", "velocity", "acceleration", "jerk", "current"):
+        _known_joints(f"limits.{key}", getattr(file.limits, key), robot)
+    _known_joints("rest", file.rest, robot)
+    for key in ("gains", "noise"):
+        _known_joints(f"prior.{key}", getattr(file.prior, key), robot)
+    robot = _with_limits(robot, file.limits)
+    model = InverseDynamics(robot)
+    base = base_parameters(model)
+    payloads = tuple(None if run.payload == "none" else run.payload for run in file.runs)
+    assumed: dict[str, str] = {}
+    chi, gains, sigma = _prior(file.prior, model, payloads, assumed)
+    limits = _limits(file.limits, robot, gains, assumed)
+    limits = replace(limits, clearance=_clearance(file.limits, model))
+    rest = np.array([file.rest.get(name, robot.joint(name).home) for name in robot.actuated]) if file.approach else None
+    for name, pose, (low, high) in zip(robot.actuated, rest if rest is not None else (), limits.position, strict=False):
+        if not low <= pose <= high:
+            raise GtauError(
+                f"a run would begin and end with joint '{name}' at {pose:.4g}, outside its limits {low:.4g} to "
+                f"{high:.4g}; give its position under 'rest', or write 'approach: false'."
+            )
+    period = round(file.period * file.rate) / file.rate  # a whole number of samples
+    if file.space == "platform":
+        series = _platform_series(robot, file.limits, period, file.harmonics)
+    else:
+        center, half = limits.position.mean(axis=1), np.ptp(limits.position, axis=1) / 2
+        home = np.array([robot.joint(name).home for name in robot.actuated])
+        free = ~np.isfinite(half)
+        series = FourierSeries(np.where(free, home, center), np.where(free, TURN, half), 1 / period, file.harmonics)
+    return (
+        DesignProblem(
+            model, base, series, file.space == "platform", file.rate, file.repetitions, rest, payloads,
+            file.motions == "one", limits, chi, gains, sigma,
+        ),
+        assumed,
+    )  # fmt: skip
+
+
+def _known_joints(key: str, values: Mapping[str, object], robot: Robot) -> None:
+    for joint in values:
+        if joint not in robot.actuated:
+            raise GtauError(
+                f"{key} names '{joint}', which is no actuated joint of robot '{robot.name}'; choose from "
+                f"{', '.join(robot.actuated)}."
+            )
+
+
+def _with_limits(robot: Robot, entry: LimitsEntry) -> Robot:
+    """Replace the robot's limits of position, velocity and acceleration by the file's."""
+    joints = []
+    for joint in robot.joints:
+        given = {
+            key: getattr(entry, key)[joint.name]
+            for key in ("position", "velocity", "acceleration")
+            if joint.name in getattr(entry, key)
+        }
+        joints.append(replace(joint, limits=replace(joint.limits, **given)))
+    return replace(robot, joints=tuple(joints))
+
+
+def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[str, str]) -> MotionLimits:
+    joints = [robot.joint(name) for name in robot.actuated]
+    none = (-np.inf, np.inf)
+    velocity = np.array([joint.limits.velocity or np.inf for joint in joints])
+    if np.isinf(velocity).any():
+        name = joints[int(np.argmax(np.isinf(velocity)))].name
+        raise GtauError(f"joint '{name}' has no velocity limit; add it under limits.velocity.")
+    acceleration = np.array([joint.limits.acceleration or np.inf for joint in joints])
+    if np.isinf(acceleration).any():
+        assumed["acceleration"] = "acceleration limits: where none is given, the speed limit is reached in 0.3 s"
+        acceleration = np.where(np.isinf(acceleration), velocity / 0.3, acceleration)
+    effort = np.array([joint.limits.effort or np.inf for joint in joints]) / np.abs(gains)
+    current = np.array([entry.current.get(name, limit) for name, limit in zip(robot.actuated, effort, strict=True)])
+    return MotionLimits(
+        position=np.array([joint.limits.position or none for joint in joints], dtype=float),
+        velocity=velocity,
+        acceleration=acceleration,
+        jerk=np.array([entry.jerk.get(name, np.inf) for name in robot.actuated]),
+        current=current,
+        workspace={str(axis): interval for axis, interval in entry.workspace.items()},
+        condition=entry.condition,
+        away=entry.away_from_reversals,
+    )
+
+
+def _clearance(entry: LimitsEntry, model: InverseDynamics) -> Clearance | None:
+    """Keep bodies with shapes apart; refuses those that are too near at home already."""
+    if not entry.shapes:
+        return None
+    shapes = {body: [_shape(shape) for shape in each] for body, each in entry.shapes.items()}
+    found = clearance(model.layout, entry.clearance, shapes)
+    home = (model.layout.home if model.loops is None else model.loops.home)[:, None]
+    for pair in found.pairs:
+        if (distance := found.nearest(home, pair).distance[0]) < entry.clearance:
+            raise GtauError(
+                f"'{pair[0]}' and '{pair[1]}' are {distance:.3g} m apart at home, less than limits.clearance of "
+                f"{entry.clearance:g} m; give them smaller shapes, or leave out that of one."
+            )
+    return found
+
+
+def _shape(entry: ShapeEntry) -> Shape:
+    if entry.capsule is not None and entry.radius is not None:
+        return capsule(*entry.capsule, entry.radius)
+    assert entry.mesh is not None
+    return hull(entry.mesh, entry.scale, Pose(entry.xyz, entry.rpy))
+
+
+def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics: int) -> FourierSeries:
+    """Make a series of the platform's coordinates about its home, as wide as the workspace."""
+    in_platform_space(robot)  # refuses a robot without
+    platform = robot.platforms[0]
+    dofs = [dof for dof in ("x", "y", "z", "rz", "ry", "rx") if dof in platform.dof]
+    center, half = np.zeros(len(dofs)), np.full(len(dofs), TURNING)
+    for k, dof in enumerate(dofs):
+        if len(dof) == 1:
+            if dof not in entry.workspace:
+                raise GtauError(f"a motion in platform space needs limits.workspace.{dof}, an interval in m; add it.")
+            low, high = entry.workspace[dof]
+            center[k], half[k] = (low + high) / 2 - platform.home.xyz["xyz".index(dof)], (high - low) / 2
+    return FourierSeries(center, half, 1 / period, harmonics)
+
+
+def _prior(
+    prior: DesignPrior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: dict[str, str]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Determine base parameters, gains and noise."""
+    base = base_parameters(model)
+    result = None if prior.model is None else Result.load(prior.model)
+    if result is not None:
+        if result.robot.actuated != model.actuated:
+            raise GtauError(f"{prior.model} is the model of another robot; give one of '{model.robot.name}'.")
+        chi, sigma = parameters_of(result, base), noise_of(result)
+        gains = np.array([result.drive_gains[joint].value for joint in model.actuated], dtype=float)
+    else:
+        if prior.parameters:
+            chi = given_parameters(model, base, prior.parameters)
+            light = massless(model, prior.parameters)
+            if light:
+                assumed["massless"] = (
+                    f"no mass and inertia of {', '.join(light)}: 'prior.parameters' names none of theirs"
+                )
+        else:
+            carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
+            rough, mass = rough_parameters(model, base, carried)
+            chi = given_parameters(model, base, rough)
+            assumed["parameters"] = (
+                f"parameters: every link a rod of {mass:.3g} kg, and friction a tenth of the torque; "
+                "give prior.parameters or prior.model for better predictions"
+            )
+        missing = [joint for joint in model.actuated if joint not in prior.gains]
+        if missing and prior.gains:
+            raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
+        gains = np.array([prior.gains.get(joint, 1.0) for joint in model.actuated])
+        if missing:
+            assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are torques then"
+        sigma = rough_noise(model, base, chi) / np.abs(gains)
+        if len(prior.noise) < len(gains):
+            assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
+    sigma = np.array([prior.noise.get(joint, each) for joint, each in zip(model.actuated, sigma, strict=True)])
+    return chi, gains, sigma

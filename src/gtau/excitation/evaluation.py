@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.regression.triangle import triangle
-from gtau.excitation.closure_gradients import Slopes
-from gtau.excitation.criteria import Criterion
-from gtau.excitation.information import derivative
+from gtau.excitation.gradients import Slopes
+from gtau.excitation.information import Criterion, derivative
 from gtau.excitation.task import DesignProblem, close
 from gtau.model.loops import Motion
 

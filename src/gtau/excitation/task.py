@@ -11,9 +11,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Clearance
-from gtau.excitation.closure_gradients import Pullback, in_platform_space, pullback
+from gtau.excitation.gradients import Pullback, SmoothRegressor, in_platform_space, pullback, smooth_regressor
 from gtau.excitation.information import DesignUnknowns, Information, Window, unknowns
-from gtau.excitation.regressor import SmoothRegressor, smooth_regressor
 from gtau.excitation.trajectory import FourierSeries, approach_duration
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.interpreter.program import Program, compile_program

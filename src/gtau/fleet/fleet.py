@@ -13,8 +13,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, model_validator
 
 from gtau.documents.files import in_order, matching, write_atomically
-from gtau.documents.keys import Keys
-from gtau.documents.validation import validate
+from gtau.documents.validation import Keys, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import model_text

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
 from gtau.robots.geometry import identical_legs
@@ -84,7 +84,7 @@ def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # on busy cores threads make the QR a hundred times slower
+@single_threaded_blas
 def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = ()) -> BaseParameters:
     """Find the base parameters chi of eq. (21) from the structure of the robot's model.
 

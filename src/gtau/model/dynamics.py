@@ -13,8 +13,16 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from gtau.model.coordinates import Coordinates
-from gtau.model.kinematics import Frame, Twist, accelerations, attached_frame, attached_velocity, frames, twists
+from gtau.model.kinematics import (
+    Coordinates,
+    Frame,
+    Twist,
+    accelerations,
+    attached_frame,
+    attached_velocity,
+    frames,
+    twists,
+)
 from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robot, Spring
 from gtau.robots.wrench import WrenchFrame
 

@@ -15,9 +15,18 @@ import numpy as np
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.model.coordinates import Coordinates, coordinates
-from gtau.model.home_search import FAR, LIMITS, NEAR, limit_excess, nearest_closed, well_conditioned, with_round_motors
-from gtau.model.loop_closure import LoopErrors, loop_errors
+from gtau.model.kinematics import Coordinates, coordinates
+from gtau.model.loop_closure import (
+    FAR,
+    LIMITS,
+    NEAR,
+    LoopErrors,
+    limit_excess,
+    loop_errors,
+    nearest_closed,
+    well_conditioned,
+    with_round_motors,
+)
 from gtau.robots.geometry import pose_of
 from gtau.robots.readers.read import read_robot
 from gtau.robots.readers.source import RobotSource

@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.coordinates import Coordinates, coordinates
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.interpreter.threads import share
+from gtau.model.kinematics import Coordinates, coordinates
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate
 from gtau.robots.robot import Robot

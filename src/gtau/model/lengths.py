@@ -13,9 +13,8 @@ import casadi as ca
 import numpy as np
 
 from gtau.model.closures import closure_expressions
-from gtau.model.coordinates import Coordinates, coordinates
 from gtau.model.interpreter.program import Program, compile_program
-from gtau.model.kinematics import Shifted, frames, twists
+from gtau.model.kinematics import Coordinates, Shifted, coordinates, frames, twists
 from gtau.robots.geometry import characteristic_length, pose_of
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
 

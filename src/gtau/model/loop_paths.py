@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.interpreter.continuation import Follower, advance_to, follow_path
-from gtau.model.interpreter.kernel import MACHINE
+from gtau.model.interpreter.kernel import MACHINE, Follower, advance_to, follow_path
 from gtau.model.interpreter.lanes import LANES
 from gtau.model.interpreter.program import Bound, addresses, aligned
 from gtau.model.interpreter.threads import share

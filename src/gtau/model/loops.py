@@ -11,9 +11,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.closures import ClosureEquations, closure_equations
-from gtau.model.coordinates import Coordinates, coordinates
-from gtau.model.home_search import FAR
-from gtau.model.loop_closure import closed, is_closed, loop_errors
+from gtau.model.kinematics import Coordinates, coordinates
+from gtau.model.loop_closure import FAR, closed, is_closed, loop_errors
 from gtau.robots.robot import Robot
 
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular

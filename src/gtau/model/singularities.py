@@ -21,10 +21,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from gtau.model.coordinates import Coordinates
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import constant, frames, twists
+from gtau.model.kinematics import Coordinates, constant, frames, twists
 from gtau.model.loops import Motion
 from gtau.model.random_states import random_motion
 from gtau.robots.geometry import characteristic_length

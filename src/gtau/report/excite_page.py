@@ -11,9 +11,8 @@ import numpy as np
 
 from gtau.documents.files import write_atomically
 from gtau.excitation.design import Design, check
-from gtau.excitation.forecast import Expected, Forecast, forecast, sampled_motions
+from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.task import DesignProblem
-from gtau.excitation.weak_parameters import Weak, weak_unknowns
 from gtau.report.style import LINES, joint_label, light_grid, new_figure, save_figure, styled
 from gtau.robots.units import torque_unit, unit_of
 

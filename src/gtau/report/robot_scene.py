@@ -7,9 +7,8 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from gtau.model.coordinates import coordinates
 from gtau.model.home import close_home
-from gtau.model.kinematics import poses
+from gtau.model.kinematics import coordinates, poses
 from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Attachment, Joint, Robot
 

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from gtau.documents.keys import Keys
+from gtau.documents.validation import Keys
 from gtau.errors import GtauError
 from gtau.robots.geometry import turn
 from gtau.robots.robot import base_rows

@@ -13,8 +13,7 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.keys import Keys, Positive
-from gtau.documents.validation import validate
+from gtau.documents.validation import Keys, Positive, validate
 from gtau.signals.base_columns import BaseUnits
 from gtau.signals.columns import Signals, document_of, text_or_group
 from gtau.signals.pose_columns import PoseUnits

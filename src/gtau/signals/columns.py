@@ -16,8 +16,7 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.keys import Keys, Positive
-from gtau.documents.validation import validate
+from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import Document
 from gtau.signals.base_columns import BaseColumns
 from gtau.signals.pose_columns import PoseColumns

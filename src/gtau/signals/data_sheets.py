@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
-from gtau.documents.keys import Keys, Positive
+from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit, unit_of

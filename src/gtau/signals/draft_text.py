@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gtau.documents.yaml_text import yaml_text
+from gtau.documents.yaml_document import yaml_text
 from gtau.signals.discovery import Draft
 
 CHECK = "CHECK: "

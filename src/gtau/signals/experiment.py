@@ -14,9 +14,8 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.keys import Keys, Positive
-from gtau.documents.kinds import EXPERIMENT, refuse_other_kind
-from gtau.documents.validation import validate
+from gtau.documents.files import EXPERIMENT, refuse_other_kind
+from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.readers.source import AnySource, RobotSource

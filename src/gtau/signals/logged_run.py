@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from gtau.documents.files import matching
-from gtau.documents.keys import Keys, Positive
+from gtau.documents.validation import Keys, Positive
 from gtau.signals.formats import is_log_folder
 from gtau.signals.payload import Payload
 from gtau.signals.samples import Part

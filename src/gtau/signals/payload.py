@@ -12,8 +12,7 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.keys import Keys, Positive
-from gtau.documents.validation import validate
+from gtau.documents.validation import Keys, Positive, validate
 from gtau.robots.robot import INERTIAL
 from gtau.signals.columns import document_of
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from gtau.documents.keys import Keys
+from gtau.documents.validation import Keys
 from gtau.signals.units import is_angle, si_factor
 
 AXES = "xyz"

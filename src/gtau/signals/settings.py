@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from gtau.documents.keys import Keys, Positive
+from gtau.documents.validation import Keys, Positive
 
 
 class PreparationSettings(Keys):

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, FiniteFloat
 
-from gtau.documents.keys import Keys
+from gtau.documents.validation import Keys
 from gtau.robots.geometry import turn
 from gtau.robots.wrench import WRENCH, WrenchFrame
 from gtau.signals.units import si_factor

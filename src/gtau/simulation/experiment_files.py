@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 
 from gtau.documents.files import folder_of, write_atomically
-from gtau.documents.yaml_text import yaml_text
+from gtau.documents.yaml_document import yaml_text
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Robot
 from gtau.signals.payload import Payload
-from gtau.simulation.closed_loop import Engine, Simulated, simulate, write_log
+from gtau.simulation.closed_loop import Engine, Hardware, Simulated, hardware, simulate, write_log
 from gtau.simulation.controllers import pid_with_velocity, sample
-from gtau.simulation.drive import Hardware, hardware
 from gtau.simulation.motions import check_positions, make_trajectory
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant

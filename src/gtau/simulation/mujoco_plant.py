@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError, missing_extra
-from gtau.model.coordinates import PlatformSlots
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.kinematics import PlatformSlots
 from gtau.model.loop_paths import follow
 from gtau.robots.robot import (
     DAMPING,

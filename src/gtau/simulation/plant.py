@@ -17,14 +17,59 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 
 from gtau.errors import GtauError
+from gtau.model.closures import closure_expressions
 from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loop_paths import follow
+from gtau.model.loops import Loops
 from gtau.robots.robot import PRELOAD, STIFFNESS
-from gtau.simulation.constraints import Constraints, constraints
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Independent closure equations ``phi(c) = 0``, as many as there are passive coordinates.
+
+    ``position`` maps c to phi and to ``G = d(phi')/d(yd)`` of the passive and of the actuated coordinates;
+    ``drift`` maps c and yd to gamma of ``G ydd + gamma = 0``.
+    """
+
+    position: ca.Function
+    drift: ca.Function
+
+
+def constraints(loops: Loops) -> Constraints:
+    """Select independent closure equations of a robot.
+
+    Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by
+    QR with pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns
+    with the robot keeps the same redundant rows there, but not in base axes.
+    """
+    layout = loops.layout
+    c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    turned = _axes_of_bodies(loops, c)
+    phi, velocity, gamma = (turned @ each for each in closure_expressions(layout, c, yd))
+    G = ca.jacobian(velocity, yd)
+    passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
+    at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
+    _, _, order = scipy.linalg.qr(at_home.T, pivoting=True, mode="economic")
+    rows = np.sort(order[: len(passive)]).tolist()
+    return Constraints(
+        ca.Function("position", [c], [phi[rows], G[rows, passive], G[rows, actuated]]),
+        ca.Function("drift", [c, yd], [ca.densify(gamma[rows])]),
+    )
+
+
+def _axes_of_bodies(loops: Loops, c: ca.SX) -> ca.SX:
+    """Turn the closures' rows from base axes into those of each closure's second body."""
+    frame, blocks = frames(loops.layout, c), []
+    for closure in loops.layout.robot.closures:
+        blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)
+    return ca.diagcat(*blocks, ca.SX.eye(loops.equations.rows - 3 * len(blocks)))
+
 
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: Coulomb friction is fs tanh(v / width)
 TOLERANCE = 1e-6  # of a step: error of the velocities, in rad/s or m/s

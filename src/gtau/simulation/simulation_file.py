@@ -8,16 +8,15 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from gtau.documents.keys import Keys, Positive
-from gtau.documents.kinds import SIMULATION, refuse_other_kind
-from gtau.documents.validation import validate
+from gtau.documents.files import SIMULATION, refuse_other_kind
+from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
+from gtau.simulation.closed_loop import Drive, Sensors
 from gtau.simulation.controllers import BANDWIDTH
-from gtau.simulation.drive import Drive, Sensors
 from gtau.simulation.plant import WIDTH
 
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
@@ -31,7 +30,7 @@ def _not_zero(gain: float) -> float:
 
 
 class JointHardware(Keys):
-    """Drive and sensors of a joint; see :class:`gtau.simulation.drive.Drive` and ``Sensors``."""
+    """Drive and sensors of a joint; see :class:`gtau.simulation.closed_loop.Drive` and ``Sensors``."""
 
     gain: Annotated[FiniteFloat, AfterValidator(_not_zero)]
     current_limit: Positive | None = None

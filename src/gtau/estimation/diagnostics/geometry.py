@@ -25,7 +25,7 @@ from gtau.estimation.thresholds.logs import (
     GEOMETRY_SHARE,
     GEOMETRY_STD,
 )
-from gtau.model.blas import single_threaded_blas
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import Constant
 from gtau.progress import Progress, silent

@@ -19,7 +19,7 @@ from gtau.estimation.regression.system import System, assemble_system
 from gtau.estimation.regression.temperatures import Temperatures, temperatures_of
 from gtau.estimation.regression.torque_sensors import sensors_of
 from gtau.model.base_parameters import BaseParameters, base_parameters
-from gtau.model.blas import single_threaded_blas
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note

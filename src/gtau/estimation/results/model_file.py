@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gtau.documents.files import write_atomically
-from gtau.documents.kinds import MODEL, refuse_other_kind
+from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import from_document as read_geometry
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict

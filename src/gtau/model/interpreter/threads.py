@@ -1,4 +1,4 @@
-"""Share samples among threads; the compiled loops release Python's lock."""
+"""Threads: samples are shared among them, while the compiled loops release Python's lock; BLAS runs in one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, wraps
+from typing import ParamSpec, TypeVar
+
+from threadpoolctl import threadpool_limits
 
 from gtau.model.interpreter.lanes import LANES
 
@@ -41,3 +44,21 @@ def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) ->
 def _pool(process: int, workers: int) -> ThreadPoolExecutor:
     """Return the threads, made once in a process; a forked process needs its own."""
     return ThreadPoolExecutor(workers, "gtau", lambda: setattr(_inside, "pool", True))
+
+
+Parameters = ParamSpec("Parameters")
+Returned = TypeVar("Returned")
+
+
+def single_threaded_blas(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
+    """Run a function with one BLAS thread: on matrices as small as here, threads only wait for each other.
+
+    As ``threadpool_limits.wrap``, which has no types: type checkers take what it decorates for Any.
+    """
+
+    @wraps(function)
+    def limited(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited

@@ -1,14 +1,19 @@
-"""Tables of modified Denavit-Hartenberg parameters, in the columns of the paper's Tables 1 and 2."""
+"""Tables of modified Denavit-Hartenberg parameters, in the columns of the paper's Tables 1 and 2, and as CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Literal, TypeVar
 
+from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.geometry import ROUNDING, compose, exact_angle
-from gtau.robots.robot import GROUND, Attachment, Joint, Mdh
+from gtau.robots.geometry import ROUNDING, compose, exact_angle, short_angles_note
+from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
+from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Robot
 from gtau.robots.units import DEGREES_ADVICE, in_degrees
 
 
@@ -87,3 +92,115 @@ def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, A
         joints.append(Joint(row.name, before.body, kind, placement, actuated=row.mu == 1))
         frames[row.name] = Attachment(row.name)
     return tuple(joints), frames
+
+
+T = TypeVar("T")
+COLUMNS = ("j", "a", "mu", "sigma", "gamma", "b", "alpha", "d", "theta", "r")
+MAX_BYTES = 1 << 20
+
+
+def read_mdh_csv(path: str | Path) -> Robot:
+    """Read a serial or tree robot from a table of MDH parameters.
+
+    The header is ``j,a,mu,sigma,gamma,b,alpha,d,theta,r``, columns in any order: joint, antecedent (``0`` is the base),
+    1 for a motor, 0 revolute, 1 prismatic or 2 fixed, and the parameters, rad and m. Cells are numbers or arithmetic
+    such as ``pi/2``; ``theta`` or ``r`` of a joint may be written with its coordinate, ``q - a`` or ``q13 - a`` where
+    13 is the joint's name. Lines ``name = value`` before the header give constants. Gravity is along -z.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Robot
+        Without closures; save it as a robot file to add them.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read or is no such table; names the line and the column.
+    """
+    path = Path(path)
+    try:
+        lines = _lines(path)
+        constants, header = _constants(lines)
+        rows = [_row(number, cells, header, constants) for number, cells in lines]
+        if not rows:
+            raise GtauError("no joint is listed; write a line for each below the header.")
+        joints, _ = table_joints(rows)
+        notes = short_angles_note(row.name for row in rows if row.short)
+        return Robot(path.stem, joints, source=path.name, notes=notes)
+    except GtauError as error:
+        raise GtauError(f"{path}: {error}") from None
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    larger = "the file is larger than 1 MiB; a table of a robot is a few kilobytes, so check the path."
+    content = read_at_most(MAX_BYTES, path, larger)
+    try:
+        text = content.decode("utf-8-sig")
+        cells = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), strict=True)]
+    except UnicodeDecodeError:
+        raise GtauError("the text is not UTF-8; save the file in that encoding.") from None
+    except csv.Error as error:
+        raise GtauError(f"this is not a table of comma-separated values ({error}); correct the file.") from None
+    return [(number, row) for number, row in enumerate(cells, start=1) if any(row) and not row[0].startswith("#")]
+
+
+def _constants(lines: list[tuple[int, list[str]]]) -> tuple[dict[str, float], list[str]]:
+    """Take the constants and the header off `lines`."""
+    constants: dict[str, float] = {}
+    while lines:
+        number, cells = lines.pop(0)
+        if set(COLUMNS) <= set(cells):
+            if len(set(cells)) < len(cells) or set(cells) > set(COLUMNS):
+                raise GtauError(f"line {number}: the header must name each of {', '.join(COLUMNS)} once, nothing else.")
+            return constants, cells
+        name, sign, value = cells[0].partition("=")
+        name = name.strip()
+        if not sign or len(cells) > 1:
+            missing = ", ".join(column for column in COLUMNS if column not in cells)
+            raise GtauError(
+                f"line {number}: this is neither a constant ('a = 0.34') nor the header, which lacks {missing}."
+            )
+        if name in RESERVED or not name.isidentifier() or not name.isascii():
+            raise GtauError(f"line {number}: '{name}' cannot name a constant; use letters, digits and _.")
+        try:
+            constants[name] = evaluate(value, constants)
+        except ValueError as error:
+            raise GtauError(f"line {number}, {name}: {error}.") from None
+    raise GtauError(f"it has no header; write {','.join(COLUMNS)} above the joints.")
+
+
+def _row(number: int, cells: list[str], header: list[str], constants: dict[str, float]) -> MdhRow:
+    if len(cells) != len(header):
+        raise GtauError(f"line {number}: it has {len(cells)} cells; write {len(header)}, as in the header.")
+    values = dict(zip(header, cells, strict=True))
+    name = values["j"]
+
+    def read(column: str) -> AffineInQ:
+        text = re.sub(rf"\bq_?{re.escape(name)}\b", "q", values[column])
+        try:
+            return linear(text, constants)
+        except ValueError as error:
+            raise GtauError(f"line {number}, {column} of joint '{name}': {error}.") from None
+
+    found = {column: read(column) for column in COLUMNS[2:]}
+    moving = _at_line(number, moving_parameter, name, found["sigma"][1])
+    for column, (factor, _) in found.items():
+        if factor not in ((0.0, 1.0) if column == moving else (0.0,)):
+            raise GtauError(
+                f"line {number}, {column} of joint '{name}': write the coordinate q plainly, and only in theta "
+                "(sigma 0) or r (sigma 1)."
+            )
+    mu, sigma, *parameters = (constant for _, constant in found.values())
+    antecedent = GROUND if values["a"] == "0" else values["a"]
+    return _at_line(number, table_row, name, antecedent, mu, sigma, parameters)
+
+
+def _at_line(number: int, function: Callable[..., T], *arguments: object) -> T:
+    try:
+        return function(*arguments)
+    except GtauError as error:
+        raise GtauError(f"line {number}: {error}") from None

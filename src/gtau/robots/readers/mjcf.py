@@ -1,15 +1,17 @@
 """MJCF files, through MuJoCo's own compiler: geometry, limits, loops and which joints are driven.
 
-Masses, shapes and meshes are left aside; a model reads without the files of its meshes.
+Masses, shapes and meshes are left aside; a model reads without the files of its meshes. Joints with an actuator have
+motors, and in a gripper alone the shafts that pull tendons; joints that no motor moves are held: those of scenery, of
+bases that roll, and of grippers that tendons pull.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -18,16 +20,11 @@ from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed
 from gtau.robots.readers.idle_joints import without_idle_pins
 from gtau.robots.readers.inertias import mjcf_masses
-from gtau.robots.readers.mjcf_angles import angle_notes
-from gtau.robots.readers.mjcf_bodies import read_bodies
-from gtau.robots.readers.mjcf_file import MjcfFile, compile_mjcf
-from gtau.robots.readers.mjcf_idle import moving_base, scenery, with_linkages
-from gtau.robots.readers.mjcf_model import name_in
-from gtau.robots.readers.mjcf_motors import read_motors
-from gtau.robots.readers.mjcf_ties import read_ties, site_springs
+from gtau.robots.readers.mjcf_bodies import fixed_tendons, read_bodies, read_ties, site_springs
+from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, name_in
 from gtau.robots.readers.source import Base, BaseChoice
 from gtau.robots.readers.xml_document import read_xml
-from gtau.robots.robot import Joint, Robot, base_rows
+from gtau.robots.robot import GROUND, Coupling, Joint, Robot, base_rows
 
 if TYPE_CHECKING:
     import mujoco
@@ -185,3 +182,161 @@ def _braked(model: mujoco.MjModel, free: int) -> bool:
     six = slice(int(model.jnt_dofadr[free]), int(model.jnt_dofadr[free]) + 6)
     acting = (model.dof_damping[six], model.dof_frictionloss[six], model.dof_armature[six], model.jnt_stiffness[free])
     return any(np.any(each) for each in acting)
+
+
+Kind = Literal["revolute", "prismatic"]
+
+
+@dataclass(frozen=True)
+class Motors:
+    """What the actuators of a file drive.
+
+    Attributes
+    ----------
+    driven : frozenset of str
+        Joints with a motor, shafts among them.
+    pulled : frozenset of str
+        Other joints, pulled by fixed tendons, which are not modelled.
+    shafts, couplings : tuple
+        Motors of tendons, as joints on the ground, and the joints coupled to them.
+    notes : tuple of str
+    """
+
+    driven: frozenset[str]
+    pulled: frozenset[str]
+    shafts: tuple[Joint, ...]
+    couplings: tuple[Coupling, ...]
+    notes: tuple[str, ...]
+
+
+def read_motors(file: MjcfFile, joints: Sequence[Joint]) -> Motors:
+    """Read the actuators; those that pull fixed tendons become motors only where no other drives a joint."""
+    tendons, notes = fixed_tendons(file), list[str]()
+    driven, pulled = _actuated_joints(file, tendons, notes)
+    if driven or not pulled:
+        return Motors(frozenset(driven), frozenset(pulled - driven), (), (), tuple(notes))
+    shafts, couplings = [], []
+    for shaft, coupling in _tendon_motors(file, tendons, {joint.name: joint.kind for joint in joints}):
+        shafts.append(shaft)
+        couplings.append(coupling)
+        notes.append(
+            f"'{shaft.name}' is the motor that pulls {listed([name for name, _ in coupling.ratios])} by a fixed "
+            "tendon; its position is the tendon's length"
+        )
+    driven = {shaft.name for shaft in shafts}
+    return Motors(frozenset(driven), frozenset(), tuple(shafts), tuple(couplings), tuple(notes))
+
+
+def _actuated_joints(
+    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], notes: list[str]
+) -> tuple[set[str], set[str]]:
+    """Name the joints that actuators drive, and those that they pull by fixed tendons; add notes."""
+    import mujoco
+
+    model, others = file.model, []
+    driven: set[str] = set()
+    pulled: set[str] = set()
+    turning_or_sliding = {
+        name_in(model, "joint", k)
+        for k in range(model.njnt)
+        if mujoco.mjtJoint(int(model.jnt_type[k])) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    }
+    for name, transmission, target, gear in file.actuators:
+        of_joint = transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        if of_joint and target in turning_or_sliding:
+            driven.add(target)
+            if gear != 1.0:
+                notes.append(
+                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are those of the "
+                    "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
+                )
+        elif transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
+            pulled |= tendons[target].keys()
+        else:
+            others.append(name or target)
+    if others:
+        s = "s" * (len(others) > 1)
+        notes.append(f"actuator{s} {listed(others)} on no hinge, slide or fixed tendon: left out")
+    return driven, pulled
+
+
+def _tendon_motors(
+    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], kinds: Mapping[str, Kind]
+) -> Iterator[tuple[Joint, Coupling]]:
+    """Convert motors that pull fixed tendons to shafts on the ground whose position is the tendon's length.
+
+    The force along a tendon acts on a joint by the coefficient of the joint in the tendon's length.
+    """
+    import mujoco
+
+    for number, (name, transmission, target, _) in enumerate(file.actuators, start=1):
+        if transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
+            ratios = tuple((joint, factor) for joint, factor in tendons[target].items() if factor)
+            shaft = name if name and name not in kinds else f"motor {number}"
+            yield Joint(shaft, GROUND, kinds[ratios[0][0]], parameters="drive"), Coupling(shaft, ratios)
+
+
+def scenery(robot: Robot) -> set[str]:
+    """List the joints of doors, targets and the like: of trees from the ground in which no motor moves anything."""
+    moved = _moved(robot)
+    found: set[str] = set()
+    for tree in _trees(robot):
+        if tree.isdisjoint(moved):
+            found |= tree
+    return found
+
+
+def moving_base(robot: Robot) -> set[str]:
+    """List unactuated joints that carry all actuated ones of their tree: those of a base that rolls or slides."""
+    before, moved, found = _carrying(robot), _moved(robot), set()
+    for tree in _trees(robot):
+        if carried := [before[name] for name in tree & moved]:
+            found |= set.intersection(*carried) - moved - {GROUND}
+    return found
+
+
+def with_linkages(robot: Robot, pulled: AbstractSet[str]) -> set[str]:
+    """List the joints that tendons pull, and those of their loops, where no motor moves them."""
+    found = set(pulled)
+    for group in _groups(robot):
+        if not group.isdisjoint(pulled) and group.isdisjoint(robot.actuated):
+            found |= group
+    return found & {joint.name for joint in robot.joints}
+
+
+def _carrying(robot: Robot) -> dict[str, set[str]]:
+    """List the joints, and the ground, that carry each joint."""
+    before: dict[str, set[str]] = {GROUND: set()}
+    for joint in robot.joints:
+        before[joint.name] = before[joint.antecedent] | {joint.antecedent}
+    return before
+
+
+def _trees(robot: Robot) -> Iterator[set[str]]:
+    """Group the joints by the trees that stand on the ground."""
+    before = _carrying(robot)
+    for root in (joint.name for joint in robot.joints if joint.antecedent == GROUND):
+        yield {root} | {name for name, carriers in before.items() if root in carriers}
+
+
+def _moved(robot: Robot) -> set[str]:
+    """List the joints with motors, and those that loops and couplings tie to them."""
+    found = set(robot.actuated)
+    for group in _groups(robot):
+        if not group.isdisjoint(robot.actuated):
+            found |= group
+    return found
+
+
+def _groups(robot: Robot) -> list[set[str]]:
+    """Group the joints (and platforms) that loops and couplings tie to each other."""
+    before = _carrying(robot) | {platform.name: {platform.name} for platform in robot.platforms}
+    ties = [{coupling.joint, *dict(coupling.ratios)} for coupling in robot.couplings]
+    for closure in robot.closures:
+        a, b = (before[end.body] | {end.body} for end in (closure.a, closure.b))
+        ties.append((a ^ b) - {GROUND})
+    groups: list[set[str]] = []
+    for tie in ties:
+        apart = [group for group in groups if group.isdisjoint(tie)]
+        groups = [*apart, tie.union(*(group for group in groups if not group.isdisjoint(tie)))]
+    return groups

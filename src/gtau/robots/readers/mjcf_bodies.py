@@ -1,7 +1,9 @@
-"""The bodies of an MJCF file as a tree: joints of one degree of freedom, free platforms, and what carries each body."""
+"""The bodies of an MJCF file as a tree, and the equalities, fixed tendons and springs that tie them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -10,10 +12,25 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.floating import base_joints
 from gtau.robots.geometry import compose, pose_of, rounded, turn
-from gtau.robots.readers.mjcf_model import name_in, pose_in, rotation_in
+from gtau.robots.parts import listed
+from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons, name_in, pose_in, rotation_in
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.urdf import turning
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Platform, Pose, base_rows
+from gtau.robots.readers.xml_document import numbers
+from gtau.robots.robot import (
+    GROUND,
+    ROTATIONS,
+    TRANSLATIONS,
+    Attachment,
+    Closure,
+    Coupling,
+    Joint,
+    Limits,
+    Platform,
+    Pose,
+    Spring,
+    base_rows,
+)
 
 if TYPE_CHECKING:
     import mujoco
@@ -135,3 +152,165 @@ def _joints(
         spring=rounded(model.qpos_spring[start]) if np.any(model.jnt_stiffness[number]) else None,
     )
     return [joint], after
+
+
+PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
+"""The most that the limits of a tendon may leave a joint that follows others.
+
+ToddlerBot's waist has 0.06 and 0.002 rad; the Shadow hands of Gymnasium, with 0.28 rad at the fingertips, are left out.
+Of slides no file was at hand; MuJoCo's grippers have joint limits of 20 to 50 mm.
+"""
+
+
+@dataclass(frozen=True)
+class Ties:
+    """Closures, couplings, the positions at which an equality holds joints, and notes."""
+
+    closures: tuple[Closure, ...]
+    couplings: tuple[Coupling, ...]
+    held: dict[str, float]
+    notes: tuple[str, ...]
+
+
+def read_ties(file: MjcfFile, carried: Mapping[int, Attachment], kinds: Mapping[str, str]) -> Ties:
+    """Read the active equalities, and tendons with limits as narrow; ``carried`` places the frames of the bodies.
+
+    Kinds of joints are given by their names.
+
+    Raises
+    ------
+    GtauError
+        One is no closure and no linear coupling.
+    """
+    closures, couplings, held = _equalities(file.model, carried)
+    tendons = fixed_tendons(file)
+    for each in file.tied_tendons:
+        coupling = _tendon_coupling(file.model, tendons, each)
+        if coupling.ratios:
+            couplings.append(coupling)
+        else:
+            held[coupling.joint] = coupling.offset
+    notes = []
+    for coupling, note in _within_limits(file, tendons, kinds, {each.joint for each in couplings} | held.keys()):
+        couplings.append(coupling)
+        notes.append(note)
+    return Ties(tuple(closures), tuple(couplings), held, tuple(notes))
+
+
+def _equalities(
+    model: mujoco.MjModel, carried: Mapping[int, Attachment]
+) -> tuple[list[Closure], list[Coupling], dict[str, float]]:
+    """Read closures, couplings, and the positions of joints that an equality holds."""
+    import mujoco
+
+    closures, couplings, held = [], [], {}
+    for number in range(model.neq):
+        name, kind = name_in(model, "equality", number), mujoco.mjtEq(int(model.eq_type[number]))
+        ends, data = (int(model.eq_obj1id[number]), int(model.eq_obj2id[number])), model.eq_data[number]
+        if kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+            if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
+                bodies = [int(model.site_bodyid[site]) for site in ends]
+                poses = [pose_in(model.site_pos[site], model.site_quat[site]) for site in ends]
+            elif kind == mujoco.mjtEq.mjEQ_CONNECT:
+                bodies, poses = list(ends), [pose_of(np.eye(3), data[k : k + 3]) for k in (0, 3)]
+            else:
+                bodies, poses = list(ends), [pose_in(data[3:6], data[6:10]), pose_of(np.eye(3), data[:3])]
+            a, b = (
+                Attachment(carried[body].body, compose(carried[body].placement, pose))
+                for body, pose in zip(bodies, poses, strict=True)
+            )
+            if a.body != b.body:
+                closures.append(Closure("connect" if kind == mujoco.mjtEq.mjEQ_CONNECT else "weld", a, b))
+        elif kind == mujoco.mjtEq.mjEQ_JOINT and not (ends[1] >= 0 and np.any(data[2:5])):
+            zeros = [float(model.qpos0[model.jnt_qposadr[end]]) for end in ends if end >= 0]
+            slave = name_in(model, "joint", ends[0])
+            if ends[1] < 0:
+                held[slave] = zeros[0] + float(data[0])
+                continue
+            offset, ratio = zeros[0] + float(data[0]) - float(data[1]) * zeros[1], float(data[1])
+            if ratio:
+                couplings.append(Coupling(slave, ((name_in(model, "joint", ends[1]), ratio),), offset))
+            else:
+                held[slave] = offset
+        else:
+            raise GtauError(
+                f"equality '{name}' is neither connect, weld nor a linear joint coupling of two joints; remove it, or "
+                "describe the mechanism by these."
+            )
+    return closures, couplings, held
+
+
+def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> list[Spring]:
+    """Read the springs between sites of different bodies."""
+    model, found = file.model, []
+    joints = {name_in(model, "joint", k) for k in range(model.njnt)} | {end.body for end in carried.values()}
+    for each in file.springs:
+        a, b = (_attached_site(model, model.site(name).id, carried) for name in each.sites)
+        if a.body != b.body:
+            name = f"tendon {each.name}" if each.name in joints else each.name
+            found.append(Spring(name, a, b, each.parameters))
+    return found
+
+
+def _attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attachment]) -> Attachment:
+    at = carried[int(model.site_bodyid[site])]
+    return Attachment(at.body, compose(at.placement, pose_in(model.site_pos[site], model.site_quat[site])))
+
+
+def fixed_tendons(file: MjcfFile) -> dict[str, dict[str, float]]:
+    """Read the joints of the fixed tendons and what a tendon's length gains by a unit of each."""
+    return {
+        tendon.get("name", ""): {
+            joint.get("joint", ""): numbers(joint.get("coef", ""), 1, "coef of a fixed tendon")[0]
+            for joint in tendon.iter("joint")
+        }
+        for root in file.elements
+        for tendon in root.iter("fixed")
+    }
+
+
+def _tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, float]], tied: TiedTendons) -> Coupling:
+    """Make the coupling of joints by two fixed tendons whose lengths are tied, or by one of constant length."""
+    constant, factor, *higher = tied.polynomial
+    known = tied.tendon in tendons and (not tied.other or tied.other in tendons)
+    if not known or (tied.other and any(higher)):
+        raise GtauError(
+            f"equality '{tied.name}' ties tendons other than fixed ones, or not linearly, which is not modelled; "
+            "remove it, or tie joints by an equality 'joint'."
+        )
+    terms = dict(tendons[tied.tendon])
+    for name, coefficient in tendons.get(tied.other, {}).items():
+        terms[name] = terms.get(name, 0.0) - factor * coefficient
+    zeros = {name: float(model.qpos0[int(model.joint(name).qposadr[0])]) for name in terms}
+    length = constant + sum(value * zeros[name] for name, value in terms.items())
+    return _solved(terms, next(name for name, value in terms.items() if value), length)
+
+
+def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
+    """Make the coupling that gives a joint from the others whose sum, each by its factor, is a length."""
+    own = terms[joint]
+    ratios = tuple((name, -value / own) for name, value in terms.items() if value and name != joint)
+    return Coupling(joint, ratios, length / own)
+
+
+def _within_limits(
+    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], kinds: Mapping[str, str], tied: AbstractSet[str]
+) -> Iterator[tuple[Coupling, str]]:
+    """Couple joints without a motor that a fixed tendon lets move only a little against its others, as gears do."""
+    targets = {target for _, _, target, _ in file.actuators}
+    known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
+    for limits in file.limited_tendons if targets else ():
+        terms = {name: value for name, value in tendons.get(limits.name, {}).items() if value}
+        if not limits.name or len(terms) < 2:
+            continue
+        for joint in [name for name in terms if name in kinds and name not in known]:
+            play, (most, unit) = (limits.high - limits.low) / abs(terms[joint]), PLAY[kinds[joint]]
+            if play <= most:
+                known |= {joint}
+                coupling = _solved(terms, joint, (limits.low + limits.high) / 2)
+                yield (
+                    coupling,
+                    f"'{joint}' follows {listed([name for name, _ in coupling.ratios])} within the limits of tendon "
+                    f"'{limits.name}'; the play of {play:g} {unit} is not modelled",
+                )
+                break

@@ -1,22 +1,26 @@
-"""Compile an MJCF file by MuJoCo without what does not matter to a robot's geometry."""
+"""Compile an MJCF file by MuJoCo without what does not matter to a robot's geometry, and check its angles."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.robots.readers.xml_document import read_xml
-from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS
+from gtau.robots.geometry import SHORT, pose_of
+from gtau.robots.readers.xml_document import line_of, read_xml
+from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
+from gtau.robots.units import in_degrees
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
     import mujoco
+    from scipy.spatial.transform import Rotation
 
 SHAPES = ("sensors", "geoms", "pairs", "excludes", "skins", "flexes", "meshes", "textures", "materials", "hfields")
 DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", *SHAPES[1:], "numerics", "texts", "tuples")
@@ -233,3 +237,82 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None
+
+
+def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
+    """Return the name of an element, or its kind and number where it has none."""
+    element: Any = getattr(model, kind)(number)
+    return element.name or f"{kind} {number + 1}"
+
+
+def rotation_in(quaternion: np.ndarray) -> Rotation:
+    """Make the rotation of a quaternion (4,), w first; of zeros no rotation, as MuJoCo takes it in a keyframe."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(quaternion, scalar_first=True) if np.any(quaternion) else Rotation.identity()
+
+
+def pose_in(position: np.ndarray, quaternion: np.ndarray) -> Pose:
+    """Make the pose of a position (3,) and a quaternion (4,), w first."""
+    return pose_of(rotation_in(quaternion).as_matrix(), position)
+
+
+SHOWN = 4
+
+
+def angle_notes(roots: list[Element]) -> Iterator[str]:
+    """Note orientations and limits that are multiples of pi/4 in a file that counts in degrees.
+
+    Raises
+    ------
+    GtauError
+        An orientation is degrees in a file that counts in radians.
+    """
+    units = [compiler.get("angle") for root in roots for compiler in root.iter("compiler") if compiler.get("angle")]
+    if "radian" in units:
+        for element, what, angle in _angles(roots, ("body", "frame")):
+            if in_degrees(angle):
+                raise GtauError(
+                    f"line {line_of(element)}: {what} holds {angle:g}, but the file counts in radians (angle of "
+                    "<compiler>); divide it by 57.2958 where it is in degrees."
+                )
+        return
+    meant = [
+        f"{what} (line {line_of(element)}: {angle:g})"
+        for element, what, angle in _angles(roots, ("body", "frame", "joint"))
+        if _in_radians(angle)
+    ]
+    if meant:
+        more = f" and {len(meant) - SHOWN} more" if len(meant) > SHOWN else ""
+        yield (
+            f"angles that look like radians, though the file counts in degrees (angle of <compiler>): "
+            f"{', '.join(meant[:SHOWN])}{more}; they were taken as degrees"
+        )
+
+
+def _in_radians(angle: float) -> bool:
+    """Decide whether an angle given as degrees is a multiple of pi/4 up to a turn instead."""
+    eighths = round(angle / (pi / 4))
+    return 0 < abs(eighths) <= 8 and abs(angle - eighths * pi / 4) < SHORT
+
+
+def _angles(roots: Iterable[Element], tags: tuple[str, ...]) -> Iterator[tuple[Element, str, float]]:
+    """Iterate over the angles of orientations and of hinge limits, with their element and what they are."""
+    for element in (each for root in roots for tag in tags for each in root.iter(tag)):
+        name = f"{element.tag} '{element.get('name', element.get('class', ''))}'"
+        key = "range" if element.tag == "joint" else "euler"
+        if element.tag == "joint" and element.get("type", "hinge") != "hinge":
+            continue
+        if element.tag == "frame" and element.find(".//body") is None:
+            continue  # of shapes
+        for angle in _numbers(element.get(key, "")):
+            yield element, f"{key} of {name}", angle
+        if element.tag != "joint" and len(turn := _numbers(element.get("axisangle", ""))) == 4:
+            yield element, f"axisangle of {name}", turn[3]
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []

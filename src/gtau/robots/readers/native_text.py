@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gtau.documents.files import write_atomically
-from gtau.documents.yaml_text import yaml_text
+from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
 from gtau.robots.robot import (
     DAMPING,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.documents.kinds import ROBOT, refuse_other_kind
+from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.robots.floating import float_base
 from gtau.robots.geometry import rounded
@@ -95,7 +95,7 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
 
             return read_par(path)
         case ".csv":
-            from gtau.robots.readers.mdh_csv import read_mdh_csv
+            from gtau.robots.readers.mdh_table import read_mdh_csv
 
             return read_mdh_csv(path)
         case ".xacro":

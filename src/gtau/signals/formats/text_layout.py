@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from gtau.documents.kinds import BINARY, LOG, kind_of, refuse_other_kind
+from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.signals.notes import Kind, Note
 

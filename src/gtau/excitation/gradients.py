@@ -6,11 +6,12 @@ quantity by c, yd, ydd and J become derivatives by q, qd and qdd: each of the eq
     phi(c) = 0,    G yd = 0,    G J = 0,    G ydd + gamma = 0
 
 takes a multiplier that frees the passive coordinates, so that a gradient costs one linear solve a
-sample and equation, however many parameters the trajectory has.
+sample and equation, however many parameters the trajectory has. The regressor's Coulomb friction is smooth.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -19,10 +20,10 @@ import scipy.linalg
 
 from gtau.errors import GtauError
 from gtau.model.closures import closure_expressions
-from gtau.model.coordinates import Coordinates
+from gtau.model.dynamics import torques
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import configuration_rates, constant
+from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
@@ -209,3 +210,74 @@ def _pose(rotation: np.ndarray, position: np.ndarray) -> Pose:
     else:  # roll and yaw turn about one axis
         roll, yaw = 0.0, np.arctan2(-rotation[0, 1], rotation[1, 1])
     return Pose((float(position[0]), float(position[1]), float(position[2])), (float(roll), pitch, float(yaw)))
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothRegressor:
+    """Chosen standard columns; Coulomb friction acts as ``v / sqrt(v^2 + width^2)`` instead of ``sign(v)``.
+
+    ``width`` (n_joints,) in rad/s or m/s. The other attributes are as in
+    :class:`gtau.model.inverse_dynamics.Regressor`; ``back`` gives the slopes of a weighted sum of the entries.
+    """
+
+    model: InverseDynamics
+    names: tuple[str, ...]
+    width: np.ndarray
+    program: Program
+    back: Program
+    rows: np.ndarray
+    columns: np.ndarray
+
+    def __call__(self, motion: Motion) -> np.ndarray:
+        """Evaluate the columns of every actuated joint's row, (n, N, columns)."""
+        entries = self.program(self._inputs(motion))
+        W = np.zeros((len(self.model.actuated), entries.shape[1], len(self.names)))
+        W[self.rows, :, self.columns] = entries
+        return W
+
+    def slopes(self, motion: Motion, weights: np.ndarray) -> Slopes:
+        """Differentiate ``sum(weights * W)`` a sample, weights (n, N, columns)."""
+        layout, samples = self.model.layout, motion.c.shape[1]
+        found = self.back(np.vstack([self._inputs(motion), weights[self.rows, :, self.columns]]))
+        c, yd, ydd, J = np.split(found, np.cumsum([layout.n_c, layout.n_y, layout.n_y]))
+        return Slopes(c, yd, ydd, J.reshape(len(layout.passive), len(layout.actuated), samples))
+
+    def _inputs(self, motion: Motion) -> np.ndarray:
+        layout, samples = self.model.layout, motion.c.shape[1]
+        J = motion.J[layout.passive].reshape(len(layout.passive) * len(layout.actuated), samples)
+        width = np.broadcast_to(self.width[:, None], (len(self.width), samples))
+        return np.vstack([motion.c, motion.yd, motion.ydd, J, width])
+
+
+def smooth_regressor(model: InverseDynamics, names: Sequence[str], width: np.ndarray) -> SmoothRegressor:
+    """Compile the columns ``names`` of a robot's regressor and the way back through them."""
+    layout, n = model.layout, len(model.actuated)
+    joints = layout.robot.joints
+    sizes = (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y), ("width", len(joints)))
+    c, yd, ydd, wide = (ca.SX.sym(s, k) for s, k in sizes)
+    passive = ca.SX.sym("J", len(layout.passive), n)
+    J = ca.SX(layout.n_y, n)
+    for k, row in enumerate(layout.actuated):
+        J[int(row), k] = 1
+    for k, row in enumerate(layout.passive):
+        J[int(row), :] = passive[k, :]
+    chi = {name: ca.SX.sym(name) for name in model.parameter_names}
+    tau = torques(layout, c, yd, ydd, J, {name: each for name, each in chi.items() if not name.startswith("fs_")})
+    for k, joint in enumerate(joints):
+        if f"fs_{joint.name}" in chi:
+            tau += J[k, :].T * chi[f"fs_{joint.name}"] * yd[k] / ca.sqrt(yd[k] ** 2 + wide[k] ** 2)
+    W = ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names)))
+    rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
+    entries = ca.vec(W.nz[:])
+    weights = ca.SX.sym("weights", entries.numel())
+    inputs = [c, yd, ydd, passive.T, wide]
+    back = ca.gradient(ca.dot(weights, entries), ca.veccat(c, yd, ydd, passive.T))
+    return SmoothRegressor(
+        model,
+        tuple(names),
+        width,
+        compile_program(inputs, [entries]),
+        compile_program([*inputs, weights], [back]),
+        rows,
+        columns,
+    )
