@@ -209,3 +209,21 @@ def test_the_controller_gives_the_currents_of_the_one_in_python(tmp_path: Path, 
         arrays = (pair(*values[k]) for values in (reference.q, reference.qd, reference.qdd, measured))
         assert cycle(memory, *arrays, p, out) == 0
         np.testing.assert_allclose(list(out), made.run.command[k], atol=2e-9)  # logs have nine decimals
+
+
+@needs_gcc
+@pytest.mark.xfail(reason="the controller takes a position that is not a number and keeps it")
+def test_a_position_that_is_not_a_number_has_a_status_and_passes(tmp_path: Path) -> None:
+    robot = next(robot for robot in ROBOTS if robot.name == "five-bar")
+    c = Compiled(model_of(robot), tmp_path)
+    memory, out = ctypes.create_string_buffer(1 << 10), (ctypes.c_double * 2)()
+    start, cycle = c.library.five_bar_controller_start, c.library.five_bar_controller_cycle
+    start.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p]
+    pair = ctypes.c_double * 2
+    rest, still, p = pair(*home(robot)), pair(0.0, 0.0), (ctypes.c_double * c.n_p)(*c.model.values)
+    assert start(memory, rest, 1e-3, 80.0, pair(10.0, 10.0)) == 0
+    assert cycle(memory, rest, still, still, rest, p, out) == 0
+    healthy = list(out)
+    assert cycle(memory, rest, still, still, pair(np.nan, rest[1]), p, out) != 0
+    assert cycle(memory, rest, still, still, rest, p, out) == 0
+    np.testing.assert_allclose(list(out), healthy)
