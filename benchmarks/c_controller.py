@@ -37,7 +37,7 @@ TIMING = r"""
 #include <math.h>
 #include <stdio.h>
 #include <time.h>
-#include "orthoglide.h"
+#include "orthoglide_controller.h"
 enum { N = ORTHOGLIDE_JOINTS, CALLS = 100000 };
 static double now(void) { struct timespec t; clock_gettime(CLOCK_MONOTONIC, &t); return t.tv_sec + 1e-9 * t.tv_nsec; }
 int main(void) {
@@ -57,6 +57,12 @@ int main(void) {
   TIME("gravity", orthoglide_gravity(&pose, orthoglide_parameters, out))
   TIME("inertia", orthoglide_inertia(&pose, orthoglide_parameters, out))
   TIME("regressor", orthoglide_regressor(&pose, qd, qdd, orthoglide_parameters, out))
+  orthoglide_configuration set = {.period = 1e-3, .bandwidth = 100};
+  for (int k = 0; k < N; ++k) set.limit[k] = set.velocity[k] = 1e3;
+  orthoglide_controller controller;
+  for (int k = 0; k < N; ++k) q[k] = 0;
+  if (orthoglide_controller_start(&controller, &set, q)) return 3;
+  TIME("cycle", if (orthoglide_controller_cycle(&controller, 1e-3, q, qd, qdd, q, orthoglide_parameters, out)) return 4)
   return sum == 0.5;
 }
 """
@@ -105,7 +111,8 @@ def compiled(folder: Path) -> ctypes.CDLL:
 
 def timing(folder: Path) -> str:
     (folder / "timing.c").write_text(TIMING)
-    program, sources = folder / "timing", (folder / "timing.c", folder / f"{NAME}.c")
+    program = folder / "timing"
+    sources = [folder / f"{each}.c" for each in ("timing", NAME, f"{NAME}_controller")]
     subprocess.run(["gcc", "-std=c99", "-O2", "-o", program, *sources, "-lm"], check=True)
     return subprocess.check_output([program], text=True)
 
@@ -144,14 +151,23 @@ def run_c(
     def at(values: np.ndarray) -> ctypes.Array[ctypes.c_double]:
         return (ctypes.c_double * n)(*values)
 
-    start = library.orthoglide_controller_start
-    start.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p]
-    assert start(memory, at(reference.q[0]), period, law.bandwidth, at(parts.current_limit)) == 0
+    class Configuration(ctypes.Structure):
+        _fields_ = (
+            ("period", ctypes.c_double),
+            ("bandwidth", ctypes.c_double),
+            ("limit", ctypes.c_double * n),
+            ("velocity", ctypes.c_double * n),
+            ("hold", ctypes.c_int),
+        )
+
+    velocity = 10 * np.abs(reference.qd).max(axis=0)  # a margin for the resolution of the encoders
+    configuration = Configuration(period, law.bandwidth, at(parts.current_limit), at(velocity), 0)
+    assert library.orthoglide_controller_start(memory, ctypes.byref(configuration), at(reference.q[0])) == 0
     error, current, out = np.empty_like(reference.q), np.empty_like(reference.q), at(np.zeros(n))
     for k in range(len(reference.time)):
         seen = rounded(state.q, parts.position_quantum)
         references = (at(reference.q[k]), at(reference.qd[k]), at(reference.qdd[k]))
-        assert cycle(memory, *references, at(seen), parameters, out) == 0
+        assert cycle(memory, ctypes.c_double(period), *references, at(seen), parameters, out) == 0
         current[k], error[k] = out, reference.q[k] - state.q
         state = engine.advance(state, parts.force(current[k], state.q, phase), period)
     return error, current

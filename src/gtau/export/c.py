@@ -21,6 +21,10 @@ TEMPLATES = Path(__file__).with_name("templates")
 NEWTON_STEPS = 4  # from 0.01 rad away corrections are about 1e-2, 1e-4, 1e-8, 1e-16: the fourth is rounding
 CLOSED = 1e-8  # of the last correction; what is left after it is its square
 STARTING_STEPS = 200  # from home: a few milliradians or millimetres each
+FINITE_MATH = """\
+#if defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "isfinite() means nothing with -ffinite-math-only, -ffast-math or /fp:fast: compile without"
+#endif"""
 HELPER = re.compile(r"^casadi_real casadi_\w+\([^)]*\) *\{.*?\}$", re.MULTILINE | re.DOTALL)
 BODY = re.compile(r"^static int casadi_f\d+\([^)]*\) *\{\n(.*?)^ *return 0;\n\}", re.MULTILINE | re.DOTALL)
 
@@ -79,6 +83,8 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
         "home_q": _numbers(home),
         "amplitude": ", ".join("0.02" if turn else f"{0.02 * length:.4g}" for turn in turns),
         "limits": ", ".join(["1e3"] * n),
+        "velocities": _numbers(result.robot.joint(joint).limits.velocity or 10.0 for joint in model.joints),
+        "finite_math": FINITE_MATH,
         "csv_head": ",".join(["t", *(f"v{_plain(joint)}" for joint in model.joints)]),
         "payload_declarations": "".join(
             f"extern const double {model.name}_parameters_with_{suffix(load)}[{model.name.upper()}_PARAMETERS];\n"

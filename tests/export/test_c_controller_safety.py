@@ -1,0 +1,69 @@
+"""The exported controller under bad inputs, fuzzed with the sanitizers of addresses and of undefined behaviour."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from models_to_export import model_of
+from robots_for_tests import ROBOTS, home
+
+from gtau.export.c import export
+from gtau.export.identified import identified, torques
+
+GCC = shutil.which("gcc")
+FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-O1")
+SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+DRIVER = Path(__file__).with_name("controller_fuzz.c")
+
+
+@pytest.fixture(scope="module")
+def sanitized(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A compiler with sanitizers."""
+    if GCC is None:
+        pytest.skip("gcc is not installed (Debian: apt install gcc)")
+    folder = tmp_path_factory.mktemp("sanitizers")
+    (folder / "empty.c").write_text("int main(void) { return 0; }\n")
+    program = folder / "empty"
+    made = subprocess.run([GCC, *SANITIZERS, "-o", program, folder / "empty.c"], capture_output=True, text=True)
+    if made.returncode or subprocess.run([program], capture_output=True).returncode:
+        pytest.skip("gcc compiles without its sanitizers here (Debian: apt install libasan8 libubsan1)")
+    return GCC
+
+
+def smooth(parameters: np.ndarray, names: list[str]) -> np.ndarray:
+    """The parameters without dry friction, so that a simulated robot can be integrated by small steps."""
+    return np.where([name.startswith(("fs", "fl")) for name in names], 0.0, parameters)
+
+
+@pytest.mark.parametrize("name", ["ur10e", "five-bar"])
+def test_bad_inputs_have_a_status_and_safe_currents(name: str, sanitized: str, tmp_path: Path) -> None:
+    robot = next(robot for robot in ROBOTS if robot.name == name)
+    result = model_of(robot)
+    model = identified(result)
+    export(result, tmp_path)
+    names = [each.name for each in model.parameters]
+    values = smooth(model.values, names)
+    assert (values != model.values).any()
+    q = home(robot)[None, :]
+    still = np.abs(torques(model, q, 0 * q, 0 * q, values) / model.gains).max()
+    fields = {
+        "SMOOTH_PARAMETERS": ", ".join(map(repr, values.tolist())),
+        "HOME_Q": ", ".join(map(repr, home(robot).tolist())),
+        "AMPLITUDE": 0.05,
+        "VELOCITY": 8.0,
+        "LIMIT": 5.0 * still,
+        "HELD": 5,
+    }
+    (tmp_path / "smooth.h").write_text("".join(f"#define {key} {value}\n" for key, value in fields.items()))
+    c_name = model.name
+    text = DRIVER.read_text().replace("robot_", f"{c_name}_").replace("ROBOT_", f"{c_name.upper()}_")
+    (tmp_path / "fuzz.c").write_text(text)
+    sources = [tmp_path / f"{each}.c" for each in (c_name, f"{c_name}_controller", "fuzz")]
+    subprocess.run([sanitized, *FLAGS, *SANITIZERS, "-o", tmp_path / "fuzz", *sources, "-lm"], check=True)
+    ran = subprocess.run([tmp_path / "fuzz"], capture_output=True, text=True)
+    assert ran.stdout == "OK\n", ran.stdout + ran.stderr
+    assert ran.returncode == 0
