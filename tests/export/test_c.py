@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from models_to_export import model_of, sprung
-from robots_for_tests import ROBOTS, home, random_samples, trajectory
+from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory
 
 from gtau.estimation.results.result import Result
 from gtau.export.c import export
 from gtau.export.identified import identified, torques
-from gtau.robots.robot import Robot
+from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import Drive, hardware, simulate
 from gtau.simulation.controllers import Reference, computed_torque
 from gtau.simulation.plant import PlantState
@@ -219,3 +219,27 @@ def test_the_controller_gives_the_currents_of_the_one_in_python(tmp_path: Path, 
         arrays = (pair(*values[k]) for values in (reference.q, reference.qd, reference.qdd, measured))
         assert cycle(memory, ctypes.c_double(1e-3), *arrays, p, out) == 0
         np.testing.assert_allclose(list(out), made.run.command[k], atol=2e-9)  # logs have nine decimals
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["math", "example", "kernel", "int", "3-RRR", "naïve bot", "Ω", ""])
+def test_names_become_valid_identifiers(name: str, tmp_path: Path) -> None:
+    robot = Robot(name, (Joint("a*/b/* %d", "ground", "revolute", Mdh(r=0.3)),))
+    export(model_of(robot), tmp_path)
+    sources = sorted(tmp_path.glob("*.c"))
+    assert len(sources) == 3
+    made = subprocess.run(
+        [GCC, *FLAGS, "-O0", "-I", tmp_path, "-o", tmp_path / "all", *sources, "-lm"], capture_output=True, text=True
+    )
+    assert made.returncode == 0, made.stderr
+    assert subprocess.check_output([tmp_path / "all"], text=True).startswith("t,v")
+
+
+@needs_gcc
+def test_code_for_finite_numbers_alone_is_refused(tmp_path: Path) -> None:
+    export(model_of(slider_crank()), tmp_path)
+    for source in ("slider_crank.c", "slider_crank_controller.c"):
+        command = [GCC, "-fsyntax-only", tmp_path / source]
+        assert subprocess.run(command, capture_output=True).returncode == 0
+        refused = subprocess.run([*command, "-ffast-math"], capture_output=True, text=True)
+        assert "compile without" in refused.stderr

@@ -51,3 +51,9 @@ def test_fmpy_runs_the_model(robot: Robot, tmp_path: Path) -> None:
             np.testing.assert_allclose(found[f"torque_{name}"][1:100], expected[:99, j], atol=tolerance)
             currents = expected[:99, j] / model.gains[j]
             np.testing.assert_allclose(found[f"current_{name}"][1:100], currents, atol=tolerance)
+    signals[f"q_{names[0]}"][50] = np.nan
+    found = fmpy.simulate_fmu(
+        str(path), stop_time=0.099, step_size=1e-3, output_interval=1e-3, input=signals, output=[*outputs, "status"]
+    )
+    assert set(found["status"]) == {0, 3}
+    assert all(np.isfinite(found[name]).all() for name in outputs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from string import Template
 
@@ -25,6 +26,10 @@ FINITE_MATH = """\
 #if defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
 #error "isfinite() means nothing with -ffinite-math-only, -ffast-math or /fp:fast: compile without"
 #endif"""
+TAKEN = re.compile(  # example.c, kernel_torques() and the headers of the C library
+    "example|kernel|assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|"
+    "stdarg|stdbool|stddef|stdint|stdio|stdlib|string|tgmath|time|wchar|wctype"
+)
 HELPER = re.compile(r"^casadi_real casadi_\w+\([^)]*\) *\{.*?\}$", re.MULTILINE | re.DOTALL)
 BODY = re.compile(r"^static int casadi_f\d+\([^)]*\) *\{\n(.*?)^ *return 0;\n\}", re.MULTILINE | re.DOTALL)
 
@@ -37,6 +42,8 @@ def export(result: Result, out: Path) -> Exported:
 
 def c_files(model: Identified) -> dict[str, str]:
     """Generate the C sources, header, example and CMake file: texts by file name."""
+    if TAKEN.fullmatch(model.name):
+        model = replace(model, name=f"robot_{model.name}")
     made, name = functions(model), model.name
     fields = _fields(model, made)
     return {
@@ -131,6 +138,7 @@ def _parameter_arrays(model: Identified) -> Iterator[str]:
         std = "" if each.std is None else f" +- {each.std:.2g}"
         regrouping = "" if each.regrouping in ("", each.name) else f" = {each.regrouping}"
         comment = textwrap.shorten(f"{k} {each.name}, {each.unit}{std}{regrouping}", 90, placeholder=" ...")
+        comment = comment.replace("*/", "* /").replace("/*", "/ *")
         yield f"    {float(each.value)!r}, /* {comment} */"
     yield "};"
     for load, values in model.payloads.items():
