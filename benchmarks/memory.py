@@ -25,9 +25,9 @@ from time import perf_counter
 import numpy as np
 import polars as pl
 
+from gtau.demo.orthoglide import DRIVE_GAINS, PAYLOAD_MASS, standard_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.simulation.orthoglide_truth import DRIVE_GAINS, PAYLOAD_MASS, standard_parameters
 
 PERIOD, RATE, SHARD = 20_000, 1000.0, 1_000_000  # samples of the motion, Hz, samples of a file
 NOISE, COUNT = 3e-4, 2.5e-6  # A, m

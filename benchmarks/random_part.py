@@ -81,7 +81,7 @@ def make_case(source: str) -> Case:
     robot = load_robot(source)
     model, rng = InverseDynamics(robot), np.random.default_rng(SEED)
     if source == "orthoglide":
-        from gtau.simulation.orthoglide_truth import standard_parameters
+        from gtau.demo.orthoglide import standard_parameters
 
         chi = standard_parameters()
     else:

@@ -23,12 +23,12 @@ from peers import ExcitationByHand, figaroh_wls, gains_by_hand, random_parameter
 from table import Row, check, medians, motion
 
 import gtau
+from gtau.demo.orthoglide import PAYLOAD_MASS, standard_parameters
 from gtau.excitation.design_file import read_design
 from gtau.excitation.nlp import Programme
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
-from gtau.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
 
 RATE, SLOWEST = 250.0, 1.0  # Hz
 GAIN = 2100.0

@@ -48,20 +48,20 @@ __all__ = [
 ]
 
 _HOMES = {
-    "BaseParameters": "estimation.regression.base_parameters",
+    "BaseParameters": "model.base_parameters",
     "Estimate": "estimation.results.estimate",
     "GtauError": "errors",
     "InverseDynamics": "model.inverse_dynamics",
     "Result": "estimation.results.result",
     "Robot": "robots.robot",
     "Run": "signals.run",
-    "base_parameters": "estimation.regression.base_parameters",
+    "base_parameters": "model.base_parameters",
     "compare": "estimation.compare",
     "excite": "excitation.design",
     "export_model": "export.registry",
     "identify": "estimation.identify",
     "load_robot": "model.home",
-    "read_design": "excitation.problem_of_file",
+    "read_design": "excitation.design_file",
     "read_run": "signals.run",
     "simulate": "simulation.experiment_files",
     "weigh": "estimation.weigh",

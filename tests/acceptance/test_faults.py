@@ -12,6 +12,7 @@ from five_bar_logs import STEEL, Plant
 from orthoglide_logs import experiment
 
 import gtau.estimation.regression.dataset
+from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.identify import identify
@@ -23,7 +24,6 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Mdh, Robot
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run, read_run
-from gtau.simulation.orthoglide_truth import DRIVE_GAINS
 
 ROBOT = load_robot("orthoglide")
 Fault = Callable[[list[Run]], tuple[Robot, list[Run]]]

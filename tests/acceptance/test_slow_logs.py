@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from orthoglide_logs import orthoglide
 
+from gtau.demo.orthoglide import standard_parameters
 from gtau.estimation.diagnostics.lack_of_fit import lack_of_fit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ml
@@ -16,7 +17,6 @@ from gtau.estimation.regression.friction import Friction
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
-from gtau.simulation.orthoglide_truth import standard_parameters
 
 ROBOT = load_robot("orthoglide")
 GAIN, MASS = 2100.0, 1.983

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from orthoglide_logs import RATE, experiment
 
+from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
@@ -16,7 +17,6 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.model.home import load_robot
 from gtau.signals.run import Run
-from gtau.simulation.orthoglide_truth import DRIVE_GAINS
 
 ROBOT = load_robot("orthoglide")
 GAINS = np.array(list(DRIVE_GAINS.values()))

@@ -14,9 +14,8 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.demo import run as demo_module
-from gtau.demo.files import LOGS
-from gtau.demo.page import COMMANDS, report
-from gtau.demo.run import demo
+from gtau.demo.orthoglide import LOGS, PAYLOAD_MASS, standard_parameters
+from gtau.demo.run import COMMANDS, CONTENT, demo, report
 from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
@@ -24,7 +23,6 @@ from gtau.robots.robot import Joint, Robot
 from gtau.signals.experiment import read_experiment
 from gtau.signals.payload import Payload
 from gtau.simulation.experiment_files import experiment_text
-from gtau.simulation.orthoglide_truth import PAYLOAD_MASS, standard_parameters
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import envelope, point_to_point, sines
 
@@ -114,13 +112,13 @@ def test_the_demo_finds_the_gains_and_weighs_the_payload(made: tuple[Path, dict[
     second = document["second_payload"]
     assert second["identified"]["value"] == pytest.approx(1.136, abs=0.005)
     assert second["prior"]["value"] == pytest.approx(1.09, abs=0.01)
-    assert all(each["relative"] < 1.0 for each in document["validation"])
 
 
 def test_the_demo_writes_what_it_lists_and_nothing_else(made: tuple[Path, dict[str, Any], str]) -> None:
     out, document, text = made
     json.dumps(document, allow_nan=False)
     assert sorted(document["files"]) == sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
+    assert {name if "/" not in name or ".png" in name else "logs/" for name in document["files"]} == set(CONTENT)
     whole = (out / "README.txt").read_text(encoding="utf-8")
     assert text in whole
     assert "same geometry" not in whole  # legs whose frictions differ are no news
@@ -143,10 +141,16 @@ def test_the_printed_commands_give_the_same_numbers(
     assert (out / "model.json").read_bytes() == before
     identified, validated, *weighed, compared = found
     assert [each["value"] for each in identified["drive_gains"]] == [each["value"] for each in document["drive_gains"]]
-    assert validated["runs"][0]["joints"] == document["validation"]
+    assert all(joint["relative"] < 1.0 for joint in validated["runs"][0]["joints"])
     for gains, each in zip(("prior", "identified"), weighed, strict=True):
         assert each["payloads"][0]["parameters"]["m"]["value"] == document["second_payload"][gains]["value"]
-    assert compared["tracking"] == document["tracking"]
+    for trajectory in ("trajectory_1", "trajectory_2"):
+        rms = {
+            each["strategy"]: max(joint["rms"] for joint in each["joints"])
+            for each in compared["tracking"]
+            if each["trajectory"] == trajectory
+        }
+        assert 10 * rms["CTC with identified gains"] < rms["advanced PID"] < rms["simple PID"] / 3
 
 
 def test_without_matplotlib_the_demo_says_so(
@@ -154,10 +158,10 @@ def test_without_matplotlib_the_demo_says_so(
 ) -> None:
     out, document, _ = made
     monkeypatch.setattr(demo_module, "find_spec", lambda name: None)
-    nothing: Any = None
-    figures = demo_module.write_figures(out, nothing, nothing, silent)
-    text = report({**document, "files": ["README.txt", *figures]}, "")
+    figures = demo_module._gains_figure(out, gtau.Result.load(out / "model.json"))
+    text = report({**document, "files": ["README.txt", *figures]})
     assert "pip install 'gtau[plot]'" in text
+    assert "figures/gains.png" not in text
 
 
 def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None:
@@ -176,7 +180,7 @@ def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None
 def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_path: Path) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     from gtau.estimation.results.estimate import Estimate
-    from gtau.report.figures import payload_figure
+    from gtau.report.figures import gains_figure
     from gtau.report.style import save_figure
 
     before = dict(matplotlib.rcParams)
@@ -184,7 +188,7 @@ def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_
     try:
         for k in range(2):
             matplotlib.rcParams["lines.linewidth"] = 1.0 + k
-            figure = payload_figure(Estimate("m", 1.09, 0.001, "kg"), Estimate("m", 1.136, 0.002, "kg"), 1.136)
+            figure = gains_figure({"1": Estimate("1", 9.0, 0.1, "N m/A")}, {"1": 9.1}, {"1": 8.0})
             save_figure(figure, tmp_path / f"{k}.png")
         assert matplotlib.rcParams["font.size"] == 20
     finally:

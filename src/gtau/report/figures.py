@@ -13,7 +13,6 @@ from gtau.report.style import (
     BLUE,
     GREY,
     IDENTIFIED,
-    LINES,
     PRIOR,
     VERMILION,
     joint_label,
@@ -25,7 +24,6 @@ from gtau.report.style import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INTERVAL = 1.96  # standard deviations to either side, 95 %
@@ -117,63 +115,4 @@ def torques_figure(
         figure.align_ylabels()
         handles = above.get_legend_handles_labels()[0] + below.get_legend_handles_labels()[0]
         figure.legend(handles=handles, loc="outside upper center", ncols=3)
-    return figure
-
-
-def trajectory_figure(
-    time: np.ndarray,
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
-    joints: Sequence[str],
-    unit: str,
-    run: str,
-    detail: float = 5.0,
-) -> Figure:
-    """Draw joint positions over a whole run; velocities and accelerations during its first seconds.
-
-    ``run`` is the name of the run, ``time`` (N,) in s, ``motion`` positions, velocities and accelerations, each (N, n),
-    in ``unit`` and s.
-    """
-    early = time <= time[0] + detail
-    with styled():
-        figure = new_figure(7.2, 5.4)
-        whole, speed, push = figure.subplots(3, 1, height_ratios=(1.15, 1, 1))
-        _joint_lines(whole, time, motion[0], joints, f"position, {unit}")
-        _joint_lines(speed, time[early], motion[1][early], joints, f"velocity, {unit}/s")
-        _joint_lines(push, time[early], motion[2][early], joints, f"acceleration, {unit}/s²")
-        whole.axvspan(time[0], time[0] + detail, color="#EFEFEF", zorder=0)
-        whole.set_title(f"Run {run}")
-        speed.set_title(f"The first {detail:g} s of it, grey above")
-        speed.tick_params(labelbottom=False)
-        push.set_xlabel("time from the start of the run, s")
-        figure.align_ylabels()
-        figure.legend(handles=whole.get_lines(), loc="outside upper center", ncols=len(joints))
-    return figure
-
-
-def _joint_lines(axes: Axes, time: np.ndarray, values: np.ndarray, joints: Sequence[str], label: str) -> None:
-    for j, joint in enumerate(joints):
-        axes.plot(time, values[:, j], label=joint_label(joint), **LINES[j % len(LINES)])
-    axes.set_ylabel(label)
-    axes.set_xlim(time[0], time[-1])
-    light_grid(axes)
-
-
-def payload_figure(prior: Estimate, identified: Estimate, truth: float) -> Figure:
-    """Draw a payload's mass by the manufacturer's and by the identified gains, and the true one, kg."""
-    with styled():
-        figure = new_figure(7.2, 2.0)
-        axes = figure.subplots()
-        axes.axvline(truth, color=BLACK, linewidth=0.9)
-        for row, (mass, look) in enumerate(((prior, PRIOR), (identified, IDENTIFIED))):
-            value, half = mass.value or 0.0, INTERVAL * (mass.std or 0.0)
-            axes.errorbar([value], [row], xerr=[half], **look)
-            value_label(axes, f"{with_interval(value, half)} kg", value, row, look["color"])
-        axes.annotate(f"true {truth:g} kg", (truth, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3),
-                      textcoords="offset points", ha="center", va="bottom")  # fmt: skip
-        axes.set_yticks([0, 1], ["with the manufacturer's gains", "with the identified gains"])
-        axes.set_ylim(1.5, -0.9)
-        axes.margins(x=0.25)
-        axes.spines["left"].set_visible(False)
-        axes.set_xlabel("mass of the payload, kg (95 % intervals)")
-        light_grid(axes, "x")
     return figure

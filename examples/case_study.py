@@ -1,23 +1,48 @@
 """The page ``docs/case-study.md``: section 5 of the paper beside a simulated Orthoglide.
 
-Made again by ``python -m gtau.demo.case_study docs``.
+    python examples/case_study.py docs
+
+makes the page again, with its pictures in ``docs/images``: about four minutes.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
-from gtau.demo.run import demo
-from gtau.documents.files import write_atomically
-from gtau.estimation.results.estimate import Estimate
+import numpy as np
+from case_study_figures import payload_figure, references_figure, tracking_figure, trajectory_figure
+
+from gtau.demo.orthoglide import (
+    DRIVE_GAINS,
+    LOGS,
+    PRIOR_GAINS,
+    RATE,
+    SECOND_PAYLOAD_MASS,
+    VALIDATION,
+    standard_parameters,
+)
+from gtau.demo.run import CASES, make_experiment
+from gtau.documents.files import folder_of, write_atomically
+from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.identify import identify
+from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
+from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.summary import NOT_SHOWN
-from gtau.progress import silent
-from gtau.simulation.control_comparison import STRATEGIES
+from gtau.estimation.weigh import weigh
+from gtau.progress import Progress, silent
+from gtau.report.figures import gains_figure, torques_figure
+from gtau.report.robot_figure import robot_figure
+from gtau.report.style import save_figure
+from gtau.signals.experiment import read_experiment
+from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, compare_control
+from gtau.simulation.controllers import sample
+from gtau.simulation.motions import make_trajectory
+from gtau.simulation.simulation_file import read_simulation
 
 DURATION = 20.0  # s, the paper's exciting trajectories
 
@@ -74,7 +99,8 @@ what the estimator sees are logs. The plant's main parameters are those of the p
 read side by side; what the paper does not say (how masses are shared out among the bodies, small frictions, the
 trajectories) is ours.
 
-This page is made by `python -m gtau.demo.case_study docs`; `gtau demo --out demo` is the same with shorter logs.
+This page is made by `python examples/case_study.py docs`. `gtau demo --out demo` identifies the same robot from shorter
+logs, and weighs with it.
 
 ![The robot at home](images/case-study-robot.png)
 
@@ -128,24 +154,70 @@ The differences, point by point:
 """
 
 
-def main(docs: Path) -> None:
-    """Run the case study and write ``docs/case-study.md`` with its images."""
-    with TemporaryDirectory() as folder:
-        found, _ = demo(Path(folder), silent, DURATION)
-        result = Result.load(Path(folder) / "model.json")
-        for figure in (Path(folder) / "figures").iterdir():
-            write_atomically(docs / "images" / f"case-study-{figure.name.replace('_', '-')}", figure.read_bytes())
-        write_atomically(docs / "case-study.md", page(found, result))
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What was found: the model, the second payload by the gains used, a run not identified from, the control laws."""
+
+    result: Result
+    weighings: Mapping[str, Estimate]
+    prediction: Prediction
+    errors: tuple[TorqueError, ...]
+    comparison: ControlComparison
 
 
-def page(found: Mapping[str, Any], result: Result) -> str:
-    """Write the page as Markdown, from the demo's document and its result."""
-    second = found["second_payload"]
+def main(docs: Path, duration: float = DURATION, progress: Progress = silent) -> None:
+    """Run the case study and write ``case-study.md`` to the folder ``docs``, and its images."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        make_experiment(folder, duration, progress)
+        study = run(folder, progress)
+        write_figures(study, folder, duration, folder_of(docs / "images"))
+    write_atomically(docs / "case-study.md", page(study))
+
+
+def run(folder: Path, progress: Progress) -> Study:
+    """Identify, weigh, predict and control with the files that :func:`gtau.demo.run.make_experiment` wrote."""
+    experiment = folder / "experiment.yaml"
+    result = identify(experiment, progress=progress)
+    weighings = {}
+    for case in CASES:
+        (payload,) = weigh(result, folder / "second_payload.yaml", case, progress)
+        weighings[case] = payload.parameters["m"]
+    described = read_experiment(experiment)
+    (unused,) = read_runs(described, described.validation)
+    prediction = result.predict(unused)
+    gains = {joint: gain.value or 0.0 for joint, gain in result.drive_gains.items()}
+    comparison = compare_control(folder / "simulation.yaml", experiment, progress, gains)
+    return Study(result, weighings, prediction, torque_errors(result, prediction), comparison)
+
+
+def write_figures(study: Study, folder: Path, duration: float, images: Path) -> None:
+    """Draw the pictures of the page, ``case-study-*.png``, and that of the robot."""
+    result, prediction, compared = study.result, study.prediction, study.comparison
+    planned = read_simulation(folder / "simulation.yaml").runs[0]
+    exciting, shown = sample(make_trajectory(planned.trajectory, result.robot, planned.name)[0], duration, RATE), 5
+    motion = (exciting.q[::shown], exciting.qd[::shown], exciting.qdd[::shown])
+    units = [each.unit for each in study.errors]
+    figures = {
+        "gains": gains_figure(result.drive_gains, DRIVE_GAINS, PRIOR_GAINS),
+        "payload": payload_figure(study.weighings["prior"], study.weighings["identified"], SECOND_PAYLOAD_MASS),
+        "torques": torques_figure(prediction, units, 0.0, min(6.0, exciting.time[-1]), VALIDATION),
+        "trajectory": trajectory_figure(exciting.time[::shown], motion, prediction.joints, "m", LOGS[0][0]),
+        "test-trajectories": references_figure(compared.references, compared.joints, compared.units),
+        **{f"tracking-{name.replace('_', '-')}": tracking_figure(compared, name) for name in compared.references},
+        "robot": robot_figure(result.robot),
+    }
+    for name, figure in figures.items():
+        save_figure(figure, images / f"case-study-{name}.png")
+
+
+def page(study: Study) -> str:
+    """Write the page as Markdown."""
     return "\n".join(
         [
             INTRODUCTION,
             "## Gains and essential parameters (Table 3)\n",
-            _table(("parameter", "unit", "paper", "σ %", "true", "found", "σ %"), _table_3(found, result)),
+            _table(("parameter", "unit", "paper", "σ %", "true", "found", "σ %"), _table_3(study.result)),
             "\n![Drive gains](images/case-study-gains.png)\n",
             TABLE_3_NOTES,
             "## Torques on a run that was not used (Fig. 5)\n",
@@ -153,16 +225,16 @@ def page(found: Mapping[str, Any], result: Result) -> str:
             _table(
                 ("joint", "signal rms, N", "error rms, N", "error, %"),
                 [
-                    (each["joint"], f"{each['signal']:.1f}", f"{each['rms']:.2f}", f"{each['relative']:.2f}")
-                    for each in found["validation"]
+                    (each.joint, f"{each.signal:.1f}", f"{each.rms:.2f}", f"{each.relative:.2f}")
+                    for each in study.errors
                 ],
             ),
             "\n## A second payload of 1.136 kg\n",
             _table(
                 ("drive gains", "paper, kg", "found, kg"),
                 [
-                    ("manufacturer's (case 1)", "1.09 ± 0.02", _with_std(second["prior"])),
-                    ("identified (case 2)", "1.14 ± 0.02", _with_std(second["identified"])),
+                    ("manufacturer's (case 1)", "1.09 ± 0.02", _with_std(study.weighings["prior"])),
+                    ("identified (case 2)", "1.14 ± 0.02", _with_std(study.weighings["identified"])),
                 ],
             ),
             "\n![Masses weighed](images/case-study-payload.png)\n",
@@ -170,19 +242,17 @@ def page(found: Mapping[str, Any], result: Result) -> str:
             "## Control (Table 4, Figs. 6 to 8)\n",
             "Five control laws with the same linear part (100 rad/s) carry 1.983 kg along two trajectories, twice.\n",
             "![Test trajectories](images/case-study-test-trajectories.png)\n",
-            *(part for trajectory in TABLE_4 for part in _table_4(found["tracking"], trajectory)),
+            *(part for trajectory in TABLE_4 for part in _table_4(study.comparison, trajectory)),
             TABLE_4_NOTES,
         ]
     )
 
 
-def _table_3(found: Mapping[str, Any], result: Result) -> list[Sequence[str]]:
-    from gtau.simulation.orthoglide_truth import standard_parameters
-
+def _table_3(result: Result) -> list[Sequence[str]]:
     chi = standard_parameters()
     standard = [chi.get(name, 0.0) for name in result.model.parameter_names]
     true = dict(zip(result.base.names, result.base.matrix @ standard, strict=True))
-    true |= {each["joint"]: each["true"] for each in found["drive_gains"]}
+    true |= DRIVE_GAINS
     ours: dict[str, Estimate] = {**result.drive_gains, **result.essential}
     rows: list[Sequence[str]] = []
     for name in dict.fromkeys([*TABLE_3, *ours]):
@@ -198,12 +268,12 @@ def _table_3(found: Mapping[str, Any], result: Result) -> list[Sequence[str]]:
     return rows
 
 
-def _table_4(tracking: Sequence[Mapping[str, Any]], trajectory: str) -> list[str]:
+def _table_4(comparison: ControlComparison, trajectory: str) -> list[str]:
     rows: list[Sequence[str]] = []
     for strategy, paper in zip(STRATEGIES, TABLE_4[trajectory], strict=True):
-        (ours,) = (each for each in tracking if each["trajectory"] == trajectory and each["strategy"] == strategy)
-        values = [joint[what] for what in ("maximum", "rms") for joint in ours["joints"]]
-        rows.append((strategy, *(f"{p} / {1e6 * value:.0f}" for p, value in zip(paper, values, strict=True))))
+        (ours,) = (each for each in comparison.tracking if (each.trajectory, each.strategy) == (trajectory, strategy))
+        values = 1e6 * np.concatenate([ours.maximum, ours.rms])
+        rows.append((strategy, *(f"{p} / {value:.0f}" for p, value in zip(paper, values, strict=True))))
     joints = [f"{what} {joint}" for what in ("max", "rms") for joint in (1, 2, 3)]
     return [
         f"### {trajectory.replace('_', ' ').capitalize()}\n",
@@ -213,8 +283,8 @@ def _table_4(tracking: Sequence[Mapping[str, Any]], trajectory: str) -> list[str
     ]
 
 
-def _with_std(mass: Mapping[str, float]) -> str:
-    return f"{mass['value']:.4f} ± {mass['std']:.4f}"
+def _with_std(mass: Estimate) -> str:
+    return f"{mass.value:.4f} ± {mass.std:.4f}"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
