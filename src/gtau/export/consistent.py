@@ -53,7 +53,7 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: b
     result, idm = model.result, model.result.model
     motion = random_motion(idm, STATES, np.random.default_rng(0))
     identified_model = identified(result)
-    tau = torques_of(identified_model, motion, motion.yd[idm.layout.actuated], identified_model.values)
+    tau = torques_of(identified_model, motion, identified_model.values)
     values = np.array([expressed.get(name, 0.0) for name in idm.parameter_names])
     made = idm.full.torques_along(idm.layout, motion, values)
     if cubic:
