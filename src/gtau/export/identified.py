@@ -151,6 +151,20 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
     return loaded
 
 
+def notes_on(model: Identified) -> tuple[str, ...]:
+    """Note parameters without a value, and friction whose shape beyond the logged speeds the logs do not show."""
+    result = model.result
+    bent = [name for name in model.terms if name.startswith("f3_")]
+    bent += [name for name, each in result.parameters.items() if name.startswith("fv_") and (each.value or 0.0) < 0]
+    if not bent:
+        return not_known(model)
+    law = result.friction_law
+    joints = dict.fromkeys(name.split("_", 1)[1].removesuffix("R") for name in bent)
+    listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in joints if joint in result.robot.actuated)
+    found = f"friction is extrapolated beyond the logged speeds along its slope there, or held: {listed}"
+    return (*not_known(model), *([found] if listed else []))
+
+
 def not_known(model: Identified) -> tuple[str, ...]:
     """Name the parameters that are not identifiable from the logs and enter as zero, if there are any."""
     lost = [name for name, each in model.result.parameters.items() if each.value is None]

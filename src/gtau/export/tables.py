@@ -39,12 +39,15 @@ class Row:
 
 
 def rows(result: Result) -> Iterator[Row]:
-    """List all estimates: gains, delays, base parameters (friction by itself), friction terms, payloads."""
+    """List all estimates: gains, delays, base parameters (friction by itself), friction terms, speeds, payloads."""
     yield from (Row("drive gain", each) for each in result.drive_gains.values())
     yield from (Row("delay", each) for each in result.delays.values())
     for name, each in result.parameters.items():
         group = "friction" if name.split("_", 1)[0] in FRICTION else "base parameter"
         yield Row(group, each, name in result.essential)
     yield from (Row("friction", each) for each in result.friction.values())
+    for joint, speed in result.logged_speeds.items():
+        unit = "rad/s" if result.robot.joint(joint).kind == "revolute" else "m/s"
+        yield Row("logged speed", Estimate(joint, speed, None, unit))
     for payload in result.payloads:
         yield from (Row(f"payload {payload.name} ({payload.run})", each) for each in payload.parameters.values())

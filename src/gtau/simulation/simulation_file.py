@@ -13,7 +13,7 @@ from gtau.documents.kinds import SIMULATION, refuse_other_kind
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import DAMPING, INERTIAL, Robot
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 from gtau.simulation.controllers import BANDWIDTH
@@ -164,6 +164,14 @@ class Simulation(Keys):
     runs: tuple[SimulatedRun, ...] = Field(min_length=1)
     validation: tuple[SimulatedRun, ...] = ()
     control: tuple[SimulatedRun, ...] = ()
+
+    @field_validator("parameters")
+    @classmethod
+    def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
+        for name, value in parameters.items():
+            if name.split("_", 1)[0] in ("fv", "fs", DAMPING) and value < 0:
+                raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
+        return parameters
 
     @model_validator(mode="after")
     def _names_once(self) -> Simulation:

@@ -22,6 +22,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from scipy.optimize import nnls
 from scipy.sparse.csgraph import connected_components
 
 from gtau.estimation.regression.dataset import friction_speed_ratios
@@ -31,6 +32,7 @@ from gtau.model.loops import Motion
 from gtau.robots.robot import DAMPING
 
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
+SPEEDS = 200  # at which a straight line is fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +108,30 @@ class FrictionLaw:
         taken, given = groups @ math.fmax(power, 0.0), groups @ math.fmax(-power, 0.0)
         allowed = groups.T @ (taken / math.fmax(math.fmax(taken, given), LEAST_POWER))
         return 1.0 - (1.0 - allowed) * math.fmax(-math.sign(power), 0.0)
+
+    def logged(self, joint: str) -> str:
+        """Write V of an actuated joint with its unit."""
+        unit = "rad/s" if self.model.robot.joint(joint).kind == "revolute" else "m/s"
+        return f"{self.logged_speeds.get(joint, 0.0):.3g} {unit}"
+
+    @property
+    def range_sentence(self) -> str:
+        """Describe over which speeds friction was identified, and what it is beyond."""
+        listed = ", ".join(f"{joint} {self.logged(joint)}" for joint in self.logged_speeds)
+        return (
+            f"Friction is identified up to the fastest logged speeds ({listed}). Beyond it is extrapolated: along its "
+            "slope there, or constant where that is negative. It never propels: terms that would are scaled down."
+        )
+
+    def straight(self, viscous: float, coulomb: float, cubic: float, joint: str) -> tuple[float, float]:
+        """Fit ``viscous qd + coulomb sign(qd)``, neither negative, to the friction of a joint up to its V.
+
+        For engines with no other friction. ``joint`` is an actuated one.
+        """
+        speed = np.linspace(0.0, self.logged_speeds.get(joint, 0.0), SPEEDS)[1:]
+        friction = np.maximum(viscous * speed + coulomb + cubic * speed**3, 0.0)
+        (viscous, coulomb), _ = nnls(np.stack([speed, np.ones_like(speed)], axis=1), friction)
+        return float(viscous), float(coulomb)
 
     def torques(self, motion: Motion, values: Mapping[str, Any], load: np.ndarray) -> np.ndarray:
         """Compute torques (n, N) of friction and offsets along a motion.

@@ -88,7 +88,7 @@ def friction_values(
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
     values |= {name: each.value or 0.0 for name, each in result.friction.items() if name.split("_", 1)[0] in TERMS}
-    if result.temperatures is None or run is None or run.temperature is None:
+    if result.temperatures is None or run is None or run.temperature is None or time is None:
         return values
     for joint, reference in result.temperatures.of_joint.items():
         if joint in run.temperature.of_joint:
