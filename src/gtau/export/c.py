@@ -95,7 +95,7 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
 
 def _plain(text: str) -> str:
     """Clean a text so that it is safe in a comment and in a string of C."""
-    return re.sub(r"[^\w .,:;()+-]", "_", text, flags=re.ASCII)
+    return re.sub(r"[^\w .,:;()+/-]", "_", text, flags=re.ASCII)
 
 
 def _numbers(values: Iterable[float]) -> str:

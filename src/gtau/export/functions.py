@@ -66,12 +66,12 @@ def functions(model: Identified) -> Functions:
     base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
     load = torques(layout, c, yd, ydd, J, _standard(model, carried(ca, base.standard, chi)))
     friction = _Friction(model, p, yd, J)
-    whole = load + friction(load)
+    rubbing = friction(load)
     still = ca.substitute(ca.substitute(load, qd, ca.SX.zeros(n)), qdd, ca.SX.zeros(n))
     made = {
-        "torques": whole,
+        "torques": load + rubbing,
         "gravity": still,
-        "friction": whole - load,
+        "friction": rubbing,
         "inertia": ca.jacobian(load, qdd),
         "regressor": friction.regressor(load),
     }
