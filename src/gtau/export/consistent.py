@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Comment
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.export.identified import identified, torques_of
 from gtau.model.random_states import random_motion
@@ -67,11 +68,17 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
 def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> dict[str, float]:
     """Compute the rms difference of torques from the identified ones over random states, per cent, by joint.
 
+    None is faster than the logs.
+
     ``expressed`` are the standard parameters that the target holds, ``cubic`` says whether it holds f3 too; the
     identified torques include all friction terms.
     """
     result, idm = model.result, model.result.model
     motion = random_motion(idm, STATES, np.random.default_rng(0))
+    logged = np.array([[result.logged_speeds.get(joint, 0.0)] for joint in idm.actuated])
+    ratio = np.abs(motion.yd[idm.layout.actuated]) / np.where(logged > 0, logged, np.inf)
+    slower = 1 / np.maximum(ratio.max(axis=0), 1.0)  # the same path, in more time
+    motion = replace(motion, yd=motion.yd * slower, ydd=motion.ydd * slower**2)
     identified_model = identified(result)
     tau = torques_of(identified_model, motion, identified_model.values)
     values = np.array([expressed.get(name, 0.0) for name in idm.parameter_names])
@@ -86,8 +93,8 @@ def difference_note(found: Mapping[str, float]) -> str:
     """Describe the differences in a sentence."""
     worst = max(found, key=lambda joint: found[joint])
     return (
-        f"over {STATES} random states the exported torques differ from the identified ones by at most "
-        f"{found[worst]:.2g} % rms (joint '{worst}')"
+        f"over {STATES} random states within the logged speeds the exported torques differ from the identified "
+        f"ones by at most {found[worst]:.2g} % rms (joint '{worst}')"
     )
 
 
@@ -116,7 +123,8 @@ def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str]) -> 
     result, notes = model.result, []
     notes += friction_notes(model)
     if left_out:
-        kinds = dict.fromkeys(("fvt", "fst"), "by temperature") | {"f3": "cubic in speed", "fl": "proportional to load"}
+        kinds = {"f3": "cubic in speed", "fl": "proportional to the load"}
+        kinds |= dict.fromkeys(TEMPERATURE_TERMS, "by temperature")
         named = ", ".join(f"{name} ({kinds[name.split('_', 1)[0]]})" for name in left_out)
         notes.append(f"{target} cannot express this friction, left out: {named}")
     late = [f"{1e3 * (each.value or 0.0):.2g} ms ('{joint}')" for joint, each in result.delays.items() if each.value]
