@@ -118,6 +118,23 @@ def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, fold
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.3
 
 
+def test_ur10e_friction_takes_energy_beyond_the_logged_speeds(ur10e: Result) -> None:
+    """Cubic terms of the shoulder are negative: at 3.1 rad/s, its limit, the polynomials would propel by 90 N m."""
+    values = {name: each.value for name, each in ur10e.friction.items()} | ur10e.params
+    for j, (joint, logged) in enumerate(ur10e.logged_speeds.items()):
+        assert 0.8 < logged < 1.4
+        qd = np.zeros((60, 6))
+        qd[:, j] = np.linspace(-3.1, 3.1, 60)
+        at_rest = ur10e.torques(np.zeros((60, 6)), np.zeros((60, 6)), np.zeros((60, 6)))[:, j]
+        friction = ur10e.torques(np.zeros((60, 6)), qd, np.zeros((60, 6)))[:, j] - at_rest
+        assert (friction * qd[:, j]).min() > 0
+        assert np.diff(friction * np.sign(qd[:, j])).max() < 5.0  # N m in 0.1 rad/s: nothing jumps
+        if j < 2:
+            polynomial = values[f"fs_{joint}"] + 3.1 * values[f"fv_{joint}"] + 3.1**3 * values[f"f3_{joint}"]
+            assert polynomial < -50
+            assert 30 < friction[-1] < 50
+
+
 def test_ur10e_payload_has_ten_parameters(ur10e: Result) -> None:
     (payload,) = ur10e.payloads
     assert payload.known == {"m"}

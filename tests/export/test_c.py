@@ -7,12 +7,15 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from models_to_export import model_of, sprung
-from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory
+from propelling_models import LOGGED, held, propelling, states
+from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
+from scipy.integrate import solve_ivp
 
 from gtau.estimation.results.result import Result
 from gtau.export.c import export
@@ -20,7 +23,7 @@ from gtau.export.identified import identified, torques
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import Drive, hardware, simulate
 from gtau.simulation.controllers import Reference, computed_torque
-from gtau.simulation.plant import PlantState
+from gtau.simulation.plant import Plant, PlantState
 
 GCC = shutil.which("gcc")
 needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed (Debian: apt install gcc)")
@@ -243,3 +246,42 @@ def test_code_for_finite_numbers_alone_is_refused(tmp_path: Path) -> None:
         assert subprocess.run(command, capture_output=True).returncode == 0
         refused = subprocess.run([*command, "-ffast-math"], capture_output=True, text=True)
         assert "compile without" in refused.stderr
+
+
+@needs_gcc
+def test_c_code_takes_energy_and_swings_down(tmp_path: Path, rng: np.random.Generator) -> None:
+    result = propelling(tree(), -0.3)
+    c = Compiled(result, tmp_path)
+    n, values = c.n, c.model.values
+    assert c("start", home(tree())) == 0
+    for qd, qdd in zip(*states(result, rng), strict=True):
+        friction = c("friction", qd, qdd, values, size=n)
+        assert (friction * qd).min() >= -1e-9  # W: rounding
+    result = propelling(tree())
+    (tmp_path / "swing").mkdir()
+    c, plant = Compiled(result, tmp_path / "swing"), Plant(result.model, {
+        name: value for name, value in result.consistency.standard.items() if name[:3] not in ("fv_", "fs_")
+    })  # fmt: skip
+    for speed in (-5.0, 0.4, 1.3, 3.1, 6.0):
+        friction = c("friction", np.full(n, speed), np.zeros(n), values := c.model.values, size=n)
+        np.testing.assert_allclose(friction, held(speed), rtol=1e-12)
+
+    def derivative(_: float, x: np.ndarray) -> np.ndarray:
+        q, qd = np.split(x, 2)
+        assert c("move", q) == 0
+        M = c("inertia", values, size=n * n).reshape(n, n)
+        return np.concatenate([qd, np.linalg.solve(M, -c("torques", qd, 0 * qd, values, size=n))])
+
+    def at_rest(_: float, x: np.ndarray) -> float:  # of one joint, where Coulomb friction jumps
+        return float(np.abs(x[n:]).min() - 0.05)
+
+    at_rest.terminal = True
+    start = np.concatenate([home(tree()), np.full(n, 3 * LOGGED)])
+    swing = solve_ivp(derivative, (0.0, 0.3), start, rtol=1e-8, events=at_rest)
+    assert len(swing.t) > 10
+    energy = []
+    for x in swing.y.T:
+        state = plant.start(x[:n])
+        energy.append(plant.energy(replace(state, qd=x[n:])))
+    assert np.diff(energy).max() < 1e-5 * (energy[0] - energy[-1])
+    assert energy[-1] < energy[0]

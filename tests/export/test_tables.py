@@ -53,6 +53,7 @@ def test_csv_has_a_row_an_estimate(result: Result, tmp_path: Path) -> None:
     (gain,) = table.filter((pl.col("group") == "drive gain") & (pl.col("name") == "right")).to_dicts()
     assert gain["value"] == result.drive_gains["right"].value
     count = len(result.drive_gains) + len(result.delays) + len(result.parameters) + len(result.friction) + 7
+    count += len(result.logged_speeds)
     assert table.height == count
 
 

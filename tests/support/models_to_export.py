@@ -65,6 +65,7 @@ def model_of(
         covariance_names=tuple(f"gain_{joint}" for joint in joints),
         covariance=np.eye(len(joints)) * 1e-4,
         preparation=Preparation(10.0, 50.0, Decimator(10, "fir"), 0.05),
+        logged_speeds=dict.fromkeys(joints, 100.0),
         statistics={"lack_of_fit": 1.0, "reduction_loss": 0.0},
         runs=("free", "loaded"),
         notes=(),

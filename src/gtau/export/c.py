@@ -14,7 +14,7 @@ import casadi as ca
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.export.functions import Functions, functions
-from gtau.export.identified import Identified, identified, not_known, suffix
+from gtau.export.identified import Identified, identified, notes_on, suffix
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 
@@ -37,7 +37,7 @@ BODY = re.compile(r"^static int casadi_f\d+\([^)]*\) *\{\n(.*?)^ *return 0;\n\}"
 def export(result: Result, out: Path) -> Exported:
     """Write C sources, header, controller, example and CMake file of the identified model into ``out``."""
     model = identified(result)
-    return Exported(written(out, c_files(model)), notes=not_known(model))
+    return Exported(written(out, c_files(model)), notes=notes_on(model))
 
 
 def c_files(model: Identified) -> dict[str, str]:
@@ -77,6 +77,9 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
         "n_p": f"{len(model.parameters):<3}",
         "n_c": f"{len(made.home):<3}",
         "joint_table": "\n".join(_joint_rows(model, turns)),
+        "friction": textwrap.fill(
+            _plain(result.friction_law.range_sentence), 116, initial_indent=" * ", subsequent_indent=" * "
+        ),
         "usage": _usage(model.name),
         "newton_steps": str(NEWTON_STEPS),
         "starting_steps": str(STARTING_STEPS),
@@ -105,7 +108,7 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
 
 def _plain(text: str) -> str:
     """Clean a text so that it is safe in a comment and in a string of C."""
-    return re.sub(r"[^\w .,:;()+-]", "_", text, flags=re.ASCII)
+    return re.sub(r"[^\w .,:;()+/-]", "_", text, flags=re.ASCII)
 
 
 def _numbers(values: Iterable[float]) -> str:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
+from xml.etree.ElementTree import Comment
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.export.identified import identified, torques_of
 from gtau.model.random_states import random_motion
@@ -17,11 +20,18 @@ STATES = 500
 
 @dataclass(frozen=True, eq=False)
 class ConsistentModel:
-    """Standard parameters by name and drive gains by joint, of rigid bodies that can exist."""
+    """Standard parameters by name and drive gains by joint, of rigid bodies that can exist.
+
+    Friction takes energy at every speed: no ``fv``, ``fs`` or f3 (``cubics``, by joint) is negative. Where identified
+    ones are, ``fv`` and ``fs`` are the straight line nearest to the friction up to the fastest logged speed, and
+    ``straight`` names the joint.
+    """
 
     result: Result
     standard: Mapping[str, float]
     gains: Mapping[str, float]
+    cubics: Mapping[str, float]
+    straight: tuple[str, ...]
 
     def of(self, kind: str, joint: str) -> float:
         """Return a parameter of a joint, 0 where it has none."""
@@ -29,8 +39,7 @@ class ConsistentModel:
 
     def cubic(self, joint: str) -> float:
         """Return the friction cubic in speed (f3) of a joint, 0 where it has none."""
-        term = f"f3_{joint}"
-        return (self.result.friction[term].value or 0.0) if term in self.result.friction else 0.0
+        return self.cubics.get(joint, 0.0)
 
 
 def consistent_model(result: Result, target: str) -> ConsistentModel:
@@ -41,19 +50,37 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
             f"an export to {target} needs the parameters of every body, but the model has base parameters alone; "
             "identify it with --consistent."
         )
-    return ConsistentModel(result, found.standard, {joint: gain for joint, (gain, _) in found.gains.items()})
+    standard, cubics, straight = dict(found.standard), {}, []
+    for joint in result.robot.joints:
+        name, term = joint.name, f"f3_{joint.name}"
+        cubic = (result.friction[term].value or 0.0) if term in result.friction else 0.0
+        viscous, coulomb = (standard.get(f"{kind}_{name}", 0.0) for kind in ("fv", "fs"))
+        if min(viscous, coulomb, cubic) < 0:
+            viscous, coulomb = result.friction_law.straight(viscous, coulomb, cubic, name)
+            standard |= {f"fv_{name}": viscous, f"fs_{name}": coulomb}
+            straight.append(name)
+        elif cubic:
+            cubics[name] = cubic
+    gains = {joint: gain for joint, (gain, _) in found.gains.items()}
+    return ConsistentModel(result, standard, gains, cubics, tuple(straight))
 
 
 def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> dict[str, float]:
     """Compute the rms difference of torques from the identified ones over random states, per cent, by joint.
+
+    None is faster than the logs.
 
     ``expressed`` are the standard parameters that the target holds, ``cubic`` says whether it holds f3 too; the
     identified torques include all friction terms.
     """
     result, idm = model.result, model.result.model
     motion = random_motion(idm, STATES, np.random.default_rng(0))
+    logged = np.array([[result.logged_speeds.get(joint, 0.0)] for joint in idm.actuated])
+    ratio = np.abs(motion.yd[idm.layout.actuated]) / np.where(logged > 0, logged, np.inf)
+    slower = 1 / np.maximum(ratio.max(axis=0), 1.0)  # the same path, in more time
+    motion = replace(motion, yd=motion.yd * slower, ydd=motion.ydd * slower**2)
     identified_model = identified(result)
-    tau = torques_of(identified_model, motion, motion.yd[idm.layout.actuated], identified_model.values)
+    tau = torques_of(identified_model, motion, identified_model.values)
     values = np.array([expressed.get(name, 0.0) for name in idm.parameter_names])
     made = idm.full.torques_along(idm.layout, motion, values)
     if cubic:
@@ -66,16 +93,38 @@ def difference_note(found: Mapping[str, float]) -> str:
     """Describe the differences in a sentence."""
     worst = max(found, key=lambda joint: found[joint])
     return (
-        f"over {STATES} random states the exported torques differ from the identified ones by at most "
-        f"{found[worst]:.2g} % rms (joint '{worst}')"
+        f"over {STATES} random states within the logged speeds the exported torques differ from the identified "
+        f"ones by at most {found[worst]:.2g} % rms (joint '{worst}')"
     )
 
 
-def term_notes(result: Result, target: str, left_out: Sequence[str]) -> list[str]:
-    """List what no rigid-body format holds: the friction terms ``left_out``, and delays."""
-    notes = []
+def friction_notes(model: ConsistentModel) -> list[str]:
+    """Note where exported friction is a straight line instead of the identified one, and where it is extrapolated."""
+    law, notes = model.result.friction_law, []
+    if model.straight:
+        listed = ", ".join(f"{joint} up to {law.logged(joint)}" for joint in model.straight)
+        notes.append(
+            "friction with negative coefficients would propel a joint at some speed: damping and friction are the "
+            f"straight line nearest to it within the logged speeds ({listed}), extrapolated beyond"
+        )
+    if model.cubics:
+        listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in model.cubics)
+        notes.append(f"friction cubic in speed is extrapolated beyond the logged speeds: {listed}")
+    return notes
+
+
+def friction_comments(model: ConsistentModel) -> list[Any]:
+    """Make the notes on friction comments of an XML file."""
+    return [Comment(f" {note.replace('--', '- -')} ") for note in friction_notes(model)]
+
+
+def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str]) -> list[str]:
+    """List what no rigid-body format holds: the friction terms ``left_out``, negative ones, and delays."""
+    result, notes = model.result, []
+    notes += friction_notes(model)
     if left_out:
         kinds = {"f3": "cubic in speed", "fl": "proportional to the load"}
+        kinds |= dict.fromkeys(TEMPERATURE_TERMS, "by temperature")
         named = ", ".join(f"{name} ({kinds[name.split('_', 1)[0]]})" for name in left_out)
         notes.append(f"{target} cannot express this friction, left out: {named}")
     late = [f"{1e3 * (each.value or 0.0):.2g} ms ('{joint}')" for joint, each in result.delays.items() if each.value]

@@ -15,7 +15,7 @@ from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS, TEMPLATES
 from gtau.export.exported import Exported, written
 from gtau.export.functions import Functions, functions
-from gtau.export.identified import Identified, identified, not_known, suffix
+from gtau.export.identified import Identified, identified, notes_on, suffix
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 
@@ -40,6 +40,7 @@ def export(result: Result, out: Path) -> Exported:
         folder = Path(name)
         script = folder / f"{model.name}.py"
         fields = {"name": model.name, "title": f"Inverse dynamics of {json.dumps(result.robot.name)[1:-1]}"}
+        fields["friction"] = json.dumps(result.friction_law.range_sentence)[1:-1]
         script.write_text(Template((TEMPLATES / "slave.py.in").read_text(encoding="utf-8")).substitute(fields))
         resources = [folder / "model.json", folder / "requirements.txt"]
         resources[0].write_text(json.dumps(_document(model, made)))
@@ -49,7 +50,7 @@ def export(result: Result, out: Path) -> Exported:
             resources[-1].write_text(function.serialize())
         built = FmuBuilder.build_FMU(script, dest=folder / "built", project_files=resources)
         files = written(out, {f"{model.name}.fmu": Path(built).read_bytes()})
-    return Exported(files, (NEEDS, *not_known(model)))
+    return Exported(files, (NEEDS, *notes_on(model)))
 
 
 def _document(model: Identified, made: Functions) -> dict[str, object]:

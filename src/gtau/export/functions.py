@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from gtau.estimation.regression.friction import transmitted
+from gtau.estimation.results.friction_law import carried
 from gtau.export.identified import Identified
 from gtau.model.closures import closure_maps
 from gtau.model.dynamics import torques
@@ -63,19 +63,17 @@ def functions(model: Identified) -> Functions:
         step = _function("step", [c], [maps.moved, maps.size])
         last_step = _function("last_step", [c], [maps.moved, maps.size, maps.condition])
     p = ca.SX.sym("p", len(model.parameters))
-    base = model.result.base
-    whole, load = (
-        torques(layout, c, yd, ydd, J, _standard(model, p[: base.count] * weight))
-        for weight in (np.ones(base.count), transmitted(base.names))
-    )
-    whole = whole + _terms(model, p, qd, load)
+    base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
+    load = torques(layout, c, yd, ydd, J, _standard(model, carried(ca, base.standard, chi)))
+    friction = _Friction(model, p, yd, J)
+    rubbing = friction(load)
     still = ca.substitute(ca.substitute(load, qd, ca.SX.zeros(n)), qdd, ca.SX.zeros(n))
     made = {
-        "torques": whole,
+        "torques": load + rubbing,
         "gravity": still,
-        "friction": whole - load,
+        "friction": rubbing,
         "inertia": ca.jacobian(load, qdd),
-        "regressor": _regressor(model, whole, load, p, qd),
+        "regressor": friction.regressor(load),
     }
     outputs = {name: _function(name, [c, qd, qdd, p], [value.T]) for name, value in made.items()}  # row by row
     return Functions(outputs, step, last_step, home, layout.actuated)
@@ -85,27 +83,44 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
     return ca.Function(name, inputs, [ca.densify(each) for each in outputs], {"cse": True})
 
 
-def _standard(model: Identified, chi: ca.SX) -> dict[str, ca.SX]:
+def _standard(model: Identified, chi: list[ca.SX]) -> dict[str, ca.SX]:
     """Choose standard parameters of the same torques: base parameters in the places of those they keep, else zero."""
     standard = {name: ca.SX(1, 1) for name in model.result.model.parameter_names}
-    return standard | dict(zip(model.result.base.standard, ca.vertsplit(chi), strict=True))
+    return standard | dict(zip(model.result.base.standard, chi, strict=True))
 
 
-def _terms(model: Identified, p: ca.SX, qd: ca.SX, load: ca.SX) -> ca.SX:
-    """Sum the friction beyond viscous and Coulomb: ``f3 qd^3 + fl |load| sign(qd)`` and their like."""
-    tau = ca.SX(len(model.joints), 1)
-    for k, name in enumerate(model.terms, start=model.result.base.count):
-        kind, joint = name.split("_", 1)
-        j = model.joints.index(joint)
-        tau[j] += p[k] * (qd[j] ** 3 if kind == "f3" else ca.fabs(load[j]) * ca.sign(qd[j]))
-    return tau
+@dataclass(frozen=True, eq=False)
+class _Friction:
+    """Torques of friction and offsets by :class:`gtau.estimation.results.friction_law.FrictionLaw`, of parameters p."""
 
+    model: Identified
+    p: ca.SX
+    yd: ca.SX
+    J: ca.SX
 
-def _regressor(model: Identified, whole: ca.SX, load: ca.SX, p: ca.SX, qd: ca.SX) -> ca.SX:
-    """Build ``W`` (n, n_p) with ``whole = W p``; load-dependent friction takes the load of ``p``."""
-    base = model.result.base.count
-    linear = whole - _terms(model, p, qd, load)
-    columns = [ca.jacobian(linear, p[:base])] if base else []
-    frozen = ca.SX.sym("load", load.shape[0])
-    columns.append(ca.substitute(ca.jacobian(_terms(model, p, qd, frozen), p[base:]), frozen, load))
-    return ca.horzcat(*columns)
+    def __call__(self, load: ca.SX) -> ca.SX:
+        forces, scales = self._scaled(load)
+        return self._on_motors(forces, scales)
+
+    def regressor(self, load: ca.SX) -> ca.SX:
+        """Build ``W`` (n, n_p) with ``load + friction = W p``: load-dependent friction and scales take those of p."""
+        _, scales = self._scaled(load)
+        frozen, at = ca.SX.sym("load", load.shape[0]), ca.SX.sym("scales", scales.shape[0])
+        columns = ca.jacobian(self._on_motors(self._scaled(frozen)[0], at), self.p)
+        return ca.jacobian(load, self.p) + ca.substitute(ca.substitute(columns, frozen, load), at, scales)
+
+    @property
+    def _values(self) -> dict[str, ca.SX]:
+        names = (*self.model.result.base.standard, *self.model.terms)
+        return dict(zip(names, ca.vertsplit(self.p), strict=True))
+
+    def _scaled(self, load: ca.SX) -> tuple[ca.SX, ca.SX]:
+        law = self.model.result.friction_law
+        forces, speeds = (ca.densify(ca.vertcat(*each)) for each in law.forces(ca, self._values, self.yd, load))
+        return forces, law.scales(ca, forces, speeds)
+
+    def _on_motors(self, forces: ca.SX, scales: ca.SX) -> ca.SX:
+        joints = self.model.result.robot.joints
+        offsets = ca.vertcat(*(self._values.get(f"off_{joint.name}", 0.0) for joint in joints))
+        acting = forces * scales
+        return self.J[: len(joints), :].T @ (acting[: len(joints)] + offsets) + acting[len(joints) :]

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
+from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.robot import INERTIAL
@@ -123,20 +124,13 @@ def torques(
         Where the loops cannot be closed, or a pose is too close to a singularity.
     """
     idm = model.result.model
-    return torques_of(model, idm.motion(q.T, qd.T, qdd.T), qd.T, model.values if values is None else values).T
+    return torques_of(model, idm.motion(q.T, qd.T, qdd.T), model.values if values is None else values).T
 
 
-def torques_of(model: Identified, motion: Motion, qd: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Compute torques (n, N) of a motion whose actuated velocities are ``qd`` (n, N), friction included."""
-    idm, base, joints = model.result.model, model.result.base, model.joints
-    regressor, chi = idm.columns(base.standard), values[: base.count]
-    tau = regressor.torques_along(idm.layout, motion, chi)
-    if model.terms:
-        named = dict(zip(model.terms, values[base.count :], strict=True))
-        term = np.array([[named.get(f"{kind}_{joint}", 0.0) for joint in joints] for kind in TERMS])
-        load = regressor.torques_along(idm.layout, motion, chi * transmitted(base.names))
-        tau = tau + np.einsum("tj,tjk->jk", term, term_columns(qd, load))
-    return tau
+def torques_of(model: Identified, motion: Motion, values: np.ndarray) -> np.ndarray:
+    """Compute torques (n, N) of a motion, friction included."""
+    count = model.result.base.count
+    return torques_along(model.result, motion, values[:count], dict(zip(model.terms, values[count:], strict=True)))
 
 
 def _terms(result: Result) -> list[Estimate]:
@@ -155,6 +149,20 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
                 with_it[: base.count] += found.get(kind, 0.0) * base.matrix[:, place[f"{kind}_{result.robot.tool}"]]
             loaded[name] = with_it
     return loaded
+
+
+def notes_on(model: Identified) -> tuple[str, ...]:
+    """Note parameters without a value, and friction whose shape beyond the logged speeds the logs do not show."""
+    result = model.result
+    bent = [name for name in model.terms if name.startswith("f3_")]
+    bent += [name for name, each in result.parameters.items() if name.startswith("fv_") and (each.value or 0.0) < 0]
+    if not bent:
+        return not_known(model)
+    law = result.friction_law
+    joints = dict.fromkeys(name.split("_", 1)[1].removesuffix("R") for name in bent)
+    listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in joints if joint in result.robot.actuated)
+    found = f"friction is extrapolated beyond the logged speeds along its slope there, or held: {listed}"
+    return (*not_known(model), *([found] if listed else []))
 
 
 def not_known(model: Identified) -> tuple[str, ...]:

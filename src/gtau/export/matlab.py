@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS
 from gtau.export.exported import Exported, written
 from gtau.export.functions import OUTPUTS, Functions, functions
-from gtau.export.identified import Identified, identified, not_known
+from gtau.export.identified import Identified, identified, notes_on
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 
@@ -76,7 +77,7 @@ end
 def export(result: Result, out: Path) -> Exported:
     """Write a function file for each function, and ``NAME_parameters.m``, into ``out``."""
     model = identified(result)
-    return Exported(written(out, matlab_files(model)), notes=not_known(model))
+    return Exported(written(out, matlab_files(model)), notes=notes_on(model))
 
 
 def matlab_files(model: Identified) -> dict[str, str]:
@@ -114,8 +115,14 @@ def _function_file(model: Identified, kind: str, function: ca.Function) -> str:
         "%   qd, qdd: velocities and accelerations of the actuated joints, SI units.\n"
         f"%   p: parameters; {model.name}_parameters has those that were identified.\n"
         f"%   Torques are in N m or N ({unit}).\n"
+        f"{_comment(model)}"
         f"{still}  out = reshape(kernel(c, qd, qdd, p), [], {n}).';\nend\n\n" + _kernel(function, "kernel")
     )
+
+
+def _comment(model: Identified) -> str:
+    sentence = " ".join(model.result.friction_law.range_sentence.split())
+    return textwrap.fill(sentence, 116, initial_indent="%   ", subsequent_indent="%   ") + "\n"
 
 
 def _kernel(function: ca.Function, name: str) -> str:

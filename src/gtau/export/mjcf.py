@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,7 +12,14 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.results.result import Result
-from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences, term_notes
+from gtau.export.consistent import (
+    ConsistentModel,
+    consistent_model,
+    difference_note,
+    differences,
+    friction_comments,
+    term_notes,
+)
 from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
 from gtau.robots.robot import GROUND, STIFFNESS, Robot
@@ -37,7 +44,7 @@ def export(result: Result, out: Path) -> Exported:
     compiled = compile_spec(spec)
     _add_home(spec, compiled, result)
     found = differences(model, expressed, cubic=_polynomial(spec))
-    files = written(out, {f"{identifier(result.robot.name)}.xml": _text(spec)})
+    files = written(out, {f"{identifier(result.robot.name)}.xml": _text(spec, friction_comments(model))})
     said = [difference_note(found), *notes(model, expressed, _polynomial(spec))]
     if forces := [each.name for each in result.robot.springs if spring_attributes(each, model.standard) is None]:
         said.append(
@@ -160,7 +167,7 @@ def _add_home(spec: Any, compiled: Any, result: Result) -> None:
     compile_spec(spec)
 
 
-def _text(spec: Any) -> str:
+def _text(spec: Any, comments: Sequence[Any]) -> str:
     """Write the spec as XML, with all digits of its numbers, of which MuJoCo writes six."""
     root = ElementTree.fromstring(spec.to_xml())
     exact = {
@@ -186,6 +193,7 @@ def _text(spec: Any) -> str:
             element.set("gravity", digits(spec.option.gravity))
     for element, coupling in zip(root.findall("equality/joint"), _couplings(spec), strict=True):
         element.set("polycoef", digits(coupling.data[:5]))
+    root[:0] = comments
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -205,7 +213,8 @@ def _couplings(spec: Any) -> list[Any]:
 def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> list[str]:
     """List what the file lacks: friction terms, offsets, massless bodies."""
     result = model.result
-    said = term_notes(result, "MJCF", [name for name in result.friction if not (cubic and name.startswith("f3"))])
+    unlike = [] if cubic else [f"f3_{joint}" for joint in model.cubics]
+    said = term_notes(model, "MJCF", [*unlike, *(name for name in result.friction if not name.startswith("f3"))])
     unable = [name for name, value in model.standard.items() if name not in expressed and value]
     if unable:
         said.append(f"these offsets are not part of the file: {', '.join(unable)}")

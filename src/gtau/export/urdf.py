@@ -12,7 +12,14 @@ import yaml
 
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
-from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences, term_notes
+from gtau.export.consistent import (
+    ConsistentModel,
+    consistent_model,
+    difference_note,
+    differences,
+    friction_comments,
+    term_notes,
+)
 from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
 from gtau.export.rigid_body import RigidBody, rigid_body
@@ -63,9 +70,8 @@ def notes(model: ConsistentModel, name: str) -> list[str]:
     sprung = bool(robot.springs) or any(joint.spring is not None for joint in robot.joints)
     springs = " and springs" if sprung else ""
     found = [f"a URDF has no place for drive gains, rotor inertias, offsets{springs}: they are in {name}_drives.yaml"]
-    cubic = [term for term in model.result.friction if term.startswith("f3")]
-    found += [f"friction cubic in speed is in {name}_drives.yaml too"] if cubic else []
-    return found + term_notes(model.result, "URDF", [term for term in model.result.friction if term not in cubic])
+    found += [f"friction cubic in speed is in {name}_drives.yaml too"] if model.cubics else []
+    return found + term_notes(model, "URDF", [term for term in model.result.friction if not term.startswith("f3")])
 
 
 def robot_element(model: ConsistentModel) -> Element:
@@ -74,6 +80,7 @@ def robot_element(model: ConsistentModel) -> Element:
     _check(robot)
     turned = _to_vertical(robot)
     root = Element("robot", name=robot.name)
+    root.extend(friction_comments(model))
     SubElement(root, "link", name=ROOT)
     couplings = {coupling.joint: coupling for coupling in robot.couplings}
     for joint in robot.joints:

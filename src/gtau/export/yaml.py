@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import yaml
@@ -15,6 +16,7 @@ from gtau.export.identified import identifier
 HEAD = """\
 # Identified model of '{robot}', written by 'gtau export'. SI units; std: standard deviation; interval: 95 %.
 # Torque of a joint = drive gain x current. Base parameters ending in R stand for the sum under 'regrouping'.
+{friction}
 """
 
 
@@ -25,8 +27,12 @@ def export(result: Result, out: Path) -> Exported:
         groups.setdefault(_key(row.group), {})[row.estimate.name] = _entry(row.estimate)
     document = {"robot": result.robot.name, "method": result.method, "runs": list(result.runs), **groups}
     text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
-    head = HEAD.format(robot=" ".join(result.robot.name.split()))
+    head = HEAD.format(robot=" ".join(result.robot.name.split()), friction=_comment(result.friction_law.range_sentence))
     return Exported(written(out, {f"{identifier(result.robot.name)}.yaml": head + text}))
+
+
+def _comment(text: str) -> str:
+    return textwrap.fill(" ".join(text.split()), 116, initial_indent="# ", subsequent_indent="# ")
 
 
 def _key(group: str) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.estimation.regression.carried_payload import known_values
-from gtau.estimation.regression.friction import TERMS, term_columns, transmitted
+from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.signals.payload import Payload
@@ -103,19 +103,13 @@ def computed_torque(
         return regressor.torques(regressor(model.layout, motion), parameters, n)
 
     motion = model.motion(reference.q.T, reference.qd.T, reference.qdd.T)
-    terms = term_columns(reference.qd.T, torques(motion, chi * transmitted(result.base.names)))
-    friction = np.array([[_value(result, f"{term}_{joint}") for joint in model.actuated] for term in TERMS])
-    feedforward = torques(motion) + np.einsum("tj,tjk->jk", friction, terms)
+    feedforward = torques_along(result, motion, chi)
     rest = replace(motion, yd=np.zeros_like(motion.yd), ydd=np.zeros_like(motion.ydd))
     weight = torques(rest)
     columns = [torques(replace(rest, ydd=np.ascontiguousarray(motion.J[:, k]))) - weight for k in range(n)]
     inertia = np.stack(columns, axis=2).swapaxes(0, 1)
     gains = np.array([result.drive_gains[joint].value for joint in model.actuated], dtype=float)
     return Controller(reference, inertia, feedforward.T, gains, 1.0, bandwidth)
-
-
-def _value(result: Result, term: str) -> float:
-    return (result.friction[term].value or 0.0) if term in result.friction else 0.0
 
 
 def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:

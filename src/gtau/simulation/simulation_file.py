@@ -12,7 +12,7 @@ from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import DAMPING, INERTIAL, Robot
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import Drive, Sensors
@@ -163,6 +163,14 @@ class Simulation(Keys):
     runs: tuple[SimulatedRun, ...] = Field(min_length=1)
     validation: tuple[SimulatedRun, ...] = ()
     control: tuple[SimulatedRun, ...] = ()
+
+    @field_validator("parameters")
+    @classmethod
+    def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
+        for name, value in parameters.items():
+            if name.split("_", 1)[0] in ("fv", "fs", DAMPING) and value < 0:
+                raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
+        return parameters
 
     @model_validator(mode="after")
     def _names_once(self) -> Simulation:

@@ -20,7 +20,7 @@ from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store, store
 
-FACTORS_VERSION = 3  # of the numbers in Factors; raised with every change of them, for the cache
+FACTORS_VERSION = 4  # of the numbers in Factors; raised with every change of them, for the cache
 STRETCHES = 20
 ROWS = 512  # merged into a triangle at once
 CURRENTS = 3  # columns of a joint's current: v, v', v''
@@ -54,12 +54,15 @@ class Factors:
         (K, 2) to singularities of type 1 and 2 at the decimated samples, in single precision; of logs only.
     residuals : ndarray
         (K, c) of weighed rows before they are weighed, NaN where the row is not kept; (0, c) of others.
+    speeds : ndarray
+        (stretches, n) largest speed of each actuated joint among its rows, rad/s or m/s; of logs only.
     """
 
     R: np.ndarray
     rows: np.ndarray
     distances: np.ndarray | None = None
     residuals: np.ndarray | None = None
+    speeds: np.ndarray | None = None
 
 
 def equations(regressor: Regressor, joints: Sequence[int], part: Rows) -> np.ndarray:
@@ -86,6 +89,7 @@ def joined(parts: Sequence[Factors]) -> Factors:
         rows=np.concatenate([part.rows for part in parts]),
         distances=store((part.distances for part in parts if part.distances is not None), (2,), np.float32),
         residuals=store((part.residuals for part in parts if part.residuals is not None), parts[0].rows.shape[1:]),
+        speeds=None if parts[0].speeds is None else np.concatenate([part.speeds for part in parts]),
     )
 
 
@@ -119,6 +123,7 @@ def reduce_run(
     waiting: list[list[np.ndarray]] = [[] for _ in joints]
     distances = Store((2,), np.float32)
     residuals = Store((c,))
+    speeds = np.zeros((len(stretches), len(idm.actuated)))
     now, held = 0, 0
 
     def merge() -> None:
@@ -140,6 +145,8 @@ def reduce_run(
                 merge()
                 now, held = s, 0
             held += int((stretch == s).sum())
+            moving = np.abs(part.motion.yd[idm.layout.actuated]) * (part.keep[: len(idm.actuated)] & (stretch == s))
+            speeds[s] = np.maximum(speeds[s], moving.max(axis=1))
             for j in range(c):
                 kept = A[j, (stretch == s) & part.keep[j]]
                 if len(kept):
@@ -150,4 +157,4 @@ def reduce_run(
         for j in range(c):
             # in the columns of all joints a triangle's rows still begin at the diagonal or right of it
             R[s, j, : len(small[s][j]), own[j]] = small[s][j].T
-    return Factors(R, rows, distances.array(), residuals.array())
+    return Factors(R, rows, distances.array(), residuals.array(), speeds)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,8 @@ class Rows:
     ``time`` (K,) in s; ``keep`` (c, K); ``entries`` of the regressor (entries, K); ``currents``
     (3, c, K): the command and its first two time derivatives, of a base all that acts on it from outside; ``terms``
     (2, n, K), the columns of further friction of the joints; ``pushes`` (n, K), what wrenches on bodies add to the
-    motors' torques, 0 for a base; ``outputs`` their numbers in the run; ``motion`` of the whole tree at these instants.
+    motors' torques, 0 for a base; ``outputs`` their numbers in the run; ``motion`` of the whole tree at these instants;
+    ``friction`` (n, K), where a law of it is given.
     """
 
     time: np.ndarray
@@ -35,6 +36,11 @@ class Rows:
     pushes: np.ndarray
     outputs: slice
     motion: Motion
+    friction: np.ndarray | None = None
+
+
+Law = Callable[[np.ndarray, Motion, np.ndarray], np.ndarray]
+"""Torques (n, N) at times (N,), along a motion, under the torques (n, N) that the joints transmit."""
 
 
 def stream_rows(
@@ -45,6 +51,7 @@ def stream_rows(
     load: np.ndarray | None = None,
     outputs: range | None = None,
     fast: int = FAST_SAMPLES,
+    friction: Law | None = None,
 ) -> Iterator[Rows]:
     """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (eqs. 19 and 20).
 
@@ -61,6 +68,8 @@ def stream_rows(
         The rows wanted, by their numbers in the run; all if left out.
     fast : int
         Samples of a block before decimation.
+    friction : callable, optional
+        Torques that are no sum of columns, to be decimated too.
 
     Raises
     ------
@@ -96,6 +105,7 @@ def stream_rows(
             decimator.apply(pushes[0], block),
             block.outputs,
             motion[kept],
+            None if friction is None else decimator.apply(friction(of.time, motion, effort), block),
         )
 
 

@@ -155,6 +155,7 @@ def build_result(
         ),
         covariance=covariance[np.ix_(named, named)],
         preparation=dataset.preparation,
+        logged_speeds=_logged_speeds(fit),
         statistics={
             **solution.statistics,
             "reduction_loss": essential.loss,
@@ -182,6 +183,13 @@ def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
     W_tot = triangle(*(total_rows_of(problem, R, j, weights[j]) for j, R in enumerate(problem.triangles)), known)
     length = np.linalg.norm(W_tot, axis=0)
     return tuple(np.linalg.svd(W_tot[:, length > 0] / length[length > 0], compute_uv=False).tolist())
+
+
+def _logged_speeds(fit: Fit) -> dict[str, float]:
+    """Find the largest speed of each actuated joint among the rows of all runs."""
+    found = [factors.speeds.max(axis=0) for factors in fit.dataset.factors if factors.speeds is not None]
+    largest = np.max(found, axis=0) if found else np.zeros(len(fit.dataset.model.actuated))
+    return dict(zip(fit.dataset.model.actuated, map(float, largest), strict=True))
 
 
 def _known(std: float, verdict: Verdict) -> float | None:

@@ -19,6 +19,7 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
+from gtau.estimation.results.friction_law import FrictionLaw
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -54,6 +55,9 @@ class IdentifiedModel:
         (parameters, gains, delays), with rows named by ``covariance_names``; block jackknife.
     preparation : Preparation
         How the logs were filtered and decimated.
+    logged_speeds : dict
+        Actuated joint to its largest speed among the rows used, rad/s or m/s; beyond it friction is extrapolated (see
+        :mod:`gtau.estimation.results.friction_law`).
     statistics : dict
         Further figures of the method.
     notes : tuple of Note
@@ -93,6 +97,7 @@ class IdentifiedModel:
     covariance_names: tuple[str, ...]
     covariance: np.ndarray
     preparation: Preparation
+    logged_speeds: Mapping[str, float]
     statistics: Mapping[str, float]
     runs: tuple[str, ...]
     notes: tuple[Note, ...]
@@ -130,6 +135,11 @@ class IdentifiedModel:
         if self.known:
             return self.known[1]
         return base_parameters(self.model, sensors=[each.joint for each in self.sensors])
+
+    @cached_property
+    def friction_law(self) -> FrictionLaw:
+        """Friction of the robot at any speed, for these and other parameters."""
+        return FrictionLaw(self.model, self.logged_speeds)
 
     @property
     def gains(self) -> np.ndarray:

@@ -56,6 +56,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
             "rate": preparation.rate,
             "given": list(preparation.given),
         },
+        "logged_speeds": dict(result.logged_speeds),
         "statistics": dict(result.statistics),
         "alternatives": [asdict(each) for each in result.alternatives],
         "singularities": [asdict(each) for each in result.singularities],

@@ -113,6 +113,8 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
     every = (*result.drive_gains.values(), *result.delays.values(), *result.parameters.values())
     if not np.isfinite([each.value or 0.0 for each in every]).all():
         yield "a value is not finite"
+    if not all(np.isfinite(speed) and speed >= 0 for speed in result.logged_speeds.values()):
+        yield "a logged speed is negative or not finite"
     size = len(result.covariance_names)
     if result.covariance.shape != (size, size) or not np.isfinite(result.covariance).all():
         yield "the covariance does not have the size of its names"
@@ -165,6 +167,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
             float(preparation["rate"]),
             tuple(preparation["given"]),
         ),
+        logged_speeds={joint: float(speed) for joint, speed in document["logged_speeds"].items()},
         statistics=document["statistics"],
         runs=tuple(document["runs"]),
         notes=tuple(map(read_note, document["notes"])),

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.carried_payload import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, term_columns, transmitted
-from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS
+from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.results.estimate import Prediction, TorqueError
+from gtau.estimation.results.friction_law import carried
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.model.inverse_dynamics import Regressor
+from gtau.model.loops import Motion
 from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import prepare
@@ -43,11 +45,15 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     gains = result.gains
     delays = np.array([result.delays[joint].value for joint in model.actuated])
     time, predicted, measured, keep, valid = [], [], [], [], []
-    load = chi * transmitted(base.names)
-    terms = _friction_terms(result)
-    for part in stream_rows(model, regressor, prepared, decimator, load):
-        tau = regressor.torques(part.entries, chi, len(model.actuated)) + np.einsum("tj,tjk->jk", terms, part.terms)
-        tau += _of_temperature(result, run, regressor, part) - part.pushes
+    load = np.array(carried(np, base.standard, chi))
+    check_temperature_unit(result, run)
+
+    def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
+        return result.friction_law.torques(motion, friction_values(result, chi, run, at), effort)
+
+    for part in stream_rows(model, regressor, prepared, decimator, load, friction=friction):
+        assert part.friction is not None
+        tau = regressor.torques(part.entries, load, len(model.actuated)) + part.friction - part.pushes
         v, v_d, v_dd = part.currents[:, : len(gains)]  # eq. (17), each current at its delayed time
         time.append(part.time)
         predicted.append(tau.T)
@@ -62,42 +68,57 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     return Prediction(model.actuated, *(np.concatenate(each) for each in (time, predicted, measured, keep, valid)))
 
 
-def _of_temperature(result: IdentifiedModel, run: Run, regressor: Regressor, part: Rows) -> np.ndarray | float:
-    """Compute how friction (n, K) differs from that at the reference temperatures; 0 without temperatures."""
+def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:
+    """Check that the temperatures of a run are in the model's unit; raises GtauError."""
     if result.temperatures is None or run.temperature is None:
-        return 0.0
+        return
     if run.temperature.unit != result.temperatures.unit:
         raise GtauError(
             f"the temperatures of run '{run.name}' are in {run.temperature.unit}, but those of the model in "
             f"{result.temperatures.unit}; give the same unit."
         )
-    slopes = np.zeros((len(part.time), len(regressor.names)))
+
+
+def friction_values(
+    result: IdentifiedModel, chi: np.ndarray, run: Run | None = None, time: np.ndarray | None = None
+) -> dict[str, Any]:
+    """Collect the parameters of friction by name, numbers or (N,), for base parameters ``chi`` (n_b,).
+
+    At the temperatures that a run has at ``time`` (N,), else at those of reference.
+    """
+    values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
+    values |= {name: each.value or 0.0 for name, each in result.friction.items() if name.split("_", 1)[0] in TERMS}
+    if result.temperatures is None or run is None or run.temperature is None or time is None:
+        return values
     for joint, reference in result.temperatures.of_joint.items():
         if joint in run.temperature.of_joint:
-            above = run.temperature.at(joint, part.time) - reference
+            above = run.temperature.at(joint, time) - reference
             for term, kind in TEMPERATURE_TERMS.items():
                 if f"{term}_{joint}" in result.friction:
-                    slopes[:, regressor.names.index(f"{kind}_{joint}")] = (
-                        _value(result.friction, f"{term}_{joint}") * above
-                    )
-    tau = np.zeros((len(result.model.actuated), len(part.time)))
-    for entry, row, column in zip(part.entries, regressor.rows, regressor.columns, strict=True):
-        tau[row] += slopes[:, column] * entry
-    return tau
+                    values[f"{kind}_{joint}"] += (result.friction[f"{term}_{joint}"].value or 0.0) * above
+    return values
+
+
+def torques_along(
+    result: IdentifiedModel, motion: Motion, chi: np.ndarray, terms: Mapping[str, float] | None = None
+) -> np.ndarray:
+    """Compute torques (n, N) along a motion for base parameters ``chi`` (n_b,), all friction included.
+
+    ``terms`` are values of f3 and fl other than the identified ones.
+    """
+    model, base = result.model, result.base
+    load = model.columns(base.standard).torques_along(model.layout, motion, np.array(carried(np, base.standard, chi)))
+    return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load)
 
 
 def torques(
     result: IdentifiedModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None
 ) -> np.ndarray:
     """Compute torques (N, n) of the identified model at any states; see :meth:`gtau.Result.torques`."""
-    model, base = result.model, result.base
+    model = result.model
     chi = loaded_parameters(result, payload, "the robot")
-    regressor = model.columns(base.standard)
     q, qd, qdd = model.samples(q, qd, qdd)
-    entries = regressor(model.layout, model.motion(q, qd, qdd))
-    load = regressor.torques(entries, chi * transmitted(base.names), len(model.actuated))
-    tau = regressor.torques(entries, chi, len(model.actuated))
-    return np.asarray((tau + np.einsum("tj,tjk->jk", _friction_terms(result), term_columns(qd, load))).T)
+    return torques_along(result, model.motion(q, qd, qdd), chi).T
 
 
 def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier: str) -> np.ndarray:
@@ -125,16 +146,6 @@ def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier:
     for kind, value in {**identified, **known_values(payload)}.items():
         chi = chi + value * base.matrix[:, tool[f"{kind}_{result.robot.tool}"]]
     return chi
-
-
-def _friction_terms(result: IdentifiedModel) -> np.ndarray:
-    """Evaluate the friction beyond the paper's, (terms, n)."""
-    joints = result.model.actuated
-    return np.array([[_value(result.friction, f"{term}_{joint}") for joint in joints] for term in TERMS])
-
-
-def _value(estimates: Mapping[str, Estimate], name: str) -> float:
-    return (estimates[name].value or 0.0) if name in estimates else 0.0
 
 
 def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[TorqueError, ...]:

@@ -1,0 +1,172 @@
+"""Friction of an identified model at any speed, load and temperature: it never adds energy to the robot.
+
+A polynomial fitted to logs says nothing beyond their speeds: with ``f3 < 0`` it turns into propulsion there. So
+
+- up to the fastest logged speed V of an actuated joint friction is the fitted
+  ``fv qd + fs sign(qd) + f3 qd^3 + fl |tau_load| sign(qd)``;
+- beyond V it goes on along its slope at V, or stays at its value where that slope is negative;
+- where some terms still propel, as a negative ``fs`` does near standstill or a negative ``fl`` under a great load, they
+  are scaled down until they give no more power than the others take.
+
+Powers are balanced joint by joint, and together for joints that move each other: of a coupling, or of closed loops.
+Where the fitted friction is dissipative, it is not changed. Offsets are constant torques, of the amplifiers for
+instance: they do no work around a closed path, and stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.sparse.csgraph import connected_components
+
+from gtau.estimation.regression.dataset import motor_to_joint_speed
+from gtau.estimation.regression.friction import TERMS
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import Motion
+from gtau.robots.robot import DAMPING
+
+LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
+SPEEDS = 200  # at which a straight line is fitted
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionLaw:
+    """Friction of a robot as a function of its parameters, of which some may propel.
+
+    Attributes
+    ----------
+    model : InverseDynamics
+        Of the robot.
+    logged_speeds : dict
+        Actuated joint to V, rad/s or m/s; 0 where it is missing, so that its ``f3`` does not count.
+    """
+
+    model: InverseDynamics
+    logged_speeds: Mapping[str, float]
+
+    @cached_property
+    def ratios(self) -> np.ndarray:
+        """Speeds (joints, n) of all joints for unit speeds of actuated ones, where these are constant."""
+        layout, robot = self.model.layout, self.model.robot
+        if robot.couplings and not robot.closures:
+            return motor_to_joint_speed(self.model)[: len(robot.joints)]
+        own = np.zeros((len(robot.joints), len(layout.actuated)))
+        own[layout.actuated, np.arange(len(layout.actuated))] = 1.0
+        return own
+
+    @cached_property
+    def groups(self) -> np.ndarray:
+        """Membership (groups, joints + n) of joints and then of the terms of actuated joints; 0 or 1."""
+        joints, n = self.ratios.shape
+        if self.model.robot.closures:
+            return np.ones((1, joints + n))
+        driven = self.ratios != 0
+        count, group = connected_components(driven.T.astype(int) @ driven.astype(int), directed=False)
+        of_actuated = np.eye(count)[:, group]
+        return np.hstack([(of_actuated @ driven.T > 0).astype(float), of_actuated])
+
+    def forces(self, math: ModuleType, values: Mapping[str, Any], yd: Any, load: Any) -> tuple[list[Any], list[Any]]:
+        """Compute torques of friction, and the speeds that they oppose: of all joints, then the terms of actuated ones.
+
+        Parameters
+        ----------
+        math : module
+            numpy for arrays, casadi for expressions.
+        values : mapping
+            ``fv``, ``fs``, ``f3`` and ``fl`` by name of the parameter, SI units; what is missing is zero.
+        yd, load : array or SX
+            Velocities of the tree, and torques (n,) that the actuated joints transmit; the first axis is theirs.
+        """
+        joints = self.model.robot.joints
+        forces, speeds = [], [yd[row] for row in range(len(joints))]
+        for joint, speed in zip(joints, speeds, strict=True):
+            viscous, coulomb = (values.get(f"{kind}_{joint.name}", 0.0) for kind in ("fv", "fs"))
+            forces.append(viscous * speed + coulomb * math.sign(speed))
+        for j, name in enumerate(self.model.actuated):
+            speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
+            cubic, of_load = (values.get(f"{term}_{name}", 0.0) for term in TERMS)
+            within = math.fmax(math.fmin(speed, top), -top)
+            slope = math.fmax(3 * top**2 * cubic, -self._viscous(values, j))  # with fv, at least 0
+            forces.append(
+                cubic * (within * within * within)
+                + slope * (speed - within)
+                + of_load * math.fabs(load[j]) * math.sign(speed)
+            )
+            speeds.append(speed)
+        return forces, speeds
+
+    def scales(self, math: ModuleType, forces: Any, speeds: Any) -> Any:
+        """Compute by what each of the forces (joints + n,) is scaled: 1, or less where it propels more than allowed."""
+        groups = self.groups if math is np else math.DM(self.groups)
+        power = forces * speeds
+        taken, given = groups @ math.fmax(power, 0.0), groups @ math.fmax(-power, 0.0)
+        allowed = groups.T @ (taken / math.fmax(math.fmax(taken, given), LEAST_POWER))
+        return 1.0 - (1.0 - allowed) * math.fmax(-math.sign(power), 0.0)
+
+    def logged(self, joint: str) -> str:
+        """Write V of an actuated joint with its unit."""
+        unit = "rad/s" if self.model.robot.joint(joint).kind == "revolute" else "m/s"
+        return f"{self.logged_speeds.get(joint, 0.0):.3g} {unit}"
+
+    @property
+    def range_sentence(self) -> str:
+        """Describe over which speeds friction was identified, and what it is beyond."""
+        listed = ", ".join(f"{joint} {self.logged(joint)}" for joint in self.logged_speeds)
+        return (
+            f"Friction is identified up to the fastest logged speeds ({listed}). Beyond it is extrapolated: along its "
+            "slope there, or constant where that is negative. It never propels: terms that would are scaled down."
+        )
+
+    def straight(self, viscous: float, coulomb: float, cubic: float, joint: str) -> tuple[float, float]:
+        """Fit ``viscous qd + coulomb sign(qd)``, neither negative, to the friction of a joint up to its V.
+
+        For engines with no other friction. ``joint`` is an actuated one.
+        """
+        speed = np.linspace(0.0, self.logged_speeds.get(joint, 0.0), SPEEDS)[1:]
+        friction = np.maximum(viscous * speed + coulomb + cubic * speed**3, 0.0)
+        (viscous, coulomb), _ = nnls(np.stack([speed, np.ones_like(speed)], axis=1), friction)
+        return float(viscous), float(coulomb)
+
+    def torques(self, motion: Motion, values: Mapping[str, Any], load: np.ndarray) -> np.ndarray:
+        """Compute torques (n, N) of friction and offsets along a motion.
+
+        Parameters
+        ----------
+        motion : Motion
+            Of N samples.
+        values : mapping
+            ``fv``, ``fs``, ``off``, ``f3`` and ``fl`` by name, numbers or (N,).
+        load : ndarray
+            Torques (n, N) that the actuated joints transmit.
+        """
+        joints = self.model.robot.joints
+        forces, speeds = (np.stack(each) for each in self.forces(np, values, motion.yd, load))
+        forces = forces * self.scales(np, forces, speeds)
+        for row, joint in enumerate(joints):
+            forces[row] += values.get(f"off_{joint.name}", 0.0)
+        of_joints = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
+        return np.asarray(of_joints + forces[len(joints) :])
+
+    def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
+        """Sum the viscous friction that the motor of actuated joint ``j`` feels."""
+        of_joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
+        return sum(values.get(f"fv_{joint.name}", 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
+
+
+def carried(math: ModuleType, standard: tuple[str, ...], chi: Any) -> list[Any]:
+    """Return the base parameters (n_b) of the torques that joints transmit: 0 for friction and offsets.
+
+    Dampers of springs that propel do not count.
+    """
+    kinds = [name.split("_", 1)[0] for name in standard]
+    zero = {"fv", "fs", "off"}
+    return [
+        0.0 * chi[k] if kind in zero else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]
+        for k, kind in enumerate(kinds)
+    ]
