@@ -26,7 +26,8 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     """List all estimates of a result, each once.
 
     Groups: ``drive gain``, ``delay``, ``base parameter``, ``friction`` (viscous, Coulomb and offsets, and then the
-    terms that the data ask for), ``logged speed`` up to which friction is identified, ``torque sensor JOINT`` and ``payload NAME of RUN``.
+    terms that the data ask for), ``logged speed`` (up to which friction is identified), ``torque sensor JOINT`` and
+    ``payload NAME of RUN``.
     """
 
     def rows(group: str, estimates: Iterable[Estimate]) -> Iterator[Row]:
