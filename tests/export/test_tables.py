@@ -43,7 +43,7 @@ def test_yaml_holds_every_number_with_its_unit_and_interval(result: Result, tmp_
     assert set(every) == set(result.parameters) | set(result.friction)
     regrouped = next(name for name in result.parameters if name.endswith("R"))
     assert every[regrouped]["regrouping"] == result.parameters[regrouped].regrouping
-    assert document["payload tool 2 (loaded)"]["m"]["value"] == 1.5
+    assert document["payload tool 2 of loaded"]["m"]["value"] == 1.5
 
 
 def test_csv_has_a_row_an_estimate(result: Result, tmp_path: Path) -> None:
