@@ -205,17 +205,19 @@ def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, mon
 
 
 def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
     from gtau.estimation.check_logs import check_logs
-    from gtau.report.log_page import describe_logs, log_figure, log_page
+    from gtau.report.check import check_page, motion_chart
+    from gtau.report.render.charts import figure_of
 
     checked = check_logs(five_bar / "weighing.yaml")
-    said = log_page(describe_logs(checked))
-    assert "unknown (identification, payload 'lead' of unknown mass): " in said
-    assert "free (identification, no payload): " in said
-    figure = log_figure(checked.logs[0], checked.robot)
+    (logs,) = (each.items[0] for each in check_page(checked).sections if each.id == "logs")
+    assert [(row[0], row[1], row[2]) for row in logs.rows][:2] == [
+        ("free", "identification", "no payload"),
+        ("unknown", "identification", "'lead' of unknown mass"),
+    ]
+    figure = figure_of(motion_chart(checked.logs[0], checked.robot))
     (key,) = figure.legends  # beside the curves, not on them
-    assert [text.get_text() for text in key.get_texts()] == ["joint left", "joint right"]
+    assert [text.get_text() for text in key.get_texts()][:2] == ["joint left", "joint right"]
     assert figure.axes[0].get_title(loc="left") == "free"
 
 

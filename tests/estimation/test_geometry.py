@@ -22,9 +22,9 @@ from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
 from gtau.model.lengths import variable_geometry
-from gtau.report.check_report import check_report
-from gtau.report.log_page import describe_logs, log_page
-from gtau.report.provenance import Provenance
+from gtau.report.check import check_page
+from gtau.report.render.html import html
+from gtau.report.render.terminal import plain
 from gtau.robots.robot import Mdh, Robot
 from gtau.signals.column_units import as_units
 from gtau.signals.columns import as_signals
@@ -295,11 +295,11 @@ def test_check_says_what_poses_say(folder: Path) -> None:
     assert change.name == "l2 at all 2 places"
     assert change.value + change.change == pytest.approx(0.35, abs=max(5 * change.std, 2e-6))
     assert grade_of(wrong.geometry.note) == Grade.MEND
-    page = log_page(describe_logs(wrong))
+    page = plain(check_page(wrong))
     assert "l2 at all 2 places 355 -> 350" in page
     assert "correct the robot file" in page
     assert [line for line in page.splitlines() if len(line) > 80] == []
-    assert "Logged pose and geometry" in check_report(wrong, Provenance("gtau check"))
+    assert "Logged pose and geometry" in html(check_page(wrong))
 
 
 def test_identify_says_what_poses_say(folder: Path) -> None:

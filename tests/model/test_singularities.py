@@ -354,7 +354,7 @@ def test_a_check_counts_rows_and_repairs(folder: Path) -> None:
     assert log["rate"] == pytest.approx(500.0)
     text = run("check", str(folder / "resting.yaml"))
     assert "rest" in text
-    assert "nearest to a singularity of type 2 (parallel)" in text
+    assert "type 2 (parallel)" in text
 
 
 def test_a_check_names_where_the_loops_do_not_close(folder: Path) -> None:
@@ -362,14 +362,3 @@ def test_a_check_names_where_the_loops_do_not_close(folder: Path) -> None:
     findings = json.loads(run("check", str(folder / "swapped.yaml"), "--json", code=2))["findings"]
     refused = [each["what"] for each in findings if each["grade"] == "stops the identification"]
     assert "of run 'free'" in refused[0]
-
-
-def test_figures_without_matplotlib_are_left_out_and_the_table_is_not(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("gtau.report.style.find_spec", lambda name: None)
-    assert "five-bar" in run("check", str(folder / "experiment.yaml"))
-    result = CliRunner().invoke(app, ["check", str(folder / "experiment.yaml"), "--out", str(folder / "none")])
-    assert result.exit_code == 0
-    assert {path.name for path in (folder / "none").iterdir()} == {"report.html", "singularities.parquet"}
-    assert "no PNG figures, as matplotlib is not installed" in result.stdout

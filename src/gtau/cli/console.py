@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,9 @@ from gtau.cli.interruption import UNFINISHED, begin, pressed
 from gtau.cli.interruption import report as report_interruption
 from gtau.cli.progress_display import progress_bar
 from gtau.errors import GtauError
+
+if TYPE_CHECKING:
+    from gtau.report.page import Page
 
 __all__ = [
     "Dask",
@@ -28,6 +31,7 @@ __all__ = [
     "progress_bar",
     "refusals",
     "refused",
+    "show",
 ]
 
 ExperimentFile = Annotated[Path, typer.Argument(metavar="EXPERIMENT.yaml", help="Experiment file.", show_default=False)]
@@ -89,6 +93,15 @@ def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:
     if as_json:
         print_json({"error": sentence})
     return typer.Exit(code)
+
+
+def show(page: Page, written: Iterable[Path] = ()) -> None:
+    """Print a page on stdout, and the paths of what was written."""
+    from gtau.report.render.terminal import show as show_page
+
+    show_page(page)
+    for path in written:
+        typer.echo(f"written: {path}")
 
 
 def print_json(document: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
+from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals, show
 from gtau.documents.files import folder_of, refuse_as_folder
 
 
@@ -41,27 +41,20 @@ def check(
             from gtau.estimation.grades import EXIT_CODES
             from gtau.parallel.cache import cache_folder, caching_map
             from gtau.parallel.executor import in_order, serial_map
-            from gtau.report.log_page import describe_logs, log_page, write_check
+            from gtau.report.check import check_document, check_page, write_check, write_preparation
 
             checked = check_logs(experiment, progress, in_order(caching_map(serial_map, cache_folder())))
         written: list[Path] = []
-        notes: list[str] = []
         if out is not None:
-            from gtau.report.style import skipped_figures
             from gtau.report.write_reports import write_check_report
 
             written.append(write_check_report(checked, experiment, folder_of(out), perf_counter() - start))
             written += write_check(checked, out)
-            notes = skipped_figures()
         if figure is not None:
-            from gtau.report.preparation_figure import write_preparation_figures
-
-            written += write_preparation_figures(checked, folder_of(figure))
-        document = describe_logs(checked)
+            written += write_preparation(checked, folder_of(figure))
         if json_:
-            print_json(document)
+            print_json(check_document(checked))
         else:
-            typer.echo(log_page(document))
-            typer.echo("\n".join([*(f"written: {path}" for path in written), *notes]), nl=bool(written))
+            show(check_page(checked), written)
         if code := EXIT_CODES[checked.worst]:
             raise typer.Exit(code)

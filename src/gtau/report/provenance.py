@@ -12,6 +12,7 @@ from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from gtau.report import page as pages
 from gtau.report.html.document import Section
 from gtau.report.html.elements import Column, escape, facts, folded, table, text
 
@@ -63,6 +64,29 @@ def section(of: Provenance) -> Section:
             folded(f"Inputs: {len(rows)} files with their hashes", table(columns, rows), shown=len(rows) <= 12)
         )
     return Section("provenance", "Provenance", "\n".join(parts))
+
+
+def provenance_section(of: Provenance) -> pages.Section:
+    """Show what a report was made from."""
+    made = {"made on": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")}
+    made |= {} if of.seconds is None else {"time taken": f"{of.seconds:.1f} s"}
+    rows = [(what, str(path), *fingerprint(path)) for what, path in of.inputs]
+    columns = [
+        pages.Column("input"),
+        pages.Column("file"),
+        pages.Column("size"),
+        pages.Column("SHA-256", pages.Kind.NAME),
+    ]
+    command = pages.section("The command that reproduces this report", pages.Text(of.command, style="command"))
+    inputs = f"Inputs: {len(rows)} files with their hashes"
+    return pages.section(
+        "Provenance",
+        command if of.command else None,
+        pages.Facts(made | versions()),
+        pages.section("Settings", pages.Facts(of.settings)) if of.settings else None,
+        pages.section(inputs, pages.table(columns, rows), folded=len(rows) > LISTED) if rows else None,
+        id="provenance",
+    )
 
 
 def versions() -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from gtau.fleet.gains import FleetTable
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.report.evidence import gather, settings_of
-from gtau.report.provenance import Provenance, command_line
+from gtau.report.page import Page
+from gtau.report.provenance import Provenance, command_line, provenance_section
 from gtau.report.validation_page import Validation
 from gtau.robots.units import torque_unit
 from gtau.signals.experiment import Experiment, read_experiment
@@ -84,10 +86,10 @@ def write_comparison(found: EstimatorComparison, path: Path, folder: Path, secon
 
 def write_check_report(checked: ExperimentCheck, path: Path, folder: Path, seconds: float) -> Path:
     """Write the report of a check of the logs of the experiment file at ``path``."""
-    from gtau.report.check_report import check_report
+    from gtau.report.check import check_page
 
     of = Provenance(command_line(), inputs_of(path, read_experiment(path)), {}, seconds)
-    return _write(check_report(checked, of), folder)
+    return write_report(check_page(checked), of, folder)
 
 
 def write_fleet_report(table: FleetTable, experiments: Sequence[Path], folder: Path, seconds: float) -> Path:
@@ -113,6 +115,13 @@ def inputs_of(path: Path, experiment: Experiment, runs: bool = True) -> tuple[tu
     listed = (*(experiment.runs if runs else ()), *experiment.validation)
     logs = tuple(("log", log) for run in listed for log in run.log)
     return (("experiment", path), *((("robot", robot),) if robot.exists() else ()), *logs)
+
+
+def write_report(page: Page, of: Provenance, folder: Path) -> Path:
+    """Write a page with its provenance as ``report.html``."""
+    from gtau.report.render.html import html
+
+    return _write(html(replace(page, sections=(*page.sections, provenance_section(of)))), folder)
 
 
 def _write(text: str, folder: Path) -> Path:

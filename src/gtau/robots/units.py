@@ -34,6 +34,11 @@ def unit_of(kind: str, robot: Robot, joint: str) -> str:
     return torque_unit(robot, joint)
 
 
+def position_unit(robot: Robot, joint: str) -> str:
+    """Return the unit of a joint's position, rad or m."""
+    return "rad" if robot.joint(joint).kind == "revolute" else "m"
+
+
 def command_unit(robot: Robot, joint: str, kind: str) -> str:
     """Return the unit of what is logged of a joint: A for the ``current`` of a motor, else that of its torque."""
     return "A" if kind == "current" and joint in robot.motors else torque_unit(robot, joint)

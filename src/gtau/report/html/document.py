@@ -93,4 +93,4 @@ def style() -> str:
 
 def asset(name: str) -> str:
     """Read a text file that ships with this package."""
-    return files("gtau.report.html").joinpath("assets", name).read_text(encoding="utf-8")
+    return files("gtau.report.render").joinpath("assets", name).read_text(encoding="utf-8")

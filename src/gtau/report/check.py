@@ -1,0 +1,269 @@
+"""The logs of an experiment before an identification: as a page, as a document and as files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gtau.estimation.check_logs import ExperimentCheck, LogCheck
+from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
+from gtau.estimation.grades import Grade, by_grade, to_document
+from gtau.estimation.results.singularity_distances import write_distances
+from gtau.estimation.results.summary import same_in_several
+from gtau.report import logs
+from gtau.report.findings import findings_section
+from gtau.report.geometry import geometry_section
+from gtau.report.motion import TIME, distances_panel, singularities_section
+from gtau.report.page import (
+    Axis,
+    Chart,
+    Column,
+    Drawing,
+    Facts,
+    Kind,
+    Page,
+    Panel,
+    Section,
+    Series,
+    Table,
+    Text,
+    colour,
+    joint_label,
+    page,
+    section,
+    table,
+)
+from gtau.robots.robot import Robot
+from gtau.robots.units import command_unit, position_unit
+from gtau.signals.notes import Note
+from gtau.signals.samples import counted
+
+
+def check_document(checked: ExperimentCheck) -> dict[str, Any]:
+    """Describe the check as a JSON document, SI units."""
+    preparation = checked.preparation
+    return {
+        "robot": checked.robot.name,
+        "worst": checked.worst.value if checked.notes else None,
+        "findings": [to_document(note) for members in by_grade(checked.notes).values() for note in members],
+        "preparation": preparation
+        and {
+            "bandwidth": preparation.bandwidth,
+            "cutoff": preparation.cutoff,
+            "decimation": preparation.decimator.factor,
+            "decimator": preparation.decimator.kind,
+        },
+        "logs": [_log_document(log, checked.robot) for log in checked.logs],
+        "geometry": checked.geometry and geometry_document(checked.geometry),
+    }
+
+
+def _log_document(log: LogCheck, robot: Robot) -> dict[str, Any]:
+    run = log.run
+    return {
+        "log": run.name,
+        "validation": log.validation,
+        "payload": None if run.payload is None else {"name": run.payload.name, "mass": run.payload.mass},
+        "samples": len(run.time),
+        "rate": run.rate,
+        "duration": logs.seconds(run),
+        "rows": log.rows,
+        "joints": [
+            {
+                "joint": each.joint,
+                "moves": bool(np.isfinite(each.bandwidth)),
+                "unit": position_unit(robot, each.joint),
+                "position": list(each.position),
+                "speed": {"rms": each.speed_rms, "max": each.speed_max},
+                "bandwidth": each.bandwidth if np.isfinite(each.bandwidth) else None,
+                "command_unit": command_unit(robot, each.joint, run.kind),
+                "command": {"rms": each.command_rms, "max": each.command_max},
+                "usable": each.usable,
+            }
+            for each in log.joints
+        ],
+        "wrenches": [asdict(each) for each in log.wrenches],
+        "singularities": [
+            {"type": each.type, "distance": each.distance, "time": each.time, "pose": dict(each.pose)}
+            for each in log.nearest
+        ],
+    }
+
+
+def check_page(checked: ExperimentCheck) -> Page:
+    """Show what the logs hold, and whether an identification can use them."""
+    robot, preparation = checked.robot, checked.preparation
+    nearest = [each for log in checked.logs for each in log.nearest]
+    motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
+    prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
+    spectra = logs.spectra_items(checked.logs[0].run, robot, preparation) if preparation and checked.logs else []
+    return page(
+        f"Logs of {checked.robot.name}",
+        _verdict(checked),
+        findings_section(checked.notes),
+        section("Logs", _logs_table(checked), _preparation(checked), id="logs") if checked.logs else None,
+        section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
+        section("Robot and singular poses", Drawing(checked.robot), singularities_section(nearest), id="robot"),
+        geometry_section(checked.geometry),
+        section("Motion", *motions, id="motion"),
+        section("Preparation", *prepared, *spectra, id="preparation"),
+    )
+
+
+def _verdict(checked: ExperimentCheck) -> Section:
+    used = [log for log in checked.logs if not log.validation]
+    style = {Grade.STOPS: "bad", Grade.MEND: "weak", Grade.INFORMATION: "good"}[checked.worst]
+    time = sum(logs.seconds(log.run) for log in used)
+    said = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
+    words = Text(gate_words(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
+    return section("Verdict", words, id="verdict")
+
+
+def gate_words(notes: Sequence[Note]) -> str:
+    """Say in one sentence what to expect of an identification from these logs."""
+    found = by_grade(same_in_several(notes))
+    if stops := found.get(Grade.STOPS):
+        return f"gtau identify will refuse these logs: {counted(len(stops), 'finding')} to resolve first."
+    if mend := found.get(Grade.MEND):
+        return f"gtau identify can read these logs; {counted(len(mend), 'finding')} worth mending before."
+    return "gtau identify can use these logs as they are."
+
+
+def _preparation(checked: ExperimentCheck) -> Facts | None:
+    found = checked.preparation
+    if found is None:
+        return None
+    return Facts(
+        {
+            "bandwidth": f"{found.bandwidth:.3g} Hz",
+            "position filter": "none" if found.cutoff is None else f"{found.cutoff:.3g} Hz",
+            "decimation": f"{found.decimator.factor} ({found.decimator.kind})",
+        }
+    )
+
+
+def _logs_table(checked: ExperimentCheck) -> Table:
+    columns = (
+        Column("log"),
+        Column("used for"),
+        Column("payload"),
+        Column("samples", Kind.NUMBER, 8),
+        Column("rate, Hz", Kind.NUMBER, 5),
+        Column("duration, s", Kind.NUMBER),
+        Column("rows a joint", Kind.NUMBER),
+        Column("repaired, %", Kind.SHARE, 2),
+    )
+    rows = [
+        (
+            log.run.name,
+            "validation" if log.validation else "identification",
+            logs.payload_words(log.run).removeprefix("payload "),
+            len(log.run.time),
+            log.run.rate,
+            logs.seconds(log.run),
+            log.rows,
+            1 - logs.valid_share(log.run),
+        )
+        for log in checked.logs
+    ]
+    return table(columns, rows)
+
+
+def _joints(log: LogCheck, robot: Robot) -> Section:
+    command = {"A": "current", "N": "force"}.get(command_unit(robot, log.joints[-1].joint, log.run.kind), "torque")
+    columns = (
+        Column("joint"),
+        Column("position", Kind.INTERVAL),
+        Column("speed rms", Kind.NUMBER, 3),
+        Column("max", Kind.NUMBER, 3),
+        Column("unit"),
+        Column("bandwidth, Hz", Kind.NUMBER, 3, missing="at rest"),
+        Column(f"{command} rms", Kind.NUMBER, 3),
+        Column("max", Kind.NUMBER, 3),
+        Column("unit"),
+        Column("rows used, %", Kind.SHARE, decimals=0),
+    )
+    rows = [
+        (
+            joint_label(each.joint),
+            each.position,
+            each.speed_rms,
+            each.speed_max,
+            f"{position_unit(robot, each.joint)}/s",
+            each.bandwidth,
+            each.command_rms,
+            each.command_max,
+            command_unit(robot, each.joint, log.run.kind),
+            each.usable,
+        )
+        for each in log.joints
+    ]
+    purpose = "validation" if log.validation else "identification"
+    return section(
+        f"{log.run.name} ({purpose}, {logs.payload_words(log.run)})", table(columns, rows), _wrenches(log), folded=False
+    )
+
+
+def _wrenches(log: LogCheck) -> Table | None:
+    if not log.wrenches:
+        return None
+    columns = (
+        Column("wrench on"),
+        Column("force rms, N", Kind.NUMBER, 3),
+        Column("moment rms, N m", Kind.NUMBER, 3),
+        Column("about the origin of the"),
+    )
+    return table(columns, [(each.body, each.force_rms, each.moment_rms, each.axes) for each in log.wrenches])
+
+
+def motion_chart(log: LogCheck, robot: Robot) -> Chart:
+    """Draw the motion of the joints in a log, and its distances to singularities of both types."""
+    time, panels = log.distances.time - float(log.run.time[0]), []
+    for unit in ("rad", "m"):
+        lines = [
+            Series(joint_label(each.joint), time, log.position[:, j], colour(j))
+            for j, each in enumerate(log.joints)
+            if position_unit(robot, each.joint) == unit
+        ]
+        panels += [Panel(TIME, Axis(f"position, {unit}"), tuple(lines), height=2.1)] if lines else []
+    distances = distances_panel(log.distances, float(log.run.time[0]))
+    return Chart((*panels, *([distances] if distances else [])), log.run.name, live=True)
+
+
+def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
+    """Write a figure for each log, and the distances of all to singularities as ``singularities.parquet``.
+
+    Raises
+    ------
+    GtauError
+        Where a file cannot be written.
+    """
+    from gtau.report.render.charts import save
+
+    names = unique_names([log.run.name for log in checked.logs])
+    written = [
+        save(motion_chart(log, checked.robot), folder / f"{name}.png")
+        for name, log in zip(names, checked.logs, strict=True)
+    ]
+    write_distances([log.distances for log in checked.logs], folder / "singularities.parquet")
+    return [*written, folder / "singularities.parquet"]
+
+
+def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
+    """Write a figure of each log's preparation; raises GtauError where one cannot be written."""
+    from gtau.report.render.charts import save
+
+    names = unique_names([log.run.name for log in checked.logs])
+    return [
+        save(logs.preparation_chart(log), folder / f"{name}-preparation.png")
+        for name, log in zip(names, checked.logs, strict=True)
+    ]
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Name files, with a number where a name recurs."""
+    return [name if names.index(name) == k else f"{name}-{names[: k + 1].count(name)}" for k, name in enumerate(names)]

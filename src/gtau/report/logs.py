@@ -1,0 +1,187 @@
+"""Clock, repairs and spectra of logs, on pages and as figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gtau.estimation.check_logs import LogCheck
+from gtau.report.motion import TIME
+from gtau.report.page import (
+    Axis,
+    Chart,
+    Column,
+    Kind,
+    Panel,
+    Rule,
+    Section,
+    Series,
+    colour,
+    joint_label,
+    section,
+    table,
+)
+from gtau.robots.robot import Robot
+from gtau.robots.units import command_unit, position_unit
+from gtau.signals.bandwidth import JointSpectrum, spectra
+from gtau.signals.preparation import Preparation
+from gtau.signals.run import Run
+from gtau.signals.storage import block, spans
+
+SEGMENT = 2048  # samples of a segment of Welch's method, at most
+FEWEST = 64  # samples of a signal that has a spectrum
+LONGEST = 300_000  # samples of a command whose spectrum is shown
+LOWEST = 1e-9  # of a spectrum's peak: what lies lower is arithmetic
+FREQUENCY = Axis("frequency, Hz", log=True)
+
+
+def payload_words(run: Run) -> str:
+    """Describe in words what a run carries."""
+    if run.payload is None:
+        return "no payload"
+    mass = "of unknown mass" if run.payload.mass is None else f"of {run.payload.mass:g} kg"
+    return f"payload '{run.payload.name}' {mass}"
+
+
+def seconds(run: Run) -> float:
+    """Return how long a run takes, s."""
+    return float(run.time[-1] - run.time[0])
+
+
+def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) -> Section | None:
+    """Show clock, repairs and spectra of the logs that a model was made from or tried on."""
+    if not runs:
+        return None
+    rows = [
+        (
+            run.name,
+            len(run.time),
+            run.rate,
+            seconds(run),
+            1 - valid_share(run),
+            "; ".join(map(str, run.notes)) or "uniform clock, no repairs",
+        )
+        for run in runs
+    ]
+    columns = (
+        Column("log"),
+        Column("samples", Kind.NUMBER, 8),
+        Column("rate, Hz", Kind.NUMBER, 5),
+        Column("duration, s", Kind.NUMBER),
+        Column("repaired, %", Kind.SHARE, 2),
+        Column("clock and repairs"),
+    )
+    return section(
+        "Clock and spectra of the logs", table(columns, rows), *spectra_items(runs[0], robot, preparation), id="logs"
+    )
+
+
+def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Chart]:
+    """Draw amplitude spectral densities of a run's speeds and commands, a panel for each unit."""
+    rules = [Rule(x=preparation.bandwidth, label=f"bandwidth {preparation.bandwidth:.3g} Hz")]
+    rules += [Rule(x=preparation.cutoff, label=f"filter {preparation.cutoff:.3g} Hz")] if preparation.cutoff else []
+    of_speed: dict[str, list[Series]] = {}
+    of_command: dict[str, list[Series]] = {}
+    for j, (joint, spectrum) in enumerate(zip(run.joints, spectra(run), strict=True)):
+        line = _amplitude(joint_label(joint), spectrum.frequency, spectrum.speed, colour(j))
+        of_speed.setdefault(f"speed, {position_unit(robot, joint)}/s/√Hz", []).extend(line)
+        line = _amplitude(joint_label(joint), *_density(run, j), colour(j))
+        of_command.setdefault(f"command, {command_unit(robot, joint, run.kind)}/√Hz", []).extend(line)
+    panels = [
+        Panel(FREQUENCY, Axis(label, log=True), tuple(lines), label.split(",")[0].capitalize(), tuple(rules), height=2)
+        for label, lines in (of_speed | of_command).items()
+        if lines
+    ]
+    words = (
+        f"Amplitude spectral densities of {run.name}: speeds, differentiated from the logged positions, in thirds of "
+        "an octave, and commands. Rules mark the bandwidth of the motion and the cut-off of the position filter."
+    )
+    return [Chart(tuple(panels), columns=2, caption=words)] if panels else []
+
+
+def valid_share(run: Run) -> float:
+    """Compute the share of the samples of all joints that were not repaired."""
+    return float(np.sum([np.sum(block(run.valid, *span)) for span in spans(len(run.valid))])) / run.valid.size
+
+
+def _density(run: Run, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """Compute frequencies (K,), Hz, and the power spectral density (K,) of a command by Welch's method."""
+    from scipy.signal import welch
+
+    values = np.asarray(block(run.command, 0, min(len(run.time), LONGEST))[:, j], dtype=float)
+    if len(values) < FEWEST:
+        return np.zeros(0), np.zeros(0)
+    return welch(values, run.rate, nperseg=min(SEGMENT, len(values) // 4))
+
+
+def _amplitude(label: str, frequency: np.ndarray, density: np.ndarray, hue: str) -> list[Series]:
+    shown = (frequency > 0) & (density > LOWEST * density.max(initial=0.0))
+    return [Series(label, frequency[shown], np.sqrt(density[shown]), hue)] if shown.any() else []
+
+
+def preparation_chart(log: LogCheck) -> Chart:
+    """Draw the spectra of a log's joints, the steps of its clock, and which rows of each joint are used."""
+    preparation = log.preparation
+    marks = [(preparation.bandwidth, "bandwidth"), (preparation.cutoff, "position filter")]
+    marks.append((log.run.rate / preparation.decimator.factor / 2, "Nyquist of the rows"))
+    rules = tuple(Rule(x=each, label=f"{name} {each:.3g} Hz") for each, name in marks if each is not None)
+    share = Axis("share of the peak", log=True)
+    speeds, accelerations = (_shares(log, what) for what in ("speed", "acceleration"))
+    ends = "Power of the accelerations; the signal ends where noise takes over (dots)"
+    panels = [
+        Panel(FREQUENCY, share, speeds, "Power of the velocities", rules, height=2.3),
+        Panel(FREQUENCY, share, accelerations, ends, rules, height=2.3),
+    ]
+    stamps = None if log.run.log is None else log.run.log.stamps_read()
+    panels += [] if stamps is None else [_steps(stamps, log.run)]
+    panels.append(_used(log))
+    return Chart(tuple(panels), log.run.name)
+
+
+def _shares(log: LogCheck, what: str) -> tuple[Series, ...]:
+    found: list[Series] = []
+    for j, (joint, each) in enumerate(zip(log.run.joints, log.spectra, strict=True)):
+        density = getattr(each, what)
+        shown = density > LOWEST * density.max()
+        if not shown.any():
+            continue
+        found.append(
+            Series(joint_label(joint), each.frequency[shown], density[shown] / density.max(), colour(j), width=1.3)
+        )
+        if each.moves and what == "acceleration":
+            found.append(_end(each, density, colour(j)))
+    return tuple(found)
+
+
+def _end(each: JointSpectrum, density: np.ndarray, hue: str) -> Series:
+    k = int(np.argmin(np.abs(each.frequency - each.end)))
+    return Series("", each.frequency[k : k + 1], density[k : k + 1] / density.max(), hue, "points", width=3.0)
+
+
+def _steps(stamps: np.ndarray, run: Run) -> Panel:
+    """Draw steps of the time column over time, in samples of the grid."""
+    begin, end, period = float(run.time[0]), float(run.time[-1]), 1 / run.rate
+    stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]
+    time, steps = stamps[1:], np.diff(stamps) / period
+    top = max(2.0, 1.1 * float(steps.max(initial=0.0)))
+    series = Series("", time - begin, steps, "soft", width=0.6)
+    return Panel(TIME, Axis("step, samples", limits=(0.0, top)), (series,), "Steps of the time column", height=1.2)
+
+
+def _used(log: LogCheck) -> Panel:
+    """Draw which decimated rows of each joint are used: bars; the gaps are reversals, rests and masked samples."""
+    time, series = log.distances.time - float(log.run.time[0]), []
+    for j in range(len(log.run.joints)):
+        edges = np.flatnonzero(np.diff(np.r_[False, log.used[:, j], False]))
+        ends = np.column_stack([time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]])
+        series.append(Series("", ends, np.array([float(j)]), colour(j), "spans"))
+    count = len(log.run.joints)
+    names = {float(j): joint_label(joint) for j, joint in enumerate(log.run.joints)}
+    return Panel(
+        Axis(TIME.label, limits=(0.0, seconds(log.run))),
+        Axis("", limits=(count - 0.5, -0.5), names=names),
+        tuple(series),
+        "Rows used, without reversals, rests, gaps and clipped commands",
+        height=0.6 + 0.16 * count,
+    )

@@ -1,0 +1,315 @@
+"""Pages as data: what a command shows, written once; :mod:`gtau.report.render` has one renderer for each medium.
+
+A page consists of sections of tables, charts, texts, facts and drawings of robots. Cells are values, not words: numbers
+keep all their digits, and a column says how they are written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from math import floor, isfinite, log10
+from typing import Any, Literal
+
+import numpy as np
+
+from gtau.robots.robot import Robot
+
+BADGES = {
+    "given": "good",
+    "good": "good",
+    "weak": "weak",
+    "not identifiable": "bad",
+    "contradictory": "bad",
+    "refused": "bad",
+    "stops the identification": "bad",
+    "worth mending": "weak",
+    "for information": "neutral",
+}
+"""Outcomes and grades of findings to the style that they are shown in; what is not listed is weak."""
+
+
+class Kind(StrEnum):
+    """What the cells of a column are; a text in place of a value is written as it is, None as ``missing``."""
+
+    TEXT = "text"
+    SENTENCE = "sentence"  # without capital letter and full stop
+    NAME = "name"  # of a parameter, file or method: letters of equal width
+    NUMBER = "number"
+    SHARE = "share"  # a number between 0 and 1, shown in per cent
+    INTERVAL = "interval"  # its two ends
+    SPREAD = "spread"  # a value and half the width of its interval
+    BADGE = "badge"  # an outcome or a grade
+
+
+NUMERIC = (Kind.NUMBER, Kind.SHARE, Kind.INTERVAL, Kind.SPREAD)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: title, kind of its cells, and how numbers are written.
+
+    ``digits`` are significant ones; with ``decimals`` a number has so many instead. A number above ``most`` is written
+    as ``> most``. A ``wide`` column is left out on a terminal.
+    """
+
+    title: str
+    kind: Kind = Kind.TEXT
+    digits: int = 4
+    decimals: int | None = None
+    missing: str = "-"
+    most: float = float("inf")
+    wide: bool = False
+
+    def text(self, cell: Any) -> str:
+        """Write a cell, negative numbers with a hyphen."""
+        if isinstance(cell, str):
+            return cell
+        if cell is None or (isinstance(cell, float) and not isfinite(cell)):
+            return self.missing
+        if self.kind == Kind.INTERVAL:
+            return " to ".join(to_width(end, cell[1] - cell[0]) for end in cell)
+        if self.kind == Kind.SPREAD:
+            value, half = cell
+            return number(value, self.digits) if not half else f"{to_width(value, half)} ± {to_width(half, half)}"
+        value = 100 * cell if self.kind == Kind.SHARE else cell
+        if self.kind not in NUMERIC:
+            return str(value)
+        if value > self.most:
+            return f"> {self.most:g}"
+        return f"{value:.{self.decimals}f}" if self.decimals is not None else number(value, self.digits)
+
+    def sort_key(self, cell: Any) -> float | None:
+        """Return what a cell of numbers sorts by, None for a missing one."""
+        if cell is None or isinstance(cell, str):
+            return None
+        key = cell[1] - cell[0] if self.kind == Kind.INTERVAL else cell[0] if self.kind == Kind.SPREAD else cell
+        return float(key) if isfinite(key) else None
+
+
+def number(value: float, digits: int = 5) -> str:
+    """Write a number to so many significant digits, as people write it."""
+    if isinstance(value, (int, np.integer)):
+        return str(value)
+    return f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e")
+
+
+def to_width(value: float, width: float) -> str:
+    """Write a number to two digits of the width of its interval."""
+    decimals = max(1 - floor(log10(width)), 0) if 0 < width < float("inf") else 4
+    return f"{value:.{min(decimals, 12)}f}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    A table with a ``name`` sorts and searches where the medium can. Rows in ``faint`` are shown faint. With ``listed``
+    a terminal shows the rows as a list, grouped by their badge.
+    """
+
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Any, ...], ...]
+    name: str = ""
+    faint: frozenset[int] = frozenset()
+    listed: bool = False
+
+
+def table(columns: Iterable[Column], rows: Iterable[Sequence[Any]], **more: Any) -> Table:
+    """Make a table of any iterables."""
+    return Table(tuple(columns), tuple(map(tuple, rows)), **more)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph and a list of sentences: plain, soft, a command, or a verdict with its grade."""
+
+    words: str
+    points: tuple[str, ...] = ()
+    style: Literal["plain", "soft", "command", "good", "weak", "bad", "neutral"] = "plain"
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Values by name."""
+
+    pairs: Mapping[str, object]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis: label with unit, whether logarithmic, its limits where they are fixed, and names at values."""
+
+    label: str
+    log: bool = False
+    limits: tuple[float | None, float | None] = (None, None)
+    names: Mapping[float, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A series of a panel: ``x`` and ``y`` (K,), a ``colour`` of the palette, and how it is drawn.
+
+    ``half`` (K,) are half the widths of intervals, along x where the ``mark`` is a disc or diamond. Of ``steps``, ``x``
+    (K + 1,) are edges; of ``spans``, ``x`` (K, 2) are beginnings and ends, and ``y`` (1,) is their height.
+    """
+
+    label: str
+    x: np.ndarray
+    y: np.ndarray
+    colour: str = "predicted"
+    mark: Literal["line", "points", "disc", "diamond", "thick", "steps", "spans"] = "line"
+    width: float = 1.3
+    half: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A straight line across a panel at one ``x`` or one ``y``, with its label."""
+
+    x: float | None = None
+    y: float | None = None
+    label: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A pair of axes with series.
+
+    ``shaded`` are beginnings and ends along x that are left out, ``band`` a range of y, ``matrix`` (m, m) values from
+    -1 to 1 in place of series, ``height`` in inches, and ``equal`` whether both axes have the same scale.
+    """
+
+    x: Axis
+    y: Axis
+    series: tuple[Series, ...] = ()
+    title: str = ""
+    rules: tuple[Rule, ...] = ()
+    band: tuple[float, float] | None = None
+    shaded: np.ndarray | None = None
+    matrix: np.ndarray | None = None
+    height: float = 1.6
+    equal: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Panels below or beside each other with one key.
+
+    The panels of a ``live`` chart are time series over one time: a page lets them zoom together.
+    """
+
+    panels: tuple[Panel, ...]
+    title: str = ""
+    live: bool = False
+    columns: int = 1
+    caption: str = ""
+
+    @property
+    def key(self) -> dict[str, Series]:
+        """Series by label, each once; those of a single unnamed one have no key."""
+        found: dict[str, Series] = {}
+        for panel in self.panels:
+            for each in panel.series:
+                if each.label:
+                    found.setdefault(each.label, each)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A robot at home."""
+
+    robot: Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A titled part of a page; one inside another may be ``folded`` away (True) or unfolded (False)."""
+
+    title: str
+    items: tuple[Item, ...]
+    id: str = ""
+    folded: bool | None = None
+
+
+Item = Table | Text | Facts | Chart | Drawing | Section
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """What a command shows: a title, lines below it, and sections in reading order."""
+
+    title: str
+    sections: tuple[Section, ...]
+    lead: tuple[str, ...] = ()
+
+
+def section(title: str, *items: Item | None, id: str = "", folded: bool | None = None) -> Section:
+    """Make a section of the items that are there."""
+    return Section(title, tuple(item for item in items if item is not None), id, folded)
+
+
+def page(title: str, *sections: Section | None, lead: Iterable[str] = ()) -> Page:
+    """Make a page of the sections that are there and hold something."""
+    return Page(title, tuple(each for each in sections if each is not None and each.items), tuple(lead))
+
+
+def colour(k: int) -> str:
+    """Choose the colour of the k-th line; a ninth begins again."""
+    return f"c{k % 8}"
+
+
+def intervals(
+    names: Sequence[str],
+    values: Sequence[float | None],
+    halves: Sequence[float | None],
+    axis: str,
+    inner: Sequence[float | None] = (),
+    other: tuple[str, Sequence[float | None]] = ("", ()),
+    zero: bool = False,
+) -> Panel:
+    """Make a panel of values with their intervals, a row each, of the random part and of what they are compared with.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the rows.
+    values, halves : sequence of float
+        Values and half the widths of their 95 % intervals; None where there is none.
+    axis : str
+        Label of the horizontal axis, with unit.
+    inner : sequence of float, optional
+        Half the widths of the random parts.
+    other : (str, sequence of float), optional
+        What the values are compared with, and its values.
+    zero : bool
+        Whether zero is marked.
+    """
+
+    def columns(at: Sequence[float | None], half: Sequence[float | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rows = [k for k, value in enumerate(at) if value is not None]
+        widths = [half[k] if k < len(half) else None for k in rows]
+        return (
+            np.array([at[k] for k in rows], dtype=float),
+            np.array(rows, dtype=float),
+            np.array([width or 0.0 for width in widths], dtype=float),
+        )
+
+    x, y, half = columns(values, halves)
+    series = [Series("value, 95 % interval", x, y, "predicted", "disc", half=half)]
+    if any(each is not None for each in inner):
+        series.append(Series("random part", x, y, "predicted", "thick", half=columns(values, inner)[2]))
+    if any(each is not None for each in other[1]):
+        a, b, _ = columns(other[1], ())
+        series.append(Series(other[0], a, b, "prior", "diamond"))
+    places = Axis("", limits=(len(names) - 0.4, -0.6), names={float(k): name for k, name in enumerate(names)})
+    return Panel(
+        Axis(axis), places, tuple(series), rules=(Rule(x=0.0),) if zero else (), height=0.62 + 0.27 * len(names)
+    )
+
+
+def joint_label(joint: str) -> str:
+    """Label a joint: ``joint 11``, but ``elbow_joint`` as it is."""
+    return joint if "joint" in joint.lower() else f"joint {joint}"

@@ -1,0 +1,1 @@
+"""Renderers of pages, one for each medium: terminal, HTML, notebooks, figures."""

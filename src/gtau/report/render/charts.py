@@ -1,0 +1,274 @@
+"""Charts by Matplotlib: figures for files and notebooks, and SVG in the colours of a page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib.resources import files
+from io import BytesIO, StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gtau.documents.files import write_atomically
+from gtau.errors import GtauError
+from gtau.report.page import Axis, Chart, Panel, Series
+from gtau.report.render.live import envelope
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (5, 1.4, 1, 1.4)), (0, (1, 1.3)), (0, (8, 2)), (0, (3, 1, 1, 1)))
+"""How lines of the colours c0, c1, ... are dashed, so that they differ in grey too."""
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "text.parse_math": False,  # names of users may hold a $
+    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so that figures look the same everywhere
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7,
+    "axes.labelsize": 9,
+    "axes.edgecolor": "#444444",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0.0,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.7,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.major.size": 0,
+    "ytick.major.size": 0,
+    "lines.markersize": 5,
+    "errorbar.capsize": 4,
+    "legend.frameon": False,
+    "legend.handlelength": 2.6,
+    "figure.dpi": 150,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "gtau",
+}
+SVG_STYLE = STYLE | {"font.size": 7.5, "axes.labelsize": 7.5, "xtick.labelsize": 7.5, "ytick.labelsize": 7.5}
+WIDTH, NARROW, WIDE = 7.2, 3.3, 5.2  # inches, of a figure, of panels beside each other on a page, and of one alone
+BUCKETS = 600  # of a line, each drawn by its extremes
+
+
+@contextmanager
+def styled(svg: bool = False) -> Iterator[None]:
+    """Draw in the style of the package; afterwards the user's settings of Matplotlib are as they were."""
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(SVG_STYLE if svg else STYLE)
+        yield
+
+
+@cache
+def palette() -> dict[str, Any]:
+    """Read the colours of the style sheet by name."""
+    text = files("gtau.report.render").joinpath("assets", "light.css").read_text(encoding="utf-8")
+    found: dict[str, Any] = dict(re.findall(r"--([\w-]+): (#\w+);", text))
+    for name, *parts in re.findall(r"--([\w-]+): rgba\((\d+), (\d+), (\d+), ([\d.]+)\)", text):
+        *rgb, alpha = map(float, parts)
+        found[name] = (*(part / 255 for part in rgb), alpha)
+    return found
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Make an empty figure, inches, without a window and known to no pyplot; it shows itself in notebooks."""
+    return _shown_figure()(figsize=(width, height), layout="constrained")
+
+
+@cache
+def _shown_figure() -> type[Figure]:
+    """Make the class of figures that show themselves in a notebook without pyplot; imports Matplotlib."""
+    from matplotlib.figure import Figure
+
+    class ShownFigure(Figure):
+        """A figure unknown to pyplot, drawn where a notebook cell ends with it."""
+
+        def _repr_png_(self) -> bytes:
+            content = BytesIO()
+            with styled():
+                self.savefig(content, format="png")
+            return content.getvalue()
+
+    return ShownFigure
+
+
+def figure_of(chart: Chart) -> Figure:
+    """Draw a chart as one figure, its panels in rows of ``columns``, its key above them."""
+    rows = -(-len(chart.panels) // chart.columns)
+    heights = [max(each.height for each in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
+    with styled():
+        figure = new_figure(WIDTH, 0.5 + 1.15 * sum(heights))
+        grid = figure.subplots(
+            rows, chart.columns, squeeze=False, height_ratios=heights, sharex="col" if chart.live else "none"
+        )
+        places = grid.reshape(-1)
+        for axes, panel in zip(places, chart.panels, strict=False):
+            draw(axes, panel, last=not chart.live or axes in grid[-1])
+        for axes in places[len(chart.panels) :]:
+            axes.set_axis_off()
+        first, label = places[0], chart.panels[0].title
+        first.set_title(": ".join(each for each in (chart.title, label) if each))
+        handles: dict[str, Any] = {}
+        for axes in places:
+            handles.update(dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True)))
+        if len(handles) > 1:
+            figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=min(len(handles), 3))
+        figure.align_ylabels()
+    return figure
+
+
+def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
+    """Draw a panel; the horizontal axis is labelled on the ``last`` one."""
+    colours = palette()
+    if panel.matrix is not None:
+        _matrix(axes, panel.matrix)
+    if panel.band is not None:
+        axes.axhspan(*panel.band, color=colours["shade"], linewidth=0)
+    for start, stop in () if panel.shaded is None else panel.shaded.reshape(-1, 2):
+        axes.axvspan(start, stop, color=colours["shade"], linewidth=0)
+    for rule in panel.rules:
+        dashed: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.8, "linestyle": (0, (3, 3))}
+        for line, at in ((axes.axvline, rule.x), (axes.axhline, rule.y)):
+            if at is not None:
+                line(at, **dashed)
+        if rule.label and rule.x is not None:
+            axes.annotate(f" {rule.label}", (rule.x, 1.0), xycoords=("data", "axes fraction"), rotation=90,
+                          va="top", ha="right", fontsize="small", color=colours["soft"])  # fmt: skip
+    for series in panel.series:
+        _series(axes, series)
+    for axis, which in ((panel.x, "x"), (panel.y, "y")):
+        _axis(axes, axis, which)
+    axes.set_title(panel.title)
+    axes.set_xlabel(panel.x.label if last else "")
+    axes.grid(panel.matrix is None, axis="x" if panel.y.names else "both")
+    if panel.y.names:
+        axes.spines["left"].set_visible(False)
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+
+
+def _axis(axes: Axes, axis: Axis, which: str) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
+
+    ticks = axes.xaxis if which == "x" else axes.yaxis
+    limits = axes.set_xlim if which == "x" else axes.set_ylim
+    if axis.log:
+        (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+        ticks.set_major_locator(LogLocator(numticks=6))
+        ticks.set_minor_locator(NullLocator())
+        ticks.set_minor_formatter(NullFormatter())
+        ticks.set_major_formatter(lambda value, _: f"{value:g}")
+    if axis.names:
+        ticks.set_ticks(list(axis.names), list(axis.names.values()))
+        if which == "x":
+            axes.tick_params(axis="x", rotation=90)
+    if any(end is not None for end in axis.limits):
+        limits(*axis.limits)
+    if which == "y":
+        axes.set_ylabel(axis.label)
+
+
+def _series(axes: Axes, series: Series) -> None:
+    colour = palette()[series.colour]
+    look: dict[str, Any] = {"label": series.label or None}
+    if series.mark == "steps":
+        axes.stairs(series.y, series.x, color=colour, linewidth=series.width, **look)
+    elif series.mark == "spans":
+        spans = [(start, stop - start) for start, stop in series.x]
+        axes.broken_barh(spans, (float(series.y[0]) - 0.35, 0.7), color=colour, linewidth=0)
+    elif series.mark == "line":
+        k = int(series.colour[1:]) if series.colour[1:].isdigit() else 0
+        x, y = envelope(series.x, series.y[:, None], BUCKETS)
+        axes.plot(x, y[:, 0], color=colour, linewidth=series.width, linestyle=DASHES[k % len(DASHES)], **look)
+    elif series.mark == "points":
+        axes.plot(series.x, series.y, color=colour, marker="o", linestyle="none", markersize=2 + series.width, **look)
+    else:
+        half = np.zeros(len(series.x)) if series.half is None else series.half
+        marks: dict[str, dict[str, Any]] = {
+            "disc": {"marker": "o", "elinewidth": 1.2, "capsize": 3},
+            "diamond": {"marker": "D", "markerfacecolor": palette()["page"], "elinewidth": 0, "capsize": 0},
+            "thick": {"marker": "", "elinewidth": 4, "capsize": 0},
+        }
+        axes.errorbar(
+            series.x, series.y, xerr=half, color=colour, linestyle="none", markersize=4.5, **marks[series.mark], **look
+        )
+        axes.margins(x=0.06)
+
+
+def _matrix(axes: Axes, values: np.ndarray) -> None:
+    """Draw correlations by the strength of two colours on the page's own."""
+    from matplotlib.colors import to_rgb
+
+    image = np.empty((*values.shape, 4))
+    image[..., :3] = np.where(values[..., None] < 0, *(to_rgb(palette()[each]) for each in ("negative", "positive")))
+    image[..., 3] = np.abs(values)
+    axes.imshow(image, interpolation="nearest", aspect="equal")
+
+
+def svg_of(panel: Panel, alone: bool = False) -> str:
+    """Draw a panel as the markup of an inline SVG whose colours are those of the page's style sheet."""
+    width = WIDE if alone else NARROW
+    height = 0.8 * width if panel.equal else panel.height if panel.matrix is None else width
+    longest = max((len(name) for name in panel.y.names.values()), default=0)
+    left = min((0.052 if alone else 0.06) * longest + 0.1, 0.45 * width) if longest else 0.55
+    bottom = left if panel.x.names else 0.36
+    with styled(svg=True):
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(width, height))
+        axes = figure.add_axes((left / width, bottom / height, 1 - (left + 0.12) / width, 1 - (bottom + 0.08) / height))
+        draw(axes, panel)
+        axes.set_title("")
+        return svg_text(figure)
+
+
+def svg_text(figure: Figure) -> str:
+    """Write a figure as inline SVG: no header, no ids but those that are referred to, colours as CSS variables."""
+    content = StringIO()
+    with styled(svg=True):
+        figure.savefig(content, format="svg", transparent=True, metadata={"Date": None})
+    text = content.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r'<g id="[^"]*">', "<g>", text)
+    text = re.sub(r'<svg [^>]*viewBox="([^"]*)"[^>]*>', r'<svg viewBox="\1" stroke-linejoin="round">', text, count=1)
+    text = re.sub(r"font-family: [^;\"]*;?", "", text)
+    names = {value.lower(): name for name, value in reversed(palette().items()) if isinstance(value, str)}
+    names |= {"#444444": "soft", "#e4e4e4": "grid", "#000000": "ink"}
+    text = re.sub(r"#[0-9a-f]{6}\b", lambda found: f"var(--{names[found[0]]})" if found[0] in names else found[0], text)
+    text = re.sub(r"<[^>]*>", lambda found: re.sub(r"(\d\.\d)\d+", r"\1", found[0]), text)  # not the texts between
+    return re.sub(r"\s+", " ", text).replace("> <", "><").strip()
+
+
+def save(chart: Chart, path: Path) -> Path:
+    """Write a chart as a figure; see :func:`save_figure`."""
+    save_figure(figure_of(chart), path)
+    return path
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG or PDF, atomically; the same figure gives the same bytes.
+
+    Raises
+    ------
+    GtauError
+        Where the file's name does not end in ``.png`` or ``.pdf``, or it cannot be written.
+    """
+    kind = Path(path).suffix.lower().removeprefix(".")
+    if kind not in ("png", "pdf"):
+        raise GtauError(f"figures are written as PNG or PDF, so '{path}' would mislead; let its name end in .png.")
+    content = BytesIO()
+    with styled():
+        figure.savefig(content, format=kind, metadata={"Software": None} if kind == "png" else {"CreationDate": None})
+    write_atomically(path, content.getvalue())

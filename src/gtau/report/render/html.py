@@ -1,0 +1,131 @@
+"""Pages as one self-contained HTML file: styles, scripts and packed arrays inside; it loads nothing from anywhere."""
+
+from __future__ import annotations
+
+import json
+from base64 import b64encode
+from functools import cache
+from hashlib import sha256
+from importlib.resources import files
+from typing import Any
+
+from gtau.report.page import BADGES, NUMERIC, Chart, Column, Drawing, Page
+from gtau.report.render.charts import svg_of, svg_text
+from gtau.report.render.live import arrays_for, live_charts, spec_of
+
+MINUS = "\N{MINUS SIGN}"
+FIT = (
+    "new ResizeObserver(() => { try { frameElement.style.height = document.body.getBoundingClientRect().height + 16 + "
+    "'px'; } catch (outside) {} }).observe(document.body);"
+)
+
+
+def html(page: Page, embedded: bool = False) -> str:
+    """Render a page as the text of one HTML file; an ``embedded`` one is the content of a frame in a notebook."""
+    arrays = arrays_for(page.sections)
+    live = next(live_charts(page.sections), None) is not None
+    scripts = [asset("uPlot.iife.min.js")] if live else []
+    scripts += [asset("report.js")] if live or not embedded else []
+    scripts += [FIT] if embedded else []
+    groups: list[str] = []
+
+    def group() -> str:
+        groups.append(f"g{len(groups)}")
+        return groups[-1]
+
+    def spec(panel: Any, of: str, last: bool) -> str:
+        return json.dumps(spec_of(panel, arrays, of, last))
+
+    return _template().render(
+        page=page,
+        embedded=embedded,
+        scripts=scripts,
+        policy=_policy(scripts),
+        style=(asset("uPlot.min.css") if live else "") + _style(),
+        licence=asset("uPlot.LICENSE.txt") if live else "",
+        arrays=arrays,
+        group=group,
+        spec=spec,
+    )
+
+
+def frame(page: Page) -> str:
+    """Render a page as a frame of its own in a notebook, so that its styles touch nothing of the notebook's."""
+    return _environment().get_template("frame.html.j2").render(content=html(page, embedded=True))
+
+
+def asset(name: str) -> str:
+    """Read a text file that ships with this package."""
+    return files("gtau.report.render").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+@cache
+def _environment() -> Any:
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+    def load(name: str) -> str:
+        return files("gtau.report.render").joinpath("templates", name).read_text(encoding="utf-8")
+
+    found = Environment(
+        loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    found.globals.update(numeric=NUMERIC, badges=BADGES, svg=_svg, robot=_robot, isinstance=isinstance)
+    found.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence)
+    found.tests.update(kind=lambda item, name: type(item).__name__ == name)
+    return found
+
+
+def _template() -> Any:
+    return _environment().get_template("page.html.j2")
+
+
+def _cell(column: Column, cell: Any) -> str:
+    text = column.text(cell)
+    if column.kind in NUMERIC and not isinstance(cell, str):
+        text = text.replace("-", MINUS if cell is not None else "\N{EN DASH}")
+    return text
+
+
+def _svg(chart: Chart) -> list[tuple[str, Any]]:
+    """Draw the panels of a static chart, with their titles."""
+    from markupsafe import Markup
+
+    alone = chart.columns == 1
+    return [(each.title, Markup(svg_of(each, alone))) for each in chart.panels]
+
+
+def _robot(drawing: Drawing) -> Any:
+    from markupsafe import Markup
+
+    from gtau.report.robot_figure import robot_figure
+
+    return Markup(svg_text(robot_figure(drawing.robot)))
+
+
+def _style() -> str:
+    """Write the style sheet: light colours, dark ones where the system or the switch asks for them, light on paper."""
+    light, dark = asset("light.css"), asset("dark.css")
+    return (
+        f":root {{ color-scheme: light dark; {light} }}\n"
+        f'@media (prefers-color-scheme: dark) {{ :root:not([data-theme="light"]) {{ {dark} }} }}\n'
+        f':root[data-theme="light"] {{ color-scheme: light; }}\n'
+        f':root[data-theme="dark"] {{ color-scheme: dark; {dark} }}\n'
+        f'@media print {{ :root, :root[data-theme="dark"], :root:not([data-theme="light"]) '
+        f"{{ color-scheme: light; {light} }} }}\n"
+        f"{asset('report.css')}"
+    )
+
+
+def _policy(scripts: list[str]) -> str:
+    """Allow the page its own scripts and styles, and nothing else."""
+    digests = (b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"
+    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}"
+
+
+def sentence(words: str) -> str:
+    """Make words begin with a capital letter, unless a name comes first, and end with a full stop."""
+    words = words.strip()
+    if words and words.split()[0].isalpha():
+        words = words[0].upper() + words[1:]
+    return words if not words or words.endswith((".", "!", "?")) else words + "."

@@ -1,0 +1,148 @@
+"""Pages on a terminal: plain text of 80 columns, with colours only where a person looks at it."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from io import StringIO
+from itertools import groupby
+from typing import Any, Literal
+
+from rich.console import Console, Group, RenderableType
+from rich.table import Table as RichTable
+from rich.text import Text as RichText
+
+from gtau.report.page import BADGES, NUMERIC, Column, Facts, Kind, Page, Section, Table, Text
+
+WIDTH = 80
+GAP = 2
+LONGEST = 40  # characters of a word that is not broken
+COLOURS = {"good": "green", "weak": "yellow", "bad": "bold red"}
+ASCII = str.maketrans({"±": "+-", "\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "×": "x", "‘": "'", "’": "'"})
+
+
+def show(page: Page) -> None:
+    """Print a page on stdout, in colour on a terminal."""
+    if sys.stdout.isatty():
+        Console(width=WIDTH, highlight=False).print(rendered(page), crop=False)
+    else:
+        print(plain(page))
+
+
+def plain(page: Page) -> str:
+    """Write a page as text."""
+    console = Console(width=WIDTH, file=StringIO(), color_system=None, highlight=False, legacy_windows=False)
+    console.print(rendered(page), crop=False)
+    return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines())  # type: ignore[attr-defined]
+
+
+def rendered(page: Page) -> Group:
+    """Lay out a page for a console."""
+    parts: list[RenderableType] = [*_lines([page.title], style="bold"), *_lines(page.lead)] if page.title else []
+    for section in page.sections:
+        body = list(_items(section.items))
+        if body:
+            title = _ascii(f"{section.title} ")
+            parts += [RichText(title + "-" * (WIDTH - len(title)), style="bold")] if section.title else []
+            parts += body
+    return Group(*parts)
+
+
+def _items(items: Iterable[Any]) -> Iterator[RenderableType]:
+    for item in items:
+        match item:
+            case Table():
+                yield from _list(item) if item.listed else _table(item)
+            case Text():
+                yield from _lines([item.words] if item.words else [], style=COLOURS.get(item.style, ""))
+                yield from _lines(item.points, "- ")
+            case Facts():
+                yield from _facts(item)
+            case Section():
+                body = list(_items(item.items))
+                yield from [*_lines([item.title]), *body] if body else []
+
+
+def _badge(outcome: str) -> str:
+    return COLOURS.get(BADGES.get(outcome, "weak"), "")
+
+
+def _ascii(words: str) -> str:
+    return words.translate(ASCII)
+
+
+def _lines(texts: Iterable[str], mark: str = "", style: str = "") -> Iterator[RichText]:
+    """Wrap texts at spaces, so that paths stay in one piece and no number loses its per cent sign."""
+    indent = " " * (2 if mark else 0)
+    for words in texts:
+        kept = _ascii(words).replace(" %", "\xa0%")
+        lines = textwrap.wrap(
+            mark + kept, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+        )
+        for line in lines:
+            yield RichText(line.replace("\xa0", " "), style=style, no_wrap=True, overflow="ignore")
+
+
+def _facts(facts: Facts) -> Iterator[RichText]:
+    width = max((len(name) for name in facts.pairs), default=0) + GAP
+    for name, value in facts.pairs.items():
+        words = f"{name:<{width}}{_ascii(str(value))}"
+        lines = textwrap.wrap(words, WIDTH, subsequent_indent=" " * width, break_long_words=False)
+        yield from (RichText(line, no_wrap=True, overflow="ignore") for line in lines)
+
+
+def _list(found: Table) -> Iterator[RichText]:
+    """List the rows below the badge that they share: ``where: what; what to do``."""
+    badge = next(k for k, each in enumerate(found.columns) if each.kind == Kind.BADGE)
+    shown = [k for k, each in enumerate(found.columns) if k != badge and not each.wide]
+    for grade, rows in groupby(found.rows, key=lambda row: row[badge]):
+        yield from _lines([f"{str(grade).capitalize()}:"], style=_badge(grade))
+        for row in rows:
+            where, *sentences = (str(row[k] or "") for k in shown)
+            said = "; ".join(each for each in sentences if each)
+            yield from _lines([f"{where}: {said}" if where else said], "- ")
+
+
+def _table(found: Table) -> Iterator[RichTable]:
+    """Print a table; one too wide is broken into several that repeat its first column."""
+    kept = [k for k, each in enumerate(found.columns) if not each.wide]
+    columns = [found.columns[k] for k in kept]
+    cells = [[_ascii(columns[i].text(row[k])) for i, k in enumerate(kept)] for row in found.rows]
+    titles = [_ascii(each.title) for each in columns]
+    least = [_narrowest(column, titles[i], [row[i] for row in cells], i == 0) for i, column in enumerate(columns)]
+    most = [max(len(titles[i]), *(len(row[i]) for row in cells)) if cells else len(titles[i]) for i in range(len(kept))]
+    for block in _blocks(least):
+        widths = {i: most[i] for i in block}
+        while sum(widths.values()) + GAP * (len(block) - 1) > WIDTH:
+            widths[max(block, key=lambda i: widths[i] - least[i])] -= 1
+        shown = RichTable(box=None, padding=(0, GAP, 0, 0), pad_edge=False, show_header=any(titles))
+        for i in block:
+            justify: Literal["left", "right"] = "right" if columns[i].kind in NUMERIC else "left"
+            shown.add_column(RichText(titles[i]), justify=justify, width=widths[i], overflow="fold", header_style="")
+        for k, row in enumerate(cells):
+            styles = [_badge(row[i]) if columns[i].kind == Kind.BADGE else "" for i in block]
+            texts = [RichText(row[i], style=style) for i, style in zip(block, styles, strict=True)]
+            shown.add_row(*texts, style="dim" if k in found.faint else "")
+        yield shown
+
+
+def _narrowest(column: Column, title: str, cells: Sequence[str], first: bool) -> int:
+    """Find the least width of a column: numbers stay on a line, and so do words of texts unless they are very long."""
+    if first or column.kind in NUMERIC:
+        words = [*title.split(), *cells]
+    else:
+        words = [*title.split(), *(word for cell in cells for word in cell.split())]
+    return min(max(map(len, words), default=0), LONGEST)
+
+
+def _blocks(widths: Sequence[int]) -> Iterator[list[int]]:
+    """Divide columns into blocks that fit, each beginning with the first column."""
+    block, used = [0], widths[0]
+    for k, width in enumerate(widths[1:], 1):
+        if used + GAP + width > WIDTH and len(block) > 1:
+            yield block
+            block, used = [0], widths[0]
+        block.append(k)
+        used += GAP + width
+    yield block

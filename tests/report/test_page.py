@@ -1,0 +1,247 @@
+"""Pages as data, and what each renderer makes of them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gtau.model.home import load_robot
+from gtau.report.page import (
+    Axis,
+    Chart,
+    Column,
+    Drawing,
+    Facts,
+    Kind,
+    Page,
+    Panel,
+    Rule,
+    Series,
+    Text,
+    colour,
+    intervals,
+    page,
+    section,
+    table,
+)
+from gtau.report.render.charts import figure_of, palette, svg_of
+from gtau.report.render.html import frame, html
+from gtau.report.render.live import arrays_for, envelope, spec_of, stretches
+from gtau.report.render.terminal import plain
+
+NASTY = '<b onclick="x">$steel & co</b>'
+COLUMNS = (
+    Column("joint"),
+    Column("verdict", Kind.BADGE),
+    Column("gain", Kind.NUMBER, 5),
+    Column("95 % interval", Kind.INTERVAL),
+    Column("std, %", Kind.NUMBER, decimals=2, most=1000.0),
+)
+ROWS = (
+    ("left", "good", 2.6128, (2.597, 2.629), 0.61),
+    (NASTY, "not identifiable", None, None, 4321.0),
+    ("right", "weak", float("nan"), None, "known"),
+)
+FACTS, FOLDED = Facts({"file": NASTY}), section("folded", Text("inside"), folded=True)
+
+
+def lines_of(time: np.ndarray, count: int = 2) -> tuple[Series, ...]:
+    return tuple(Series(f"joint {k}", time, np.sin(time + k), colour(k)) for k in range(count))
+
+
+@pytest.fixture
+def whole() -> Page:
+    time = np.linspace(0.0, 5.0, 400)
+    live = Chart(
+        (Panel(Axis("time, s"), Axis("torque, N m"), lines_of(time), NASTY, shaded=np.array([1.0, 2.0])),), live=True
+    )
+    still = Panel(
+        Axis("frequency, Hz", log=True),
+        Axis("density", log=True),
+        lines_of(1 + time),
+        rules=(Rule(x=2.0, label=NASTY),),
+    )
+    return page(
+        f"Page of {NASTY}",
+        section("Verdict", Text(NASTY, ("a weak joint: use 3 % more",), "weak"), id="verdict"),
+        section("Gains", table(COLUMNS, ROWS, name="gains-table", faint=frozenset([1])), FACTS, id="gains"),
+        section("Charts", live, Chart((still,), columns=2), FOLDED, id="charts"),
+        None,
+        section("empty", None),
+        lead=[NASTY],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "text", "key"),
+    [
+        (Column("x", Kind.NUMBER), 0.000012345, "1.234e-5", 1.2345e-05),
+        (Column("x", Kind.NUMBER), 12, "12", 12.0),
+        (Column("x", Kind.NUMBER, missing="at rest"), float("nan"), "at rest", None),
+        (Column("x", Kind.NUMBER), "given", "given", None),
+        (Column("x", Kind.SHARE, decimals=0), 0.834, "83", 0.834),
+        (Column("x", Kind.INTERVAL), (1.23456, 1.25456), "1.235 to 1.255", 0.02),
+        (Column("x", Kind.SPREAD), (2.50312, 0.0042), "2.5031 ± 0.0042", 2.50312),
+        (Column("x", Kind.NUMBER, decimals=2, most=1000.0), 4321.0, "> 1000", 4321.0),
+        (Column("x"), None, "-", None),
+    ],
+)
+def test_a_cell_is_a_value_that_its_column_writes(column: Column, cell: object, text: str, key: float | None) -> None:
+    assert column.text(cell) == text
+    assert column.sort_key(cell) == (None if key is None else pytest.approx(key))
+
+
+def test_a_page_holds_only_what_is_there(whole: Page) -> None:
+    assert [each.id for each in whole.sections] == ["verdict", "gains", "charts"]
+
+
+# Terminal
+
+
+def test_the_terminal_is_plain_text_of_80_columns(whole: Page) -> None:
+    wide = replace(whole, sections=(*whole.sections, section("Wide", table(
+        [Column("name"), *(Column(f"joint number {k}, N m/A", Kind.NUMBER) for k in range(12))],
+        [[f"row {r}", *(1000.0 + k for k in range(12))] for r in range(2)],
+    ))))  # fmt: skip
+    text = plain(wide)
+    assert max(map(len, text.splitlines())) <= 80
+    assert text.isascii()
+    assert "\x1b" not in text
+    assert re.search(r"^left +good +2.6128 +2.597 to 2.629 +0.61$", text, re.MULTILINE)
+    assert text.count("row 1") > 1  # a table too wide is broken, and repeats its first column
+    assert sum(line.count("1005") for line in text.splitlines()) == 2  # and no number twice
+    assert NASTY in text
+    assert "inside" in text
+
+
+def test_a_path_stays_in_one_piece() -> None:
+    path = "/somewhere/" + "very-long-name/" * 8 + "log.csv"
+    assert path in plain(page("", section("", Text(f"cannot read {path} at all"))))
+
+
+def test_findings_are_listed_by_grade() -> None:
+    columns = (Column("grade", Kind.BADGE), Column("where"), Column("what", Kind.SENTENCE), Column("do", Kind.SENTENCE))
+    rows = [("worth mending", "free", "it is held", "log faster"), ("for information", "", "a clock", "")]
+    text = plain(page("", section("Findings", table(columns, rows, listed=True))))
+    assert text.splitlines()[1:] == [
+        "Worth mending:",
+        "- free: it is held; log faster",
+        "For information:",
+        "- a clock",
+    ]
+
+
+# HTML
+
+
+def test_html_escapes_everything_and_loads_nothing(whole: Page) -> None:
+    text = html(whole)
+    assert "<b onclick" not in text
+    assert "&lt;b onclick" in text
+    assert not re.search(r"(src|href)=\"(?!#|data:)", text)
+    assert "default-src &#39;none&#39;" in text
+    assert text.count('class="chart"') == 1
+    assert '<td class="n" data-value="">\N{EN DASH}</td>' in text
+    assert "<details><summary>folded</summary>" in text
+    assert html(whole) == text
+
+
+def test_a_frame_of_a_notebook_holds_a_page(whole: Page) -> None:
+    text = frame(whole)
+    assert text.startswith('<iframe srcdoc="')
+    assert text.count("<") == 2
+
+
+def test_an_svg_takes_the_colours_of_the_page(whole: Page) -> None:
+    text = svg_of(
+        intervals(["left", NASTY], [1.0, None], [0.1, None], "gain, %", other=("prior", [1.2, 3.0]), zero=True)
+    )
+    assert "var(--predicted)" in text or "var(--accent)" in text
+    assert "&lt;b onclick" in text
+    assert not re.search(r"\d\.\d{3,}", text)
+    assert len(text) < 20_000
+
+
+# Figures
+
+
+def test_a_figure_shows_the_series_of_its_chart(whole: Page) -> None:
+    chart = whole.sections[2].items[0]
+    assert isinstance(chart, Chart)
+    figure = figure_of(chart)
+    (axes,) = figure.axes
+    assert [line.get_label() for line in axes.get_lines()] == ["joint 0", "joint 1"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time, s", "torque, N m")
+    assert axes.get_lines()[1].get_color() == palette()["c1"]
+
+
+def test_a_figure_draws_a_matrix_spans_and_steps() -> None:
+    x, y = Axis("x"), Axis("y")
+    panels = (
+        Panel(x, y, matrix=np.array([[1.0, -0.5], [-0.5, 1.0]])),
+        Panel(x, y, (Series("", np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.0]), mark="spans"),)),
+        Panel(x, y, (Series("", np.arange(4.0), np.ones(3), mark="steps"),), band=(0.2, 0.4)),
+    )
+    image, spans, steps = figure_of(Chart(panels)).axes
+    assert image.images[0].get_array().shape == (2, 2, 4)
+    assert len(spans.collections[0].get_paths()) == 2
+    assert len(steps.patches) == 2
+
+
+def test_robots_are_drawn_once(whole: Page) -> None:
+    text = html(page("robot", section("Robot", Drawing(load_robot("five-bar")))))
+    assert text.count("<svg") == 1
+    assert "payload on right_forearm" in text
+
+
+# Time series
+
+
+def test_series_share_the_budget_of_a_page_and_equal_arrays_are_packed_once() -> None:
+    time = np.arange(60_000) / 1000
+    panels = tuple(Panel(Axis("time, s"), Axis("N m"), lines_of(time, 3)) for _ in range(24))
+    both = (section("a", Chart(panels, live=True)), section("b", Chart(panels, live=True), folded=True))
+    arrays = arrays_for(both)
+    specs = [spec_of(panel, arrays, "g", True) for panel in (*panels, *panels)]
+    assert len({spec["x"] for spec in specs}) == 1
+    assert len(arrays.keys) == 4
+    assert arrays.buckets == 450_000 // (2 * 2 * 24 * 3)
+
+
+def test_an_envelope_keeps_every_extreme_in_its_place(rng: np.random.Generator) -> None:
+    time = np.arange(10_007) / 1000
+    values = rng.normal(size=(len(time), 3))
+    values[4321, 1] = 50.0
+    values[77, 2] = -40.0
+    thin_time, thin = envelope(time, values, 500)
+    assert len(thin_time) == len(thin) <= 1000
+    assert np.all(np.diff(thin_time) >= 0)
+    np.testing.assert_array_equal(np.nanmax(thin, axis=0), values.max(axis=0))
+    np.testing.assert_array_equal(np.nanmin(thin, axis=0), values.min(axis=0))
+    spike = thin_time[np.argmax(thin[:, 1])]
+    assert abs(spike - time[4321]) < 2 * len(time) / 500 / 1000
+    kept_time, kept = envelope(time[:900], values[:900], 500)
+    np.testing.assert_array_equal(kept, values[:900])
+    np.testing.assert_array_equal(kept_time, time[:900])
+
+
+def test_an_envelope_leaves_gaps_open() -> None:
+    values = np.ones((4000, 1))
+    values[1000:2000] = np.nan
+    _, thin = envelope(np.arange(4000.0), values, 400)
+    assert np.isnan(thin[200:400]).all()
+    assert np.isfinite(thin[:190]).all()
+
+
+def test_stretches_that_are_masked() -> None:
+    time = np.arange(10.0)
+    masked = np.array([1, 1, 0, 0, 1, 0, 1, 0, 0, 1], dtype=bool)
+    np.testing.assert_array_equal(stretches(time, masked), [0, 2, 4, 5, 6, 7, 9, 9])
+    fine = np.linspace(0.0, 1.0, 5001)
+    close = np.zeros(5001, bool)
+    close[[100, 102, 3000]] = True
+    np.testing.assert_allclose(stretches(fine, close), [0.02, 0.0206, 0.6, 0.6002])
+    assert stretches(time, np.zeros(10, dtype=bool)).size == 0
