@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest, percent
-from gtau.estimation.thresholds.geometry import POSE_DELAY_STD
+from gtau.estimation.thresholds.logs import POSE_DELAY_STD
 from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, colour, section, table
 
 STYLES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
