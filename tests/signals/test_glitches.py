@@ -79,7 +79,7 @@ def test_it_does_not_matter_how_much_is_read_at_once(rng: np.random.Generator) -
     places = np.r_[399, 400, 799, 1201, 2000, 2001]
     columns["qa"][places] += 0.5
     whole, notes = read(columns)
-    with working_with(Sizes(block=400, landmark=128)):
+    with working_with(Sizes(block=400)):
         blocks, again = read(columns)
     assert notes == again
     assert notes[0].what.startswith("interpolated 6 positions")

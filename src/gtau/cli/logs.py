@@ -39,11 +39,9 @@ def check(
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
             from gtau.estimation.grades import EXIT_CODES
-            from gtau.parallel.cache import cache_folder, caching_map
-            from gtau.parallel.executor import in_order, serial_map
             from gtau.report.log_page import describe_logs, log_page, write_check
 
-            checked = check_logs(experiment, progress, in_order(caching_map(serial_map, cache_folder())))
+            checked = check_logs(experiment, progress)
         written: list[Path] = []
         notes: list[str] = []
         if out is not None:

@@ -15,7 +15,7 @@ from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import lag_notes, require_felt_payload
 from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.grades import Grade, by_grade, grade_of
-from gtau.estimation.regression.dataset import Dataset, Mapper, model_of, prepare_runs, reduce_runs, robot_notes
+from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.scale_source import require_scale
@@ -113,11 +113,10 @@ class ExperimentCheck:
         return html
 
 
-def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = map) -> ExperimentCheck:
+def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck:
     """Find everything in the logs of an experiment file that an identification would refuse, suffer from or mention.
 
-    A log that cannot be used does not keep the others from being checked. ``mapper`` reduces the runs as in
-    :func:`gtau.identify`.
+    A log that cannot be used does not keep the others from being checked.
 
     Raises
     ------
@@ -165,7 +164,6 @@ def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = m
             [each.run for each in prepared_runs],
             preparation,
             progress=progress,
-            mapper=mapper,
             priors=experiment.expected_parameters,
         )
         notes += _together(dataset, experiment.expected_gains)

@@ -16,7 +16,7 @@ from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
-from gtau.estimation.regression.dataset import Mapper, reduce_runs
+from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
@@ -41,7 +41,6 @@ def identify(
     priors: Mapping[str, Prior] | None = None,
     accuracy: float = ACCURACY,
     progress: Progress = silent,
-    mapper: Mapper = map,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
 
@@ -75,9 +74,6 @@ def identify(
         Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
     progress : callable, optional
         Called as the work goes on.
-    mapper : callable, optional
-        Where parts of the runs are reduced; see :data:`gtau.estimation.regression.dataset.Mapper` and
-        :mod:`gtau.parallel`.
 
     Returns
     -------
@@ -109,7 +105,7 @@ def identify(
     gains = gains_for(estimator, robot, runs, prior_gains)
     with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
         dataset = reduce_runs(
-            robot, runs, decimator=options.decimator, progress=progress, mapper=mapper, priors=usable(estimator, priors)
+            robot, runs, decimator=options.decimator, progress=progress, priors=usable(estimator, priors)
         )
         system = dataset.system(Friction())
         if gains is None:

@@ -10,7 +10,8 @@ import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.report.style import BLACK, GREY, LINES, joint_label, light_grid, new_figure, save_figure, styled
-from gtau.signals.run import Run
+from gtau.signals.log_set import find_logs
+from gtau.signals.run import Log, Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +23,7 @@ LEGEND = 95  # letters in a line of the legend
 
 def preparation_figure(log: LogCheck) -> Figure:
     """Draw the spectra of a log's joints, the steps of its clock, and which rows of each joint are used."""
-    stamps = None if log.run.log is None else log.run.log.stamps_read()
+    stamps = None if log.run.log is None else _stamps(log.run.log)
     joints = log.run.joints
     with styled():
         figure = new_figure(7.2, 6.4 + 0.16 * len(joints) + (1.6 if stamps is not None else 0.0))
@@ -41,6 +42,12 @@ def preparation_figure(log: LogCheck) -> Figure:
         columns = min(len(joints), max(LEGEND // width, 1))
         figure.legend(handles=speed.get_lines()[: len(joints)], loc="outside upper center", ncols=columns)
     return figure
+
+
+def _stamps(log: Log) -> np.ndarray:
+    """Read the time column (N,) of a whole log, s."""
+    time = np.concatenate([values[:, -1] for values in find_logs(log.paths, log.signals, log.units).blocks()])
+    return np.asarray(time[np.isfinite(time)])
 
 
 def _spectra(axes: Axes, log: LogCheck, what: str) -> None:

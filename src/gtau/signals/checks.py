@@ -73,15 +73,12 @@ def check(
     samples = complete(source, blocks, notes, part)
     _refuse_stuck(samples, notes)
     _refuse_standing_time(samples)
-    every = len(samples.time)
-    samples = drop_repeated(samples, notes, settings.clock)
-    dropped = len(samples.time) < every
+    samples = _without_repeated(samples, notes, settings.clock)
     clock = clock_of(samples.time, samples.position, settings.clock)
     _refuse_rates(samples, clock)
     if settings.clock is None:
         _refuse_late(samples, clock)
-    wraps = _wraps(samples, notes)
-    samples = unwrapped(samples, wraps)
+    samples = _unwrapped(samples, _wraps(samples, notes))
     instants, holds = clock.instants(samples.time), holds_of(samples)
     if glitches := find_glitches(samples, instants, holds.position):
         notes.append(note_on(samples, glitches))
@@ -90,8 +87,8 @@ def check(
         instants, holds = clock.instants(samples.time), holds_of(samples)
     _refuse_slips(samples, instants, holds.position)
     clips = tuple(clipped(samples, notes))
-    grid = Resampling(clock, clips, holds, settings.delay, dropped, glitches)
-    return uniform(samples, instants, wraps, grid, settings.clock is not None, notes)
+    grid = Resampling(clock, clips, holds, settings.delay)
+    return uniform(samples, instants, grid, settings.clock is not None, notes)
 
 
 def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
@@ -134,7 +131,7 @@ def _quoted(names: Sequence[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 
-def drop_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None = None) -> Samples:
+def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None) -> Samples:
     """Drop samples with the time and values of the one before.
 
     Where samples with the same time have different values they are kept, all of them: their stamps are late.
@@ -199,16 +196,14 @@ def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
     return wraps
 
 
-def unwrapped(samples: Samples, wraps: np.ndarray, first: np.ndarray | None = None) -> Samples:
-    """Unwrap the joints that have ``wraps``, from a ``first`` position (n,) on if it is known."""
+def _unwrapped(samples: Samples, wraps: np.ndarray) -> Samples:
+    """Unwrap the angles of the joints that have ``wraps`` (n,)."""
     if not wraps.any():
         return samples
     position = samples.position
 
     def parts() -> Iterator[np.ndarray]:
         turns = np.zeros(len(wraps))  # as far as the sample before
-        if first is not None:
-            turns += np.where(wraps, 2 * np.pi * np.round((first - position[0]) / (2 * np.pi)), 0.0)
         for start, stop in ahead(len(position)):
             part = block(position, start, stop)
             more = np.where(wraps, np.unwrap(part, axis=0), part) + turns

@@ -8,7 +8,7 @@ are smooth in true time.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -49,8 +49,6 @@ class Clock:
         Longest step, s, that lacks no sample.
     gaps : tuple
         Of a regular clock: pairs of a sample and how many are missing before it; -1 where it repeats the one before.
-    shift : int
-        How many are missing before the first of these gaps.
     late : float
         How late stamps of a regular clock are at most, compared with the earliest, s; 0 where only rounded.
     packets : bool
@@ -67,7 +65,6 @@ class Clock:
     before_longest: int
     whole: float
     gaps: tuple[tuple[int, int], ...] = ()
-    shift: int = 0
     late: float = 0.0
     packets: bool = False
 
@@ -96,13 +93,7 @@ class Clock:
     def _sums(self) -> tuple[np.ndarray, np.ndarray]:
         """Samples with gaps before them, and how many are missing in all before each and behind the last."""
         pairs = np.array(self.gaps, dtype=int).reshape(-1, 2)
-        return pairs[:, 0], self.shift + np.concatenate([[0], np.cumsum(pairs[:, 1])])
-
-    def between(self, first: int, stop: int) -> Clock:
-        """Restrict the clock to samples from ``first`` to before ``stop``."""
-        samples, missing = self._sums
-        a, b = np.searchsorted(samples, [first, stop])
-        return replace(self, gaps=self.gaps[a:b], shift=int(missing[a]))
+        return pairs[:, 0], np.concatenate([[0], np.cumsum(pairs[:, 1])])
 
 
 def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "regular"] | None = None) -> Clock:

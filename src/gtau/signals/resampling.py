@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.clock import Clock
-from gtau.signals.glitches import Glitch
 from gtau.signals.held import Holds
 from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import MAX_MISSING, Samples, counted
-from gtau.signals.sizes import sizes
 from gtau.signals.storage import Store, block, spans, store
 
 MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
@@ -34,38 +32,6 @@ class UniformSamples:
     command: np.ndarray
     valid: np.ndarray
     notes: tuple[Note, ...]
-    findings: Findings
-
-
-@dataclass(frozen=True, eq=False)
-class Findings:
-    """What was found in the whole of a log, and any part of it depends on.
-
-    Attributes
-    ----------
-    grid : Resampling
-        Clock, holds and masks.
-    wraps : ndarray
-        (n,) whether a joint's angle jumped by turns.
-    rows, instants, position : ndarray
-        Of one complete sample in ``landmark``: its row (K,) in the log, instant (K,) in s, and position (K, n) without
-        jumps.
-    landmark : int
-        Samples from one of these to the next.
-    last : int
-        Row of the last sample.
-    samples : int
-        How many complete samples there are.
-    """
-
-    grid: Resampling
-    wraps: np.ndarray
-    rows: np.ndarray
-    instants: np.ndarray
-    position: np.ndarray
-    landmark: int
-    last: int
-    samples: int
 
 
 @dataclass(frozen=True)
@@ -73,32 +39,21 @@ class Resampling:
     """How a log is put on a uniform grid.
 
     The ``clock`` of its samples, columns of the commands with the levels at which they are ``clipped``, how positions
-    and commands are held, by how much commands lag (``delay``, s), whether samples that repeat the time and values
-    of the one before are left out, and the ``glitches`` of the positions, by numbers of the samples that are left.
+    and commands are held, and by how much commands lag (``delay``, s).
     """
 
     clock: Clock
     clipped: tuple[tuple[int, float], ...]
     holds: Holds
     delay: float = 0.0
-    without_repeated: bool = False
-    glitches: tuple[Glitch, ...] = ()
 
     @property
     def direct(self) -> bool:
         """Whether the samples stand on the grid already."""
         return self.clock.gapless and self.holds.none and not self.delay
 
-    def between(self, first: int, stop: int) -> Resampling:
-        """Restrict it to samples from ``first`` to before ``stop``; glitches are then numbered from ``first``."""
-        here = (each for each in self.glitches if first <= each.sample < stop)
-        glitches = tuple(replace(each, sample=each.sample - first) for each in here)
-        return replace(self, clock=self.clock.between(first, stop), glitches=glitches)
 
-
-def uniform(
-    samples: Samples, instants: np.ndarray, wraps: np.ndarray, grid: Resampling, given: bool, notes: list[Note]
-) -> UniformSamples:
+def uniform(samples: Samples, instants: np.ndarray, grid: Resampling, given: bool, notes: list[Note]) -> UniformSamples:
     """Put samples taken at their ``instants`` onto a uniform ``grid``; of a clock that was ``given`` or found.
 
     Raises
@@ -114,21 +69,11 @@ def uniform(
         )
     count = clock.count
     time = store(clock.time(*span) for span in spans(count))
-    findings = Findings(
-        grid=grid,
-        wraps=wraps,
-        rows=_landmarks(samples.rows),
-        instants=_landmarks(instants),
-        position=_landmarks(samples.position),
-        landmark=sizes().landmark,
-        last=int(samples.rows[-1]),
-        samples=len(samples.rows),
-    )
     n, c = len(source.joints), samples.command.shape[1]
     if grid.direct:
         valid = store((unclipped(block(samples.command, *span), grid.clipped) for span in spans(count)), (c,), bool)
         notes += _of_clock(clock, given)
-        return UniformSamples(time, samples.position, samples.command, valid, tuple(notes), findings)
+        return UniformSamples(time, samples.position, samples.command, valid, tuple(notes))
     positions, commands, masks = Store((n,)), Store((c,)), Store((c,), bool)
     missing, masked = 0, 0
     for span in spans(count):
@@ -151,7 +96,7 @@ def uniform(
     if grid.delay:
         what = f"moved the commands {grid.delay * 1e3:.4g} ms forward, as preparation.delay says"
         notes.append(Note(Kind.READING, what))
-    return UniformSamples(time, positions.array(), commands.array(), masks.array(), tuple(notes), findings)
+    return UniformSamples(time, positions.array(), commands.array(), masks.array(), tuple(notes))
 
 
 def _of_clock(clock: Clock, given: bool) -> list[Note]:
@@ -175,10 +120,6 @@ def _of_clock(clock: Clock, given: bool) -> list[Note]:
         f"{clock.rate:.2f} Hz instead, {why}"
     )
     return [Note(Kind.READING, what)]
-
-
-def _landmarks(array: np.ndarray) -> np.ndarray:
-    return np.concatenate([block(array, k, k + 1) for k in range(0, len(array), sizes().landmark)])
 
 
 def resampled(

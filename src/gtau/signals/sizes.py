@@ -20,15 +20,12 @@ class Sizes:
         Bytes of an array that are not worth a file.
     rows, text : int
         Rows of a table, and bytes of a text file, that are read at once.
-    landmark : int
-        Samples from one that is known by its place in the log to the next.
     """
 
     block: int = 1 << 16
     in_memory: int = 1 << 22
     rows: int = 1 << 16
     text: int = 1 << 22
-    landmark: int = 4096
 
 
 _current: ContextVar[Sizes] = ContextVar("sizes", default=Sizes())  # noqa: B039 (it is frozen)

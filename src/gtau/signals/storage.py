@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import mmap
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -89,48 +88,6 @@ def store(blocks: Iterable[np.ndarray], width: tuple[int, ...] = (), dtype: type
     for each in blocks:
         rows.append(each)
     return rows.array()
-
-
-class Placed:
-    """An array of ``samples`` rows of which only some are put in; the others are zero, and take no room.
-
-    Parameters
-    ----------
-    samples : int
-        Rows.
-    width : tuple of int
-        Shape of a row.
-    dtype : type
-        Of the entries.
-    """
-
-    def __init__(self, samples: int, width: tuple[int, ...] = (), dtype: type = float):
-        self._shape, self._dtype = (samples, *width), dtype
-        self._row = np.dtype(dtype).itemsize * math.prod(width)
-        self._file: BinaryIO | None = None
-        if samples * self._row <= sizes().in_memory:
-            self._held: np.ndarray = np.zeros(self._shape, dtype)
-            return
-        with _room():
-            self._file = cast(BinaryIO, tempfile.TemporaryFile())  # noqa: SIM115 (it lives as long as what is mapped)
-            self._file.truncate(samples * self._row)
-
-    def put(self, first: int, rows: np.ndarray) -> None:
-        """Put rows in, the first as row ``first``; raises GtauError where the folder for temporary files is full."""
-        if self._file is None:
-            self._held[first : first + len(rows)] = rows
-            return
-        with _room():
-            self._file.seek(first * self._row)
-            self._file.write(np.ascontiguousarray(rows, self._dtype).tobytes())
-
-    def array(self) -> np.ndarray:
-        """Return all rows; raises GtauError where the folder for temporary files is full."""
-        if self._file is None:
-            return self._held
-        with _room():
-            self._file.flush()
-        return _mapped(self._file, self._shape, self._dtype)
 
 
 def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
