@@ -23,6 +23,7 @@ from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.remarks import near_singularities, not_separated
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
 from gtau.model.home import load_robot
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singularities
 from gtau.progress import Progress, silent
@@ -113,6 +114,7 @@ class ExperimentCheck:
         return html
 
 
+@single_threaded_blas()
 def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck:
     """Find everything in the logs of an experiment file that an identification would refuse, suffer from or mention.
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.log_checks import lag_notes, require_felt_payload
@@ -22,6 +21,7 @@ from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.home import load_robot
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.data_sheets import Drive, data_sheet_notes
@@ -103,7 +103,7 @@ def identify(
     priors = priors or {}
     require_priors_taken(estimator, runs, stated or {}, consistent)
     gains = gains_for(estimator, robot, runs, prior_gains)
-    with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
+    with single_threaded_blas():
         dataset = reduce_runs(
             robot, runs, decimator=options.decimator, progress=progress, priors=usable(estimator, priors)
         )
