@@ -21,10 +21,8 @@ from gtau.errors import GtauError
 from gtau.signals.filters import position_filter
 from gtau.signals.preparation import Preparation, prepare
 from gtau.signals.preparation_choice import choose_preparation
-from gtau.signals.quantiles import Quantiles, medians
 from gtau.signals.run import Run, read_run
-from gtau.signals.sizes import Sizes, working_with
-from gtau.signals.storage import Store, block, store
+from gtau.signals.storage import Sizes, Store, block, store, working_with
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE = 6000, 500.0
@@ -144,29 +142,6 @@ def test_samples_of_a_block_are_those_of_the_whole(cutoff: float | None, size: i
             one, other = getattr(part, name), getattr(same, name)
             atol = 1e-12 * np.abs(getattr(whole, name)).max() + rounding.get(name, 0.0)
             np.testing.assert_allclose(one, other, rtol=0, atol=atol)
-
-
-def test_quantiles_of_what_goes_by(rng: np.random.Generator) -> None:
-    values = np.abs(rng.standard_normal((5000, 2))) * [1.0, 1e-9]
-    values[:3000, 1] = 0.0
-    found = Quantiles(2)
-    for part in np.array_split(values, 7):
-        found.add(part)
-    for share in (0.5, 0.9, 0.999):
-        np.testing.assert_allclose(found.quantile(share), np.quantile(values, share, axis=0), rtol=0.02)
-
-
-@pytest.mark.parametrize("count", [1, 2, 4999, 5000])
-def test_medians_of_what_goes_by_are_exact(count: int, rng: np.random.Generator) -> None:
-    values = np.abs(rng.standard_normal((count, 4))) * [1.0, 1e-9, 0.0, 1.0]
-    values[:: 3 if count > 2 else count, 1] = np.nan
-    values[:, 3] = np.round(values[:, 3])  # many alike
-    expected = np.nanmedian(values[:, [0, 2, 3]], axis=0)
-    np.testing.assert_array_equal(medians(lambda: np.array_split(values, 7))[[0, 2, 3]], expected)
-    if count > 1:
-        assert medians(lambda: [values])[1] == np.nanmedian(values[:, 1])
-    else:
-        assert np.isnan(medians(lambda: [values])[1])
 
 
 def test_a_stored_array_is_what_was_written(rng: np.random.Generator) -> None:

@@ -36,8 +36,7 @@ from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation, PreparedRun
 from gtau.signals.preparation_choice import choose_preparation, moving_spectra
 from gtau.signals.run import Run, arrange
-from gtau.signals.sizes import sizes
-from gtau.signals.storage import Store
+from gtau.signals.storage import Store, sizes
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import pytest
 from gtau.errors import GtauError
 from gtau.signals.log_file import find_columns, read_log
 from gtau.signals.run import Run, read_run
-from gtau.signals.sizes import Sizes, working_with
+from gtau.signals.storage import Sizes, working_with
 
 N, RATE = 1500, 500.0
 JOINTS = ("shoulder", "elbow")

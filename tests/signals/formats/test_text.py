@@ -10,7 +10,7 @@ import pytest
 
 from gtau.errors import GtauError
 from gtau.signals.run import read_run
-from gtau.signals.sizes import Sizes, working_with
+from gtau.signals.storage import Sizes, working_with
 
 N = 600
 TIME = np.arange(N) / 500

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
 from gtau.signals.formats.table import Table
-from gtau.signals.sizes import sizes
+from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl

@@ -15,7 +15,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.signals.formats.table import WIDEST, Table, common_length, readable
-from gtau.signals.sizes import sizes
+from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl

@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.notes import Note
-from gtau.signals.sizes import sizes
+from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from gtau.errors import GtauError
 from gtau.signals.formats.table import Table
 from gtau.signals.formats.text_layout import BOM, Layout, layout_of, split
-from gtau.signals.sizes import sizes
+from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl
