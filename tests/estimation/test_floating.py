@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import pickle
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from floating_logs import AT_HOOK, AT_PLATE, BY_GAUGE, GAINS, HOOK, POSE, Truth, deviations, experiment, simulated
+from floating_logs import AT_HOOK, AT_PLATE, GAINS, HOOK, POSE, Truth, deviations, experiment, simulated
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
@@ -65,39 +64,6 @@ def test_an_arm_at_rest_on_a_force_plate(tmp_path: Path) -> None:
     assert not [note for note in map(str, result.notes) if "trunk" in note and "moves" in note]
 
 
-def test_an_accelerometer_stands_for_the_position(hung: Truth, tmp_path: Path) -> None:
-    """What it reads twice integrated drifts by meters; the accelerations of that are all that matters."""
-    path = experiment(tmp_path, f"{{body: trunk, {BY_GAUGE}, wrenches: [{AT_HOOK}]}}", hung)
-    result = identify(path)
-    for joint, gain in GAINS.items():
-        assert result.drive_gains[joint].value == pytest.approx(gain, rel=0.005)
-    z = deviations(result, hung.chi)
-    assert len(z) == 46
-    assert np.sqrt(np.mean(z**2)) < 1.6
-    assert np.abs(z).max() < 4.5
-    run = read_run(tmp_path / "log.csv", **signals(path))
-    again = pickle.loads(pickle.dumps(run.only(range(500, 600))))
-    assert np.array_equal(again.position[500:600], run.position[500:600])
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"ax": 1 / 9.81, "ay": 1 / 9.81, "az": 1 / 9.81}, "it seems to read in g"),
-        ({"ay": -1.0, "az": -1.0}, "it points down"),
-        ({"ax": "az", "az": "ax"}, "its axes are those of the base"),
-    ],
-    ids=["g", "upside down", "axes"],
-)
-def test_an_accelerometer_that_does_not_read_gravity(change: dict, says: str, hung: Truth, tmp_path: Path) -> None:
-    columns = dict(hung.columns)
-    for name, factor in change.items():
-        columns[name] = hung.columns[factor] if isinstance(factor, str) else factor * columns[name]
-    path = experiment(tmp_path, f"{{body: trunk, {BY_GAUGE}, wrenches: [{AT_HOOK}]}}", Truth(hung.chi, columns))
-    with pytest.raises(GtauError, match=says):
-        read_run(tmp_path / "log.csv", **signals(path))
-
-
 def test_in_flight_the_weighed_mass_gives_the_scale(tmp_path: Path) -> None:
     """Nothing acts on the robot: its base equations give all parameters as multiples of its mass, which is weighed."""
     truth = simulated(5, flying=True)
@@ -145,19 +111,11 @@ REFUSED = [
     ("order of the quaternion", BASE.replace("[qw, qx, qy, qz]", "[q1, qx, qy, qz]"), {}, "has the length"),
     ("twice", BASE.replace("[hx, hy, hz]", "[hx, hy, px]"), {}, "the column 'px' is given twice"),
     ("a pose too", BASE + "\n  pose: {source: tracker, position: {x: px}}", {}, "of one that floats; remove 'pose'"),
-    ("two positions", f"{{body: trunk, position: [px, py, pz], {BY_GAUGE}}}", {}, "remove one, the noisier of them"),
     (
-        "no orientation",
+        "accelerometer",
         "{body: trunk, accelerometer: {columns: [ax, ay, az]}}",
         {},
-        "needs the 'quaternion' of the base",
-    ),
-    ("world", f"{{body: trunk, {BY_GAUGE}, wrenches: [{AT_PLATE}]}}", {}, "does not say where the base is"),
-    (
-        "gravity",
-        BASE.replace(POSE, BY_GAUGE.replace("columns", "gravity: 9.81, columns")),
-        {},
-        "reads 9.81 m/s2 up",
+        "unknown key 'accelerometer'",
     ),
     ("nothing", "{body: trunk}", {}, "it names no columns; give 'position' and 'quaternion'"),
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import re
 from pathlib import Path
 
@@ -15,10 +14,7 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import reduce_runs, reduce_shard
-from gtau.estimation.regression.factors import CURRENTS, PUSH, joined
 from gtau.estimation.results.result import Result
-from gtau.model.home import load_robot
 from gtau.signals.experiment import read_experiment
 from gtau.signals.notes import Kind
 from gtau.signals.run import read_run
@@ -154,22 +150,6 @@ def test_check_shows_the_wrench(units: str, standing: Truth, tmp_path: Path) -> 
     weight = 9.80665 * sum(value for name, value in standing.chi.items() if name.startswith("m_"))
     assert (wrench.body, wrench.axes) == ("3", "body")
     assert wrench.force_rms == pytest.approx(weight, rel=0.1)
-
-
-def test_parts_sent_to_other_processes_give_the_same_factors(leaning: Truth, tmp_path: Path) -> None:
-    described = read_experiment(experiment(tmp_path, f"{HELD}\n  wrenches: [{AT_SOLE}, {ON_PLATE}]", leaning))
-    run = read_run(tmp_path / "log.csv", signals=described.signals, units=described.units)
-    data = reduce_runs(load_robot(described.robot), [run], shard=500)
-    ((*shards,),) = data.parts()
-    assert len(shards) == 3
-    assert data.factors[0].R[..., -CURRENTS - PUSH].any()
-    sent = joined([reduce_shard(pickle.loads(pickle.dumps(shard))) for shard in shards])
-    assert np.array_equal(sent.rows, data.factors[0].rows)
-    assert np.array_equal(sent.R, data.factors[0].R)
-    whole = reduce_runs(load_robot(described.robot), [run]).factors[0]
-    assert np.array_equal(whole.rows, sent.rows)
-    gram, parts = (np.einsum("sjpq,sjpr->jqr", R, R) for R in (whole.R, sent.R))
-    assert parts == pytest.approx(gram, rel=1e-9, abs=1e-9 * np.abs(gram).max())
 
 
 @pytest.mark.parametrize(("factor", "wrong"), [(1.0, False), (1e-3, True)], ids=["N", "kN"])

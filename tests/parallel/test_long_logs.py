@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.signals.experiment import Experiment, read_experiment
 from gtau.signals.log_file import read_log
-from gtau.signals.log_slice import read_excerpt
 
 HEAD = EXPERIMENT.split("runs:")[0] + "runs:\n"
 
@@ -108,20 +106,3 @@ def test_a_folder_of_parquet_files_is_one_log(tmp_path: Path) -> None:
 def test_numbers_in_names_are_numbers() -> None:
     paths = [Path(name) for name in ("b", "a10", "a9", "a", "a9b", "10", "9")]
     assert [str(path) for path in in_order(paths)] == ["9", "10", "a", "a9", "a9b", "a10", "b"]
-
-
-def test_a_run_sent_to_another_process_is_of_the_same_log(tmp_path: Path) -> None:
-    """A worker that lives on between jobs must not take an old log for a new one, nor the other way round."""
-    experiment = read(tmp_path, f"  - log: {write_log(tmp_path / 'a.csv', Plant(noise=0.01).run('a', seconds=6.0))}\n")
-    (run,) = read_runs(experiment, experiment.runs)
-    sent = pickle.dumps(run)
-    assert len(sent) < 10_000
-    assert np.array_equal(pickle.loads(sent).command, run.command)
-    write_log(tmp_path / "a.csv", Plant(noise=0.02).run("a", seconds=6.0))
-    (changed,) = read_runs(experiment, experiment.runs)
-    assert np.array_equal(pickle.loads(pickle.dumps(changed)).command, changed.command)
-    write_log(tmp_path / "a.csv", Plant(noise=0.03).run("a", seconds=6.0))
-    assert np.array_equal(pickle.loads(pickle.dumps(changed)).command, changed.command)  # it was read in time
-    read_excerpt.cache_clear()  # as in a process that has not read it
-    with pytest.raises(GtauError, match=r"a\.csv is not the one that was read where this was begun, or has"):
-        pickle.loads(pickle.dumps(changed))

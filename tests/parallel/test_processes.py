@@ -1,4 +1,4 @@
-"""Work in processes of this machine, some of which die, and the order of its results."""
+"""Work in processes of this machine, some of which die."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ import pytest
 import shard_functions
 from shard_functions import fragile, limits, square
 
-from gtau.errors import GtauError
-from gtau.parallel.executor import in_order, serial_map
 from gtau.parallel.process_executor import process_map
 
 
@@ -23,7 +21,7 @@ def test_every_item_once(jobs: int) -> None:
     assert sorted(process_map(square, range(12), jobs)) == [(k, k * k) for k in range(12)]
 
 
-def test_a_shard_that_kills_its_process_is_reported_and_the_others_are_done() -> None:
+def test_an_item_that_kills_its_process_is_reported_and_the_others_are_done() -> None:
     found = dict(process_map(fragile, range(8), 2))
     assert "died" in str(found.pop(3))
     assert found == {k: k * k for k in range(8) if k != 3}
@@ -31,19 +29,6 @@ def test_a_shard_that_kills_its_process_is_reported_and_the_others_are_done() ->
 
 def test_a_process_has_one_thread() -> None:
     assert dict(process_map(limits, range(2), 2)) == {0: "1", 1: "1"}
-
-
-def test_results_in_order() -> None:
-    def backwards(function, items):
-        return [(k, function(items[k])) for k in reversed(range(len(items)))]
-
-    assert list(in_order(backwards)(square, range(5))) == [0, 1, 4, 9, 16]
-    assert list(in_order(serial_map)(square, range(5))) == [0, 1, 4, 9, 16]
-
-
-def test_an_error_in_its_turn_is_raised() -> None:
-    with pytest.raises(GtauError, match="no two"):
-        list(in_order(lambda function, items: [(0, 1), (1, GtauError("no two."))])(square, range(2)))
 
 
 def _hear_ctrl_c() -> None:

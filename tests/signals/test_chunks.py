@@ -4,32 +4,25 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
-from five_bar_logs import JOINTS, Plant, five_bar
 
 import gtau.signals.formats.table
 import gtau.signals.formats.text
 import gtau.signals.storage
 from gtau.errors import GtauError
-from gtau.estimation.regression.dataset import cut, joined, reduce_runs, reduce_shard
-from gtau.estimation.regression.factors import STRETCHES, HuberWeights
 from gtau.signals.filters import position_filter
 from gtau.signals.preparation import Preparation, prepare
 from gtau.signals.preparation_choice import choose_preparation
-from gtau.signals.quantiles import Quantiles, medians
-from gtau.signals.run import Run, arrange, read_run
-from gtau.signals.sizes import Sizes, working_with
-from gtau.signals.storage import Store, block, store
+from gtau.signals.run import Run, read_run
+from gtau.signals.storage import Sizes, Store, block, store, working_with
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE = 6000, 500.0
@@ -151,29 +144,6 @@ def test_samples_of_a_block_are_those_of_the_whole(cutoff: float | None, size: i
             np.testing.assert_allclose(one, other, rtol=0, atol=atol)
 
 
-def test_quantiles_of_what_goes_by(rng: np.random.Generator) -> None:
-    values = np.abs(rng.standard_normal((5000, 2))) * [1.0, 1e-9]
-    values[:3000, 1] = 0.0
-    found = Quantiles(2)
-    for part in np.array_split(values, 7):
-        found.add(part)
-    for share in (0.5, 0.9, 0.999):
-        np.testing.assert_allclose(found.quantile(share), np.quantile(values, share, axis=0), rtol=0.02)
-
-
-@pytest.mark.parametrize("count", [1, 2, 4999, 5000])
-def test_medians_of_what_goes_by_are_exact(count: int, rng: np.random.Generator) -> None:
-    values = np.abs(rng.standard_normal((count, 4))) * [1.0, 1e-9, 0.0, 1.0]
-    values[:: 3 if count > 2 else count, 1] = np.nan
-    values[:, 3] = np.round(values[:, 3])  # many alike
-    expected = np.nanmedian(values[:, [0, 2, 3]], axis=0)
-    np.testing.assert_array_equal(medians(lambda: np.array_split(values, 7))[[0, 2, 3]], expected)
-    if count > 1:
-        assert medians(lambda: [values])[1] == np.nanmedian(values[:, 1])
-    else:
-        assert np.isnan(medians(lambda: [values])[1])
-
-
 def test_a_stored_array_is_what_was_written(rng: np.random.Generator) -> None:
     values = rng.normal(size=(1000, 3))
     for limit in (100, 10**9):
@@ -195,67 +165,6 @@ def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         working_with(Sizes(in_memory=10)),
     ):
         store([np.ones(100)])
-
-
-def test_a_run_from_a_log_travels_as_its_log(tmp_path: Path, rng: np.random.Generator) -> None:
-    pl.DataFrame(columns(rng)).write_csv(tmp_path / "log.csv")
-    run = arrange(read_run(tmp_path / "log.csv", SIGNALS, {"name": "L", "mass": 2.0}), ("b", "a"))
-    sent = pickle.dumps(run)
-    assert len(sent) < 3000
-    back = pickle.loads(sent)
-    assert (back.name, back.joints, back.payload, back.notes) == ("log", ("b", "a"), run.payload, run.notes)
-    np.testing.assert_array_equal(back.position, run.position)
-    changed = pickle.loads(pickle.dumps(replace(run, position=run.position + 1)))
-    np.testing.assert_array_equal(changed.position, run.position + 1)
-
-
-@pytest.mark.parametrize("kind", ["fir", "chebyshev"])
-def test_parts_of_a_run_give_the_factors_of_the_whole(kind: str) -> None:
-    run = Plant(noise=0.01).run("r", seconds=40.0)
-    data = reduce_runs(five_bar().robot, [run], decimator=kind)
-    (((part,),), (whole,)) = data.parts(), data.factors
-    assert part.stretches == range(STRETCHES)
-    weigh = HuberWeights(
-        np.random.default_rng(1).normal(size=(len(JOINTS), whole.R.shape[-1])), np.full(len(JOINTS), 0.5)
-    )
-    weighed = reduce_shard(replace(part, weigh=weigh))
-    for parts in (2, 7, STRETCHES):
-        edges = np.linspace(0, STRETCHES, parts + 1).astype(int)
-        pieces = [replace(part, stretches=range(a, b)) for a, b in pairwise(edges.tolist())]
-        for expected, pieces_of in (
-            (whole, pieces),
-            (weighed, [replace(piece, weigh=weigh) for piece in pieces]),
-        ):
-            found = joined([reduce_shard(piece) for piece in pieces_of])
-            np.testing.assert_array_equal(found.rows, expected.rows)
-            np.testing.assert_allclose(found.distances, expected.distances, rtol=1e-6)
-            np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-8, atol=1e-9)
-            a, b = (each.R.swapaxes(-1, -2) @ each.R for each in (found, expected))
-            size = np.sqrt(np.einsum("...ii->...i", b))
-            size = np.maximum(size, 1e-9 * size.max())
-            assert (np.abs(a - b) <= 1e-10 * size[..., :, None] * size[..., None, :]).all()
-
-
-def test_long_runs_are_cut_and_their_parts_mapped() -> None:
-    assert cut(100) == [range(STRETCHES)]
-    assert [len(cut(k << 19)) for k in (1, 2, 19, 20, 1000)] == [1, 2, 19, 20, 20]
-    assert [s for part in cut(7 << 19) for s in part] == list(range(STRETCHES))
-    run = Plant(noise=0.01).run("r")
-    whole = reduce_runs(five_bar().robot, [run])
-    seen: list[tuple[str, int, int]] = []
-    data = reduce_runs(five_bar().robot, [run], progress=lambda *what: seen.append(what), mapper=sent, shard=1000)
-    done = [(now, total) for what, now, total in seen if what == "model along the runs"]
-    assert len(done) == 1 + 4  # and 900 or more samples in each part
-    assert done[-1][0] == done[-1][1]
-    np.testing.assert_array_equal(data.factors[0].rows, whole.factors[0].rows)
-    a, b = data.system().problem, whole.system().problem
-    for one, other in zip(a.triangles, b.triangles, strict=True):
-        np.testing.assert_allclose(one.T @ one, other.T @ other, rtol=1e-9, atol=1e-9)
-
-
-def sent(function: Callable, parts: list) -> list:
-    """As another process would get the parts and give the factors back."""
-    return [pickle.loads(pickle.dumps(function(pickle.loads(pickle.dumps(part))))) for part in parts]
 
 
 ROBOT = """
@@ -294,7 +203,7 @@ def peak_mib(folder: Path, parts: int) -> float:
     (folder / "robot.yaml").write_text(ROBOT)
     (folder / "experiment.yaml").write_text(EXPERIMENT)
     arguments = [sys.executable, "-c", PROGRAM, "identify", str(folder / "experiment.yaml"), "--method", "wls"]
-    arguments += ["--no-cache", "--out", str(folder)]
+    arguments += ["--out", str(folder)]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2] / "src")}
     done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=True)
     found = {each["name"]: each["value"] for each in json.loads((folder / "model.json").read_text())["parameters"]}

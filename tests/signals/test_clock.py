@@ -68,9 +68,6 @@ def test_missing_samples_are_counted_behind_late_stamps(jitter: float, rng: np.r
     assert abs(clock.count - SAMPLES) <= (0 if jitter == 0 else 3)
     wrong = np.abs(np.diff(instants) - np.diff(regular()[kept])) > 0.5 * PERIOD
     assert wrong.sum() <= (0 if jitter == 0 else 6)
-    half = clock.between(9000, 15000)
-    np.testing.assert_allclose(half.instants(stamps[kept][9000:15000], 9000), instants[9000:15000], atol=1e-9)
-    assert len(half.gaps) < len(clock.gaps)
 
 
 @pytest.mark.parametrize("rate", [20.0, 50.0])

@@ -28,7 +28,6 @@ GAINS = {"1": 11.0, "2": 7.0, "3": 3.0}
 DRIVE = {"ia": 0.05, "fv": 0.4, "fs": 0.6, "off": 0.1}
 HOOK = np.array([0.1, -0.05, 0.2])  # of the force sensor on the base
 PLATE = np.array([0.3, 0.2, -1.0])  # of the force plate in the world
-GAUGE = np.array([0.05, 0.1, -0.02])  # of the accelerometer on the base
 SOLE = np.array([0.02, 0.0, -0.1])  # of the force sensor in the last link
 
 
@@ -135,7 +134,6 @@ def simulated(
 
         q[:, :6], qd[:, :6], qdd[:, :6] = in_flight(robot, chi, t, joints)
     hook, plate, sole, world = np.zeros((4, len(t), 6))
-    gauge = np.zeros((len(t), 3))
     tau, quaternion = np.zeros((len(t), 3)), []
     for k in range(len(t)):
         state = free_state(q[k, :6], qd[k, :6], qdd[k, :6])
@@ -153,8 +151,6 @@ def simulated(
         world[k] = [*of_world.linear, *(of_world.angular - np.cross(PLATE, of_world.linear))]
         hook[k] = [*force, *(moment - np.cross(HOOK, force))]
         plate[k] = [*(state.R @ force), *(state.R @ moment + np.cross(state.p - PLATE, state.R @ force))]
-        turning = np.cross(state.alpha, GAUGE) + np.cross(state.omega, np.cross(state.omega, GAUGE))
-        gauge[k] = state.R.T @ (state.a - np.array(robot.gravity)) + turning
         quaternion.append(Rotation.from_matrix(state.R).as_quat(scalar_first=True))
     for j, joint in enumerate(GAINS):
         tau[:, j] += DRIVE["ia"] * qdd[:, 6 + j] + DRIVE["fv"] * qd[:, 6 + j] + DRIVE["fs"] * np.sign(qd[:, 6 + j])
@@ -164,7 +160,6 @@ def simulated(
     for names, values, noise in (
         ("px py pz", 1e3 * q[:, :3], 0.05),  # mm
         ("qw qx qy qz", np.array(quaternion), 1e-4),
-        ("ax ay az", gauge, 0.02),
         ("hx hy hz", hook[:, :3], 0.5),
         ("hmx hmy hmz", hook[:, 3:], 0.05),
         ("gx gy gz", plate[:, :3], 0.5),
@@ -184,7 +179,6 @@ def simulated(
 
 
 POSE = "position: [px, py, pz], quaternion: [qw, qx, qy, qz]"
-BY_GAUGE = f"accelerometer: {{columns: [ax, ay, az], at: {GAUGE.tolist()}}}, quaternion: [qw, qx, qy, qz]"
 AT_HOOK = f"{{force: [hx, hy, hz], moment: [hmx, hmy, hmz], axes: base, at: {HOOK.tolist()}}}"
 AT_PLATE = f"{{force: [gx, gy, gz], moment: [gmx, gmy, gmz], axes: world, at: {PLATE.tolist()}}}"
 AT_SOLE = f"{{body: 3, force: [sx, sy, sz], moment: [smx, smy, smz], axes: body, at: {SOLE.tolist()}}}"

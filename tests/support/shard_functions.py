@@ -1,11 +1,10 @@
-"""Functions of a shard for other processes, in a module that is quick to import."""
+"""Functions of an item for other processes, in a module that is quick to import."""
 
 from __future__ import annotations
 
 import os
 import time
 from pathlib import Path
-from typing import Any
 
 from gtau.errors import GtauError
 
@@ -44,9 +43,7 @@ def slow(path: Path) -> None:
     time.sleep(60)
 
 
-def slow_reduce_shard(shard: Any) -> Any:
-    """Reduce slowly enough that a worker is killed in the middle."""
-    from gtau.estimation.regression.dataset import reduce_shard
-
+def slow_square(x: int) -> int:
+    """Slow enough that a worker is killed in the middle."""
     time.sleep(0.1)
-    return reduce_shard(shard)
+    return x * x

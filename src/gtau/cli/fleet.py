@@ -61,10 +61,10 @@ def fleet(
         try:
             with progress_bar() as progress, ExitStack() as stack:
                 if dask is not None:
-                    shard_map = partial(dask_map, client=stack.enter_context(connected(dask)))
+                    mapper = partial(dask_map, client=stack.enter_context(connected(dask)))
                 else:
-                    shard_map = partial(process_map, jobs=min(jobs or os.cpu_count() or 1, len(members)))
-                reports = identify_fleet(members, folder, shard_map, method, progress)
+                    mapper = partial(process_map, jobs=min(jobs or os.cpu_count() or 1, len(members)))
+                reports = identify_fleet(members, folder, mapper, method, progress)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"finished robots stay in {folder / 'models'}, and the same command continues with the others"

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Dask, ExperimentFile, Json, ModelFile, ReportFolder, print_json, progress_bar, refusals
+from gtau.cli.console import ExperimentFile, Json, ModelFile, ReportFolder, print_json, progress_bar, refusals
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.estimators.registry import NAMES
@@ -70,10 +70,6 @@ def identify(
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Print all parameters, the fit of each joint and all notes.")
     ] = False,
-    dask: Dask = None,
-    no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Neither use nor write the cache of reduced long logs.")
-    ] = False,
     json_: Json = False,
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
@@ -86,21 +82,16 @@ def identify(
         with progress_bar() as progress:
             from gtau.estimation.identify import identify as run
             from gtau.estimation.results.model_document import to_document
-            from gtau.parallel.cache import cache_folder, caching_map
-            from gtau.parallel.dask_executor import shard_map_at
-            from gtau.parallel.executor import in_order
 
-            with shard_map_at(dask) as shard_map:
-                result = run(
-                    experiment,
-                    method=method,
-                    ratio=ratio,
-                    as_paper=as_paper,
-                    consistent=consistent,
-                    accuracy=accuracy / 100,
-                    progress=progress,
-                    mapper=in_order(shard_map if no_cache else caching_map(shard_map, cache_folder())),
-                )
+            result = run(
+                experiment,
+                method=method,
+                ratio=ratio,
+                as_paper=as_paper,
+                consistent=consistent,
+                accuracy=accuracy / 100,
+                progress=progress,
+            )
         written = []
         if out is not None:
             from gtau.estimation.results.singularity_distances import write_distances

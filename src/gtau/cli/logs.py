@@ -39,11 +39,9 @@ def check(
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
             from gtau.estimation.grades import EXIT_CODES
-            from gtau.parallel.cache import cache_folder, caching_map
-            from gtau.parallel.executor import in_order, serial_map
             from gtau.report.check import check_document, check_page, write_check, write_preparation
 
-            checked = check_logs(experiment, progress, in_order(caching_map(serial_map, cache_folder())))
+            checked = check_logs(experiment, progress)
         written: list[Path] = []
         if out is not None:
             from gtau.report.write_reports import write_check_report

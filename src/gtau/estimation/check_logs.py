@@ -15,7 +15,7 @@ from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import lag_notes, require_felt_payload
 from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.grades import Grade, by_grade, grade_of
-from gtau.estimation.regression.dataset import Dataset, Mapper, model_of, prepare_runs, reduce_runs, robot_notes
+from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.scale_source import require_scale
@@ -23,6 +23,7 @@ from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.remarks import near_singularities, not_separated
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
 from gtau.model.home import load_robot
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singularities
 from gtau.progress import Progress, silent
@@ -35,8 +36,7 @@ from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation, PreparedRun
 from gtau.signals.preparation_choice import choose_preparation, moving_spectra
 from gtau.signals.run import Run, arrange
-from gtau.signals.sizes import sizes
-from gtau.signals.storage import Store
+from gtau.signals.storage import Store, sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +113,11 @@ class ExperimentCheck:
         return html
 
 
-def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = map) -> ExperimentCheck:
+@single_threaded_blas()
+def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck:
     """Find everything in the logs of an experiment file that an identification would refuse, suffer from or mention.
 
-    A log that cannot be used does not keep the others from being checked. ``mapper`` reduces the runs as in
-    :func:`gtau.identify`.
+    A log that cannot be used does not keep the others from being checked.
 
     Raises
     ------
@@ -165,7 +165,6 @@ def check_logs(path: str | Path, progress: Progress = silent, mapper: Mapper = m
             [each.run for each in prepared_runs],
             preparation,
             progress=progress,
-            mapper=mapper,
             priors=experiment.expected_parameters,
         )
         notes += _together(dataset, experiment.expected_gains)

@@ -10,7 +10,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau import display
 from gtau.errors import GtauError
@@ -24,6 +23,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.model.home import load_robot
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.units import torque_unit
 from gtau.signals.experiment import check_robot, read_experiment
@@ -120,7 +120,7 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
         std = np.array([gain.std for gain in gains], dtype=float)
         return Row(estimator.name, values, std, residuals, seconds, worst([gain.verdict for gain in gains]))
 
-    with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
+    with single_threaded_blas():
         dataset = reduce_runs(robot, runs, progress=progress, priors=priors)
         require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], "ml")
         chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or experiment.expected_gains]

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.log_checks import lag_notes, require_felt_payload
@@ -16,12 +15,13 @@ from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
-from gtau.estimation.regression.dataset import Mapper, reduce_runs
+from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.home import load_robot
+from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.data_sheets import Drive, data_sheet_notes
@@ -41,7 +41,6 @@ def identify(
     priors: Mapping[str, Prior] | None = None,
     accuracy: float = ACCURACY,
     progress: Progress = silent,
-    mapper: Mapper = map,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
 
@@ -75,9 +74,6 @@ def identify(
         Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
     progress : callable, optional
         Called as the work goes on.
-    mapper : callable, optional
-        Where parts of the runs are reduced; see :data:`gtau.estimation.regression.dataset.Mapper` and
-        :mod:`gtau.parallel`.
 
     Returns
     -------
@@ -107,9 +103,9 @@ def identify(
     priors = priors or {}
     require_priors_taken(estimator, runs, stated or {}, consistent)
     gains = gains_for(estimator, robot, runs, prior_gains)
-    with threadpool_limits(limits=1, user_api="blas"):  # on matrices this small, threads only wait for each other
+    with single_threaded_blas():
         dataset = reduce_runs(
-            robot, runs, decimator=options.decimator, progress=progress, mapper=mapper, priors=usable(estimator, priors)
+            robot, runs, decimator=options.decimator, progress=progress, priors=usable(estimator, priors)
         )
         system = dataset.system(Friction())
         if gains is None:

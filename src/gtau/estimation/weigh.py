@@ -24,7 +24,7 @@ from gtau.progress import Progress, silent
 from gtau.signals.run import without_sensors
 
 
-@single_threaded_blas
+@single_threaded_blas()
 def weigh(
     model: Result,
     experiment: str | Path,

@@ -61,7 +61,7 @@ class Stopped(GtauError):
     """The search was stopped before it had found a motion within the limits."""
 
 
-@single_threaded_blas
+@single_threaded_blas()
 def design(
     task: DesignProblem,
     criterion: str = "gains",

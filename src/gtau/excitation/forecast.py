@@ -75,7 +75,7 @@ def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
     return tuple(runs)
 
 
-@single_threaded_blas
+@single_threaded_blas()
 def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     """Predict the standard deviations that identification will reach with the motion ``x``.
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage, constraint_usages, usages_of_motion
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate, evaluate_one, objective
 from gtau.excitation.information import criterion
 from gtau.excitation.task import DesignProblem
+from gtau.model.interpreter.threads import single_threaded_blas
 
 ITERATIONS = 100
 TOLERANCE = 1e-3  # of the logarithm of the criterion: a tenth of a per cent
@@ -129,8 +129,7 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
             },
         },
     )
-    # with the solver's libraries loaded: on systems this small, their threads only wait for each other
-    with threadpool_limits(limits=1):
+    with single_threaded_blas():  # again, as the solver's libraries are loaded by now
         found = solver(x0=x, lbg=low, ubg=high)
     return np.array(found["x"]).ravel()
 

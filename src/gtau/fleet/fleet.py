@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,9 +19,9 @@ from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import model_text
 from gtau.model.home import load_robot
-from gtau.parallel.content_hash import content_key, program_digest
-from gtau.parallel.executor import ShardMap
+from gtau.parallel.executor import Mapper
 from gtau.progress import Progress, silent
+from gtau.robots.readers.native_text import native_text
 from gtau.signals.experiment import Experiment, read_experiment
 
 
@@ -150,7 +151,7 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
 
 
 def identify_fleet(
-    members: Sequence[Member], out: Path, shard_map: ShardMap, method: str = "ml", progress: Progress = silent
+    members: Sequence[Member], out: Path, mapper: Mapper, method: str = "ml", progress: Progress = silent
 ) -> tuple[Report, ...]:
     """Identify every robot of a fleet; finished models are kept and not computed again.
 
@@ -164,7 +165,7 @@ def identify_fleet(
         The robots.
     out : Path
         An existing folder.
-    shard_map : callable
+    mapper : callable
         Where to work: :func:`gtau.parallel.process_executor.process_map` or
         :func:`gtau.parallel.dask_executor.dask_map`.
     method : str
@@ -181,7 +182,7 @@ def identify_fleet(
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
     items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
-    for k, found in shard_map(partial(_identify_member, method), items):
+    for k, found in mapper(partial(_identify_member, method), items):
         made = Identified(sentence=str(found)) if isinstance(found, GtauError) else found
         reports[k] = _keep(out, members[k], made)
         progress("robots", len(reports), len(members))
@@ -200,9 +201,7 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
                 f"{member.experiment}: the logs hold torques, so there are no drive gains to compare; use "
                 "'gtau identify'."
             )
-        inputs = experiment.model_copy(update={"validation": ()})
-        names = [log.name for run in inputs.runs for log in run.log]
-        key = content_key((program_digest(), method, inputs, names, replace(load_robot(experiment.robot), source="")))
+        key = inputs_key(experiment, method)
         if key == known:
             return Identified(key)
         return Identified(key, model_text(identify(experiment, method=method)), "", time.perf_counter() - begun)
@@ -214,6 +213,41 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
             f"'GTAU_DEBUG=1 gtau identify {member.experiment}'."
         )
         return Identified(sentence=sentence, seconds=time.perf_counter() - begun)
+
+
+def inputs_key(experiment: Experiment, method: str) -> str:
+    """Compute the SHA-256 of all that a model depends on: program, method, robot, settings and logs.
+
+    Logs count by their names and bytes, wherever they lie.
+
+    Raises
+    ------
+    GtauError
+        The robot or a log cannot be read.
+    """
+    settings = experiment.model_dump_json(exclude={"robot": True, "validation": True, "runs": {"__all__": {"log"}}})
+    found = hashlib.sha256(_program())
+    for text in (method, settings, native_text(replace(load_robot(experiment.robot), source=""))):
+        found.update(text.encode() + b"\0")
+    for path in (log for run in experiment.runs for log in run.log):
+        for file in in_order(path.iterdir()) if path.is_dir() else [path]:
+            found.update(f"{path.name}/{file.name}".encode(errors="surrogateescape") + b"\0" + _digest(file))
+    return found.hexdigest()
+
+
+@cache
+def _program() -> bytes:
+    """Digest the source of the package: any edit changes it."""
+    root = Path(__file__).parents[1]
+    return hashlib.sha256(b"".join(_digest(path) for path in in_order(root.rglob("*.py")))).digest()
+
+
+def _digest(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check the path.") from None
 
 
 def _keep(out: Path, member: Member, made: Identified) -> Report:

@@ -84,7 +84,7 @@ def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
-@single_threaded_blas
+@single_threaded_blas()
 def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = ()) -> BaseParameters:
     """Find the base parameters chi of eq. (21) from the structure of the robot's model.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import pickle
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gtau.errors import GtauError, missing_extra
-from gtau.parallel.executor import ShardMap, serial_map, submit_shards
+from gtau.parallel.executor import submit_all
 from gtau.parallel.process_executor import LIMITS, ignore_sigint
 
 if TYPE_CHECKING:
@@ -81,16 +80,6 @@ def _silenced(logger: str) -> Iterator[None]:
         known.setLevel(before)
 
 
-@contextmanager
-def shard_map_at(address: str | None) -> Iterator[ShardMap]:
-    """Open the shard map of the workers at ``address``, or of this process; raises as :func:`connected`."""
-    if address is None:
-        yield serial_map
-        return
-    with connected(address) as client:
-        yield partial(dask_map, client=client)
-
-
 def _check_scheduler(address: str, patience: float) -> None:
     """Ask for its name: a client that fails to connect leaves threads behind."""
     import asyncio
@@ -142,18 +131,18 @@ def _other_version(worker: str, theirs: str, ours: str) -> GtauError:
 
 def dask_map(
     function: Callable[[Item], Made],
-    shards: Sequence[Item],
+    items: Sequence[Item],
     client: Client,
     without_workers: float = WITHOUT_WORKERS,
 ) -> Iterator[tuple[int, Made | GtauError]]:
-    """Map a function over shards on the workers; a shard whose worker dies goes to another worker.
+    """Map a function over items on the workers; an item whose worker dies goes to another worker.
 
     Parameters
     ----------
     function : callable
-        Of one shard.
-    shards : sequence
-        Sent pickled, to be opened by a worker only.
+        Of one item.
+    items : sequence
+        Sent pickled.
     client : Client
         From :func:`connected`.
     without_workers : float
@@ -162,7 +151,7 @@ def dask_map(
     Yields
     ------
     int, object
-        Index of a shard and its result, in the order in which they finish; a GtauError for a shard that gtau
+        Index of an item and its result, in the order in which they finish; a GtauError for an item that gtau
         refused, or that killed one worker after the other.
 
     Raises
@@ -170,23 +159,22 @@ def dask_map(
     GtauError
         Where the scheduler stops or its workers are gone for too long.
     """
-    sent = {k: pickle.dumps(shard) for k, shard in enumerate(shards)}
     killed = {}
-    for k, result in _results(function, sent, client, without_workers):
+    for k, result in _results(function, dict(enumerate(items)), client, without_workers):
         if isinstance(result, WorkersDied):
-            killed[k] = sent[k]  # perhaps another shard killed the workers
+            killed[k] = items[k]  # perhaps another item killed the workers
         else:
             yield k, result
-    for k, shard in killed.items():
-        yield from _results(function, {k: shard}, client, without_workers)
+    for k, item in killed.items():
+        yield from _results(function, {k: item}, client, without_workers)
 
 
 class WorkersDied(GtauError):
-    """Workers died while they worked on a shard."""
+    """Workers died while they worked on an item."""
 
 
 def _results(
-    function: Callable[[Item], Made], sent: Mapping[int, bytes], client: Client, without_workers: float
+    function: Callable[[Item], Made], items: Mapping[int, Item], client: Client, without_workers: float
 ) -> Iterator[tuple[int, Made | GtauError]]:
     executor = client.get_executor(pure=False, retries=RETRIES)
     seen = time.monotonic()
@@ -201,14 +189,14 @@ def _results(
                 "and run the same command again."
             )
 
-    with closing(submit_shards(executor, partial(_work, function, installed()), sent, check)) as finished:  # type: ignore[type-var]
+    with closing(submit_all(executor, partial(_work, function, installed()), items, check)) as finished:  # type: ignore[type-var]
         for k, future in finished:
             seen = time.monotonic()
             yield k, _result(future)
 
 
-def _work(function: Callable[[Item], Made], expected: str, sent: bytes) -> Made | GtauError:
-    """Work on a shard, on a worker; a refusal is a result, as there is no use in trying again."""
+def _work(function: Callable[[Item], Made], expected: str, item: Item) -> Made | GtauError:
+    """Work on an item, on a worker; a refusal is a result, as there is no use in trying again."""
     from distributed import get_worker
 
     address = get_worker().address
@@ -216,19 +204,11 @@ def _work(function: Callable[[Item], Made], expected: str, sent: bytes) -> Made 
         return _other_version(address, installed(), expected)
     with _ONE_AT_A_TIME:
         try:
-            return function(_opened(sent, address))
+            return function(item)
         except GtauError as error:
             return error
         except OSError as error:
             raise OSError(f"the Dask worker {address} failed ({error}); check its disks and network.") from None
-
-
-def _opened(sent: bytes, address: str) -> Any:
-    """Unpickle a shard; the rows of a log that it needs are read now."""
-    try:
-        return pickle.loads(sent)
-    except GtauError as error:
-        raise GtauError(f"on the Dask worker {address}, {error}") from None
 
 
 def _result(future: Any) -> Any:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from gtau.errors import GtauError
-from gtau.parallel.executor import serial_map, submit_shards
+from gtau.parallel.executor import serial_map, submit_all
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -17,20 +17,20 @@ LIMITS = {"GTAU_THREADS": "1", "POLARS_MAX_THREADS": "1"}
 
 
 def process_map(
-    function: Callable[[Item], Made], shards: Sequence[Item], jobs: int
+    function: Callable[[Item], Made], items: Sequence[Item], jobs: int
 ) -> Iterator[tuple[int, Made | GtauError]]:
-    """Map a function over shards in ``jobs`` processes; with one job, in this one.
+    """Map a function over items in ``jobs`` processes; with one job, in this one.
 
     Yields
     ------
     int, object
-        Index of a shard and its result, in the order in which they finish; a GtauError for a shard whose process
+        Index of an item and its result, in the order in which they finish; a GtauError for an item whose process
         died twice, the second time with nothing else in it.
     """
     if jobs == 1:
-        yield from serial_map(function, shards)
+        yield from serial_map(function, items)
         return
-    left = dict(enumerate(shards))
+    left = dict(enumerate(items))
     while left:
         yield from _until_death(function, left, tuple(left), jobs)
         # A process died. Shards are handed out in order, so it was at one of the first that are left.
@@ -42,21 +42,21 @@ def process_map(
 
 
 def handed_out(jobs: int) -> int:
-    """Return how many shards loky hands to its workers at once, at most: those at work, as many again, and one."""
+    """Return how many items loky hands to its workers at once, at most: those at work, as many again, and one."""
     return 2 * jobs + 1
 
 
 def _until_death(
     function: Callable[[Item], Made], left: dict[int, Item], indices: Iterable[int], jobs: int
 ) -> Iterator[tuple[int, Made]]:
-    """Work on some of the shards ``left``, and remove those that finish, until all have or a process dies."""
+    """Work on some of the items ``left``, and remove those that finish, until all have or a process dies."""
     from loky import BrokenProcessPool, ProcessPoolExecutor
 
-    shards = {k: left[k] for k in indices}
-    executor = ProcessPoolExecutor(min(jobs, len(shards)), env=LIMITS)
+    items = {k: left[k] for k in indices}
+    executor = ProcessPoolExecutor(min(jobs, len(items)), env=LIMITS)
     try:
         with ignore_sigint():
-            finished = submit_shards(executor, function, shards)
+            finished = submit_all(executor, function, items)
         for k, future in finished:
             if not isinstance(future.exception(), BrokenProcessPool):
                 del left[k]

@@ -12,8 +12,7 @@ from gtau.report.html.elements import Cell, Column, escape, number, paragraph, t
 from gtau.report.style import joint_label
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
-from gtau.signals.sizes import sizes
-from gtau.signals.storage import block, spans
+from gtau.signals.storage import block, sizes, spans
 
 SPECTRAL_POINTS = 220
 SEGMENT = 2048  # samples of a segment of Welch's method, at most

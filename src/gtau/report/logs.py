@@ -25,8 +25,9 @@ from gtau.report.page import (
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
 from gtau.signals.bandwidth import JointSpectrum, spectra
+from gtau.signals.log_set import find_logs
 from gtau.signals.preparation import Preparation
-from gtau.signals.run import Run
+from gtau.signals.run import Log, Run
 from gtau.signals.storage import block, spans
 
 SEGMENT = 2048  # samples of a segment of Welch's method, at most
@@ -120,6 +121,12 @@ def _amplitude(label: str, frequency: np.ndarray, density: np.ndarray, hue: str)
     return [Series(label, frequency[shown], np.sqrt(density[shown]), hue)] if shown.any() else []
 
 
+def _stamps(log: Log) -> np.ndarray:
+    """Read the time column (N,) of a whole log, s."""
+    time = np.concatenate([values[:, -1] for values in find_logs(log.paths, log.signals, log.units).blocks()])
+    return np.asarray(time[np.isfinite(time)])
+
+
 def preparation_chart(log: LogCheck) -> Chart:
     """Draw the spectra of a log's joints, the steps of its clock, and which rows of each joint are used."""
     preparation = log.preparation
@@ -133,7 +140,7 @@ def preparation_chart(log: LogCheck) -> Chart:
         Panel(FREQUENCY, share, speeds, "Power of the velocities", rules, height=2.3),
         Panel(FREQUENCY, share, accelerations, ends, rules, height=2.3),
     ]
-    stamps = None if log.run.log is None else log.run.log.stamps_read()
+    stamps = None if log.run.log is None else _stamps(log.run.log)
     panels += [] if stamps is None else [_steps(stamps, log.run)]
     panels.append(_used(log))
     return Chart(tuple(panels), log.run.name)

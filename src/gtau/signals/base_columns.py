@@ -6,21 +6,17 @@ A pose and wrenches become positions and forces of the six joints by which the b
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import FiniteFloat, model_validator
 
 from gtau.documents.validation import Keys
 from gtau.errors import GtauError
 from gtau.robots.geometry import turn
 from gtau.robots.robot import base_rows
-from gtau.signals.dead_reckoning import DeadReckoning
 from gtau.signals.units import is_angle, si_factor
-from gtau.signals.wrench_columns import VERTICAL, BaseWrench, Point, Vector
+from gtau.signals.wrench_columns import VERTICAL, BaseWrench, Vector
 
 STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times those of the base
-STANDARD_GRAVITY = 9.80665  # m/s2
 UNIT = 0.01  # by which the length of a quaternion may differ from 1: logs round to 2 digits and more
 
 
@@ -37,27 +33,15 @@ class BaseUnits(Keys):
         return self
 
 
-class Accelerometer(Keys):
-    """Columns of what an accelerometer on the base reads along the axes of the base, m/s2: upwards ``gravity`` at rest.
-
-    It sits at the point ``at`` (m) of the base.
-    """
-
-    columns: Vector
-    at: Point = (0.0, 0.0, 0.0)
-    gravity: Annotated[FiniteFloat, Field(gt=0)] = STANDARD_GRAVITY
-
-
 class BaseColumns(Keys):
     """Columns of the pose of a floating ``body`` in a world whose z axis points up, and of the wrenches on it.
 
-    ``position`` are x, y and z, ``quaternion`` w, x, y and z of its orientation; left out, it does not move so. An
-    ``accelerometer`` stands for the position. ``yaw`` (rad) turns the world about the vertical.
+    ``position`` are x, y and z, ``quaternion`` w, x, y and z of its orientation; left out, it does not move so.
+    ``yaw`` (rad) turns the world about the vertical.
     """
 
     body: str = "base"
     position: Vector | None = None
-    accelerometer: Accelerometer | None = None
     quaternion: tuple[str, str, str, str] | None = None
     yaw: FiniteFloat = 0.0
     wrenches: tuple[BaseWrench, ...] = ()
@@ -72,21 +56,6 @@ class BaseColumns(Keys):
             raise ValueError("it names no columns; give 'position' and 'quaternion', 'wrenches', or both")
         return self
 
-    @model_validator(mode="after")
-    def _one_way_to_move(self) -> BaseColumns:
-        if self.accelerometer is None:
-            return self
-        if self.position is not None:
-            raise ValueError("'position' and 'accelerometer' are both given; remove one, the noisier of them")
-        if self.quaternion is None:
-            raise ValueError("an 'accelerometer' needs the 'quaternion' of the base, as it reads gravity too; add it")
-        if any(each.axes == "world" for each in self.wrenches):
-            raise ValueError(
-                "an 'accelerometer' does not say where the base is, as wrenches with 'axes: world' want to know; log "
-                "its 'position', or a wrench along the axes of the base"
-            )
-        return self
-
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the six joints."""
@@ -95,11 +64,7 @@ class BaseColumns(Keys):
     @property
     def pose(self) -> tuple[str, ...]:
         """Columns of the pose, (p,)."""
-        return (*self._places, *(self.quaternion or ()))
-
-    @property
-    def _places(self) -> tuple[str, ...]:
-        return self.accelerometer.columns if self.accelerometer else (self.position or ())
+        return (*(self.position or ()), *(self.quaternion or ()))
 
     @property
     def forces(self) -> tuple[str, ...]:
@@ -114,29 +79,10 @@ class BaseColumns(Keys):
     @property
     def labels(self) -> tuple[str, ...]:
         """Columns behind the positions of the six joints, then those behind their forces, for messages (12,)."""
-        places = self._places or ("no column",) * 3
+        places = self.position or ("no column",) * 3
         turned = "quaternion" if self.quaternion is None else ", ".join(self.quaternion)
         acting = ", ".join(self.forces) or "no wrench"
         return (*places, *(turned,) * 3, *(acting,) * 6)
-
-    def placed(self, pose: np.ndarray, time: np.ndarray, reckoning: DeadReckoning) -> np.ndarray:
-        """Put positions in the place of what an accelerometer reads in the columns of the pose (M, p).
-
-        They are found by ``reckoning``, which remembers the blocks before, at ``time`` (M,).
-
-        Raises
-        ------
-        GtauError
-            As :meth:`converted`.
-        """
-        if self.accelerometer is None:
-            return pose
-        R = turn(VERTICAL, self.yaw).T @ _rotations(self._angles(pose[:, 3:]))
-        lift = np.array([0.0, 0.0, self.accelerometer.gravity])  # which it reads at rest
-        p = reckoning.positions(time, np.einsum("mij,mj->mi", R, pose[:, :3]) - lift)
-        p -= np.einsum("mij,j->mi", R, self.accelerometer.at)
-        p[~np.isfinite(pose).all(axis=1)] = np.nan
-        return np.hstack([p, pose[:, 3:]])
 
     def converted(self, pose: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Convert a pose (M, p) and wrenches (M, w) to positions and forces (M, 6) of the six joints.
@@ -147,7 +93,7 @@ class BaseColumns(Keys):
             Where a quaternion's length is not 1, or the pitch is close to 90 degrees, where the angles of the base are
             singular.
         """
-        p = pose[:, :3] if self._places else np.zeros((len(pose), 3))
+        p = pose[:, :3] if self.position else np.zeros((len(pose), 3))
         angles = np.zeros((len(pose), 3)) if self.quaternion is None else self._angles(pose[:, -4:])
         yaw = turn(VERTICAL, self.yaw)
         p = p @ yaw.T

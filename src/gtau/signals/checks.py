@@ -1,7 +1,7 @@
 """Checks of a log: what is safe is repaired and said, the rest is refused.
 
 A sample that is missing, for whatever reason, is interpolated, so that filters have a uniform grid to
-work on, and marked as not valid, so that no row of an identification rests on it. The log goes by in blocks.
+work on, and marked as not valid, so that no row of an identification rests on it. The log is read in blocks.
 """
 
 from __future__ import annotations
@@ -13,13 +13,10 @@ from typing import Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.clipping import clipped
 from gtau.signals.clock import Clock, clock_of
-from gtau.signals.glitches import find_glitches, note_on, without_glitches
-from gtau.signals.held import Held, holds_of
+from gtau.signals.faults import clipped, find_glitches, glitch_note, refuse_slips, without_glitches
 from gtau.signals.notes import Kind, Note
-from gtau.signals.quantiles import Quantiles
-from gtau.signals.resampling import MISSING_STEP, Resampling, UniformSamples, uniform
+from gtau.signals.resampling import Resampling, UniformSamples, holds_of, uniform
 from gtau.signals.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
 from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.storage import block, spans, store
@@ -28,12 +25,7 @@ LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; by which stamps of packets or messages are late at most. In the shared logs it is 5 ms (a Panda that was polled).
 LATEST = 0.25
-LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
 LARGEST_VALUE = 1e9  # of anything logged; even counts of encoders and converters are smaller
-SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
-SLIP_SPEED = 0.5  # and in shares of the joint's speed
-SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, shaken by others, goes by one
-SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
 
 
 def check(
@@ -73,25 +65,22 @@ def check(
     samples = complete(source, blocks, notes, part)
     _refuse_stuck(samples, notes)
     _refuse_standing_time(samples)
-    every = len(samples.time)
-    samples = drop_repeated(samples, notes, settings.clock)
-    dropped = len(samples.time) < every
+    samples = _without_repeated(samples, notes, settings.clock)
     clock = clock_of(samples.time, samples.position, settings.clock)
     _refuse_rates(samples, clock)
     if settings.clock is None:
         _refuse_late(samples, clock)
-    wraps = _wraps(samples, notes)
-    samples = unwrapped(samples, wraps)
+    samples = _unwrapped(samples, _wraps(samples, notes))
     instants, holds = clock.instants(samples.time), holds_of(samples)
     if glitches := find_glitches(samples, instants, holds.position):
-        notes.append(note_on(samples, glitches))
+        notes.append(glitch_note(samples, glitches))
         samples = without_glitches(samples, glitches)
         clock = clock_of(samples.time, samples.position, settings.clock)
         instants, holds = clock.instants(samples.time), holds_of(samples)
-    _refuse_slips(samples, instants, holds.position)
+    refuse_slips(samples, instants, holds.position)
     clips = tuple(clipped(samples, notes))
-    grid = Resampling(clock, clips, holds, settings.delay, dropped, glitches)
-    return uniform(samples, instants, wraps, grid, settings.clock is not None, notes)
+    grid = Resampling(clock, clips, holds, settings.delay)
+    return uniform(samples, instants, grid, settings.clock is not None, notes)
 
 
 def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
@@ -134,7 +123,7 @@ def _quoted(names: Sequence[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 
-def drop_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None = None) -> Samples:
+def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None) -> Samples:
     """Drop samples with the time and values of the one before.
 
     Where samples with the same time have different values they are kept, all of them: their stamps are late.
@@ -199,16 +188,14 @@ def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
     return wraps
 
 
-def unwrapped(samples: Samples, wraps: np.ndarray, first: np.ndarray | None = None) -> Samples:
-    """Unwrap the joints that have ``wraps``, from a ``first`` position (n,) on if it is known."""
+def _unwrapped(samples: Samples, wraps: np.ndarray) -> Samples:
+    """Unwrap the angles of the joints that have ``wraps`` (n,)."""
     if not wraps.any():
         return samples
     position = samples.position
 
     def parts() -> Iterator[np.ndarray]:
         turns = np.zeros(len(wraps))  # as far as the sample before
-        if first is not None:
-            turns += np.where(wraps, 2 * np.pi * np.round((first - position[0]) / (2 * np.pi)), 0.0)
         for start, stop in ahead(len(position)):
             part = block(position, start, stop)
             more = np.where(wraps, np.unwrap(part, axis=0), part) + turns
@@ -216,63 +203,6 @@ def unwrapped(samples: Samples, wraps: np.ndarray, first: np.ndarray | None = No
             yield more[min(start, 1) :]
 
     return replace(samples, position=store(parts(), wraps.shape))
-
-
-def _refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
-    """Refuse a position that jumps between two samples and stays there, as after a slipped coupling or lost counts.
-
-    What follows a stale position makes up for it, and is no jump.
-    """
-    source, n = samples.source, len(samples.source.joints)
-    usual, fast = Quantiles(n), Quantiles(n)
-    largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
-    median = None
-    for start, stop in spans(len(samples.time)):
-        begin = max(0, start - 7 - held.longest)
-        time, position = block(instants, begin, stop), block(samples.position, begin, stop)
-        step = np.diff(time)
-        median = np.median(step[step > 0]) if median is None else median
-        # Stamps that are the same, of a sample that repeats another, are no step.
-        moving = _moving(time, position, held.fresh(position))
-        speed = np.diff(moving, axis=0) / np.maximum(step, 0.1 * median)[:, None]
-        fast.add(np.abs(speed[max(start - 1, 0) - begin :]))
-        if len(step) < 7:
-            continue
-        # The way of three steps against the steps around them: what was stale or a glitch is made up for there.
-        over = (moving[4:-1] - moving[1:-4]) - (time[4:-1] - time[1:-4])[:, None] * (speed[:-4] + speed[4:]) / 2
-        change = over / median
-        whole = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
-        change[~np.all([whole[k : len(whole) - 4 + k] for k in range(5)], axis=0)] = 0.0
-        three = np.stack([change[:-2], change[1:-1], change[2:]])
-        change = np.where((np.sign(three) == np.sign(three[1])).all(axis=0), np.abs(three).min(axis=0), 0.0)
-        usual.add(change)
-        at = np.argmax(change, axis=0)
-        for j, k in enumerate(at):
-            if change[k, j] > largest[j]:
-                jump = speed[k + 3, j] - (speed[k + 2, j] + speed[k + 4, j]) / 2
-                largest[j], places[j], jumps[j] = change[k, j], begin + k + 4, jump * step[k + 3]
-    speeds = fast.quantile(0.999)
-    for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
-        raise GtauError(
-            f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
-            "give the units of its position and of the time (units: {position: ..., time: ...})."
-        )
-    low, high = extremes(samples.position)
-    far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * np.array(held.quanta))
-    for j in np.flatnonzero((largest > SLIP * usual.quantile(0.999)) & (largest > SLIP_SPEED * speeds) & far).tolist():
-        k = int(places[j])
-        raise GtauError(
-            f"{source.name}, {samples.place(k)}: the position of joint '{source.joints[j]}' jumps by "
-            f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is not a motion; check "
-            "the coupling and the counter of its encoder, or cut the log there into two runs."
-        )
-
-
-def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.ndarray:
-    """Interpolate the positions (M, n) that are not fresh."""
-    if fresh.all():
-        return position
-    return np.column_stack([np.interp(time, time[fresh], each[fresh]) for each in position.T])
 
 
 def _refuse_late(samples: Samples, clock: Clock) -> None:

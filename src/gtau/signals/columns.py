@@ -201,11 +201,6 @@ class Signals(Keys):
                 f"'wrenches' names the floating base '{self.base.body}'; write what acts on it under "
                 "'wrenches' of 'base'"
             )
-        if self.base is not None and self.base.accelerometer and any(each.axes == "world" for each in self.wrenches):
-            raise ValueError(
-                "'wrenches' along the axes of the world want to know where the base is, which its 'accelerometer' does "
-                "not say; log the 'position' of the base, or wrenches along the axes of their bodies"
-            )
         return self
 
     @model_validator(mode="after")

@@ -74,18 +74,14 @@ class Decimator:
         """Count the outputs of a log of `n` samples."""
         return max(0, -(-(n - 2 * self.support) // self.factor))
 
-    def blocks(self, n: int, size: int, outputs: range | None = None) -> Iterator[Block]:
-        """Cut a log of `n` samples into blocks of at most `size` outputs, in order; of all ``outputs`` or of these."""
-        outputs = range(self.outputs(n)) if outputs is None else outputs
-        for start in range(outputs.start, outputs.stop, size):
-            stop = min(start + size, outputs.stop)
+    def blocks(self, n: int, size: int) -> Iterator[Block]:
+        """Cut a log of `n` samples into blocks of at most `size` outputs, in order."""
+        outputs = self.outputs(n)
+        for start in range(0, outputs, size):
+            stop = min(start + size, outputs)
             first, last = (self.support + self.factor * k for k in (start, stop - 1))
             begin = max(0, first - self.warm_up)
             yield Block(slice(begin, min(n, last + self.warm_up + 1)), slice(start, stop), first - begin)
-
-    def reach(self, n: int, outputs: range) -> slice:
-        """Find the samples of a log of `n` from which these ``outputs`` are made."""
-        return next((block.samples for block in self.blocks(n, max(len(outputs), 1), outputs)), slice(0, 0))
 
     def apply(self, columns: np.ndarray, block: Block | None = None) -> np.ndarray:
         """Compute the outputs of a block.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
 from pydantic import (
     Field,
     FiniteFloat,
@@ -237,13 +236,6 @@ def _check_base(signals: Signals, robot: Robot) -> None:
                 else f"that of robot '{robot.name}' is fixed; write 'robot: {{file: ..., base: floating}}', or remove "
                 "'base'."
             )
-        )
-    gauge = None if signals.base is None else signals.base.accelerometer
-    if gauge is not None and not np.allclose(robot.gravity, (0.0, 0.0, -gauge.gravity), rtol=0, atol=1e-4):
-        raise GtauError(
-            f"gravity of robot '{robot.name}' is {list(robot.gravity)} m/s2, but its accelerometer reads "
-            f"{gauge.gravity:g} m/s2 upwards at rest; write the robot's 'gravity' under 'accelerometer', and let its z "
-            "axis point up."
         )
 
 

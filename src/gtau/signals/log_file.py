@@ -13,7 +13,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.formats import open_table
-from gtau.signals.formats.table import Place, Table
+from gtau.signals.formats.table import Table
 from gtau.signals.storage import store
 
 if TYPE_CHECKING:
@@ -35,15 +35,13 @@ class LogFile:
     texts: dict[str, str]
     table: Table
 
-    def blocks(self, rows: range = ALL, place: Place = (0, 0)) -> Iterator[tuple[np.ndarray, float]]:
+    def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
         """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction then read.
 
         Parameters
         ----------
         rows : range
             Those wanted.
-        place : tuple of int
-            One of the table's ``places``, at or before the first of them, found when the log was read before.
 
         Raises
         ------
@@ -51,7 +49,7 @@ class LogFile:
             Where the file cannot be read on.
         """
         with _refusals(self.path):
-            for frame, done in self.table.frames(self.names, rows, place):
+            for frame, done in self.table.frames(self.names, rows):
                 values = np.empty((len(frame), len(self.names)))
                 for k, name in enumerate(self.names):
                     values[:, k], text = _numbers(frame[:, k])

@@ -14,8 +14,6 @@ from gtau.signals.aligned import Aligned, align, seconds
 from gtau.signals.base_columns import BaseColumns
 from gtau.signals.column_units import Units
 from gtau.signals.columns import SampleRate, Signals
-from gtau.signals.dead_reckoning import DeadReckoning
-from gtau.signals.formats.table import Place
 from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Note
 from gtau.signals.samples import Source
@@ -44,15 +42,9 @@ class Logged:
     base: BaseColumns | None = None
     wrenches: tuple[BodyWrench, ...] = ()
 
-    @property
-    def places(self) -> tuple[tuple[Place, ...], ...]:
-        """Of each file, as far as it has been read, rows and the bytes at which they begin."""
-        return tuple(tuple(file.table.places) for file in self.files)
-
     def blocks(
         self,
         rows: range = ALL,
-        places: Sequence[Place] | None = None,
         progress: Callable[[float], None] = lambda done: None,
     ) -> Iterator[np.ndarray]:
         """Read samples (M, n + c + 1) in order: positions, commands, torque sensors, wrenches and time.
@@ -61,8 +53,6 @@ class Logged:
         ----------
         rows : range
             Those wanted.
-        places : sequence, optional
-            Where each file is to be read from: a row, at or before the first of them, and its byte.
         progress : callable
             Called with the part of the log that has been read.
 
@@ -71,11 +61,11 @@ class Logged:
         GtauError
             Where a file cannot be read on, or two files have different lengths.
         """
-        row, reckoning = rows.start, DeadReckoning()
+        row = rows.start
         if self.aligned is not None:
             shift = self.aligned.rows.start
             rows = range(rows.start + shift, min(rows.stop + shift, self.aligned.rows.stop))
-        for values, done in _side_by_side(self.files, rows, places or [(0, 0)] * len(self.files)):
+        for values, done in _side_by_side(self.files, rows):
             progress(done)
             if self.rate is not None:
                 time = np.arange(row, row + len(values)) / self.rate
@@ -87,9 +77,9 @@ class Logged:
                 commands[np.isnan(found).all(axis=1)] = np.nan  # rows that hold other topics
                 found = np.hstack([found, commands])
             row += len(values)
-            yield np.column_stack([self._converted(found * self.scale, time, reckoning), time])
+            yield np.column_stack([self._converted(found * self.scale), time])
 
-    def _converted(self, values: np.ndarray, time: np.ndarray, reckoning: DeadReckoning) -> np.ndarray:
+    def _converted(self, values: np.ndarray) -> np.ndarray:
         """Put a floating base before the joints, from its pose and what acts on it, and wrenches about their origins.
 
         The columns (M, .) are those of positions, pose, commands and sensors, wrenches, and wrenches on the base.
@@ -101,7 +91,7 @@ class Logged:
         wrenches = at_origins(self.wrenches, pushes, base.yaw if base else 0.0)
         if base is None:
             return np.hstack([q, commands, wrenches])
-        six, forces = base.converted(base.placed(pose, time, reckoning), held)
+        six, forces = base.converted(pose, held)
         return np.hstack([six, q, forces, commands, wrenches])
 
 
@@ -166,11 +156,9 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
     )
 
 
-def _side_by_side(
-    files: Sequence[LogFile], wanted: range, places: Sequence[Place]
-) -> Iterator[tuple[np.ndarray, float]]:
+def _side_by_side(files: Sequence[LogFile], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
     """Join rows of logs that were sampled together, with the part of the first that is then done."""
-    streams = [file.blocks(wanted, place) for file, place in zip(files, places, strict=True)]
+    streams = [file.blocks(wanted) for file in files]
     held = [next(stream, None) for stream in streams]
     rows = [0] * len(files)
     while all(each is not None for each in held):

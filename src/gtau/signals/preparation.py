@@ -15,7 +15,6 @@ from gtau.signals.filters import (
     below_nyquist,
     differentiate,
     filter_edge,
-    filter_margin,
     position_filter,
 )
 from gtau.signals.notes import Kind, Note
@@ -124,11 +123,6 @@ class PreparedRun:
     def time(self) -> np.ndarray:
         """Instants of the samples that are used, (N,) in s."""
         return self.run.time[self.kept.start : self.kept.stop]
-
-    def needed(self, start: int, stop: int) -> range:
-        """Find the samples of the run from which those from ``start`` to before ``stop`` are made."""
-        at, margin = self.kept[start:stop], filter_margin(self.run.rate, self.preparation.cutoff)
-        return range(max(0, at.start - margin), min(len(self.run.time), at.stop + margin))
 
     def valid(self, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Mark where speeds and accelerations rest on good samples only, (M, n), for the samples of :meth:`samples`."""

@@ -1,20 +1,185 @@
-"""A log on a uniform grid, what is missing interpolated and marked."""
+"""A log on a uniform grid: what is missing is interpolated and marked, and so are values that are held.
+
+Signals that are logged faster than they are updated repeat values, which are no samples.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.clock import Clock
-from gtau.signals.glitches import Glitch
-from gtau.signals.held import Holds
 from gtau.signals.notes import Kind, Note
-from gtau.signals.samples import MAX_MISSING, Samples, counted
-from gtau.signals.sizes import sizes
+from gtau.signals.samples import MAX_MISSING, Samples, ahead, counted
 from gtau.signals.storage import Store, block, spans, store
+
+# After stale samples a signal has come as far as meanwhile: it is not slower over them than around them by this factor.
+# At constant acceleration the factor is 6 after rest and 4 around a reversal.
+AS_BEFORE = 3.0
+SPORADIC = 4  # equal samples in a row, at most, that are stale ones; more of them are a rest or a slow rounded motion,
+FROZEN = 20  # unless up to so many stand where nearly every sample is new:
+AROUND, NEW = 4, 1.5  # so many changes to either side come after so many samples on average
+LONGEST = 200  # samples for which a slower signal is held, at most
+REGULAR = 0.6  # share of the samples in runs of equal ones of nearly one length, where a signal is slower than the log
+JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded goes by one
+REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
+GROUPS = ("positions", "commands", "torque sensors", "wrenches")
+
+
+@dataclass(frozen=True)
+class Held:
+    """How the columns of a group, positions, commands, torque sensors or wrenches, are held.
+
+    ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
+    ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` says that repeated values are no more than noise
+    and reversals make, so that all samples are new.
+    """
+
+    period: int
+    quanta: tuple[float, ...]
+    by_chance: bool = False
+
+    @property
+    def longest(self) -> int:
+        """Longest run of equal samples that counts as held."""
+        if self.by_chance:
+            return 1
+        return FROZEN if self.period == 1 else int(np.ceil(1.5 * self.period))
+
+    def fresh(self, values: np.ndarray) -> np.ndarray:
+        """Mark new samples (M,) of consecutive ``values`` (M, n); rests and slow rounded motions count as new."""
+        same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
+        found = np.ones(len(values), dtype=bool)
+        if not same.any():
+            return found
+        first = np.flatnonzero(~same)  # of each run of equal samples
+        length = np.diff(np.r_[first, len(values)])
+        jump = np.zeros((len(first), values.shape[1]))  # of each column to the next run
+        jump[:-1] = np.abs(values[first[1:]] - values[first[:-1]]) / self.quanta
+        moved = jump >= JUMP
+        stale = (length > 1) & (length <= self.longest)
+        if self.period == 1:
+            speed = np.pad(jump / length[:, None], ((1, 1), (0, 0)))
+            moved &= AS_BEFORE * speed[1:-1] >= np.maximum(speed[:-2], speed[2:])
+            around = np.convolve(length, np.ones(2 * AROUND + 1))[AROUND:-AROUND] - length
+            stale &= (length <= SPORADIC) | (around <= 2 * AROUND * NEW)
+        stale &= moved.any(axis=1)
+        for start, count in zip(first[stale], length[stale], strict=True):
+            found[start + 1 : start + count] = False
+        return found
+
+
+@dataclass(frozen=True)
+class Holds:
+    """How the groups of columns of a log are held, in the order of :data:`GROUPS`; None where it has no such columns.
+
+    ``stale`` are the samples of each that repeat the one before, and ``widths`` its columns.
+    """
+
+    groups: tuple[Held | None, ...]
+    stale: tuple[int, ...]
+    widths: tuple[int, ...]
+
+    @property
+    def position(self) -> Held:
+        """How the positions are held."""
+        assert self.groups[0] is not None
+        return self.groups[0]
+
+    @property
+    def none(self) -> bool:
+        """Whether every sample is new."""
+        return not any(self.stale)
+
+    @property
+    def longest(self) -> int:
+        """Longest runs of equal samples that count as held, of all groups together."""
+        return sum(each.longest for each in self.groups if each is not None)
+
+    def fresh_commands(self, values: np.ndarray) -> list[tuple[slice, np.ndarray]]:
+        """Pair the columns of the commands, and of the sensors and wrenches, with their new samples (M,)."""
+        spans = _spans(self.widths[1:])
+        return [
+            (span, each.fresh(values[:, span]))
+            for span, each in zip(spans, self.groups[1:], strict=True)
+            if each is not None
+        ]
+
+    def notes(self, count: int, rate: float) -> list[Note]:
+        """List what to report of a log of ``count`` samples at ``rate`` Hz."""
+        found = []
+        for each, stale, what in zip(self.groups, self.stale, GROUPS, strict=True):
+            if each is None or not stale:
+                continue
+            if each.period > 1:
+                slow = (
+                    f"the {what} are held: new ones come at about {rate / each.period:.4g} Hz, every {each.period} "
+                    "samples; interpolated between them"
+                )
+                found.append(Note(Kind.HELD, slow, f"log the {what} at the rate at which they change"))
+            else:
+                few = f"{stale} samples of the {what} are stale (repeat the one before): interpolated"
+                found.append(Note(Kind.REPAIR, few, "log in the controller's own cycle", share=stale / count))
+        return found
+
+
+def holds_of(samples: Samples) -> Holds:
+    """Detect sample-and-hold in each group of signals, in three passes."""
+    n, source = len(samples.source.joints), samples.source
+    widths = (n, n, len(source.sensors), source.components)
+    found = [_held(samples.position, slice(None)), *(_held(samples.command, each) for each in _spans(widths[1:]))]
+    groups = tuple(held if width else None for (held, _), width in zip(found, widths, strict=True))
+    return Holds(groups, tuple(stale for _, stale in found), widths)
+
+
+def _spans(widths: Sequence[int]) -> list[slice]:
+    """Find the columns of groups that stand side by side."""
+    ends = np.cumsum([0, *widths]).tolist()
+    return [slice(*pair) for pair in pairwise(ends)]
+
+
+def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
+    """Find how a group's columns (N, n) are held, and count its stale samples."""
+    n = len(range(array.shape[1])[columns])
+    if not n:
+        return Held(1, ()), 0
+    smallest = np.full(n, np.inf)
+    for span in ahead(len(array)):
+        change = np.abs(np.diff(block(array, *span)[:, columns], axis=0))
+        smallest = np.minimum(smallest, np.min(np.where(change > 0, change, np.inf), axis=0, initial=np.inf))
+    quanta = np.where(np.isfinite(smallest), smallest, 1.0)
+    lengths = np.zeros(LONGEST + 1, dtype=int)  # how many runs of equal samples before a jump there are of each length
+    run, near = 1, 0
+    for span in ahead(len(array)):
+        change = np.max(np.abs(np.diff(block(array, *span)[:, columns], axis=0)) / quanta, axis=1, initial=0.0)
+        near += int(((change[:-1] > 0) & (change[:-1] < 1.5) & (change[1:] >= JUMP)).sum())
+        ends = np.flatnonzero(change)
+        if ends.size:
+            runs = np.diff(ends, prepend=-run)[change[ends] >= JUMP]
+            lengths += np.bincount(np.minimum(runs, LONGEST + 1), minlength=LONGEST + 2)[: LONGEST + 1]
+            run = len(change) - int(ends[-1])
+        else:
+            run += len(change)
+    held = Held(_period(lengths), tuple(quanta.tolist()))
+    stale = sum(int((~held.fresh(block(array, *span)[:, columns])).sum()) for span in ahead(len(array)))
+    # Noise of some quanta repeats a sample as often as it goes by one quantum in any of the other 3^n - 1 directions.
+    chance = 2 * near / (3.0**n - 1) + REPORTED * len(array)
+    return (held, stale) if stale > chance else (replace(held, period=1, by_chance=True), 0)
+
+
+def _period(lengths: np.ndarray) -> int:
+    """Find the usual length of runs of equal samples, where most runs are nearly as long; otherwise 1."""
+    held = lengths * np.arange(len(lengths))
+    if not held.any():
+        return 1
+    period = int(np.argmax(held))
+    near = held[int(np.floor(0.75 * period)) : int(np.ceil(1.25 * period)) + 1].sum()
+    return period if period > 1 and near > REGULAR * held.sum() else 1
+
 
 MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
 MISSING_STEP = 1.5  # steps longer than so many mean steps have lost a sample
@@ -34,38 +199,6 @@ class UniformSamples:
     command: np.ndarray
     valid: np.ndarray
     notes: tuple[Note, ...]
-    findings: Findings
-
-
-@dataclass(frozen=True, eq=False)
-class Findings:
-    """What was found in the whole of a log, and any part of it depends on.
-
-    Attributes
-    ----------
-    grid : Resampling
-        Clock, holds and masks.
-    wraps : ndarray
-        (n,) whether a joint's angle jumped by turns.
-    rows, instants, position : ndarray
-        Of one complete sample in ``landmark``: its row (K,) in the log, instant (K,) in s, and position (K, n) without
-        jumps.
-    landmark : int
-        Samples from one of these to the next.
-    last : int
-        Row of the last sample.
-    samples : int
-        How many complete samples there are.
-    """
-
-    grid: Resampling
-    wraps: np.ndarray
-    rows: np.ndarray
-    instants: np.ndarray
-    position: np.ndarray
-    landmark: int
-    last: int
-    samples: int
 
 
 @dataclass(frozen=True)
@@ -73,32 +206,21 @@ class Resampling:
     """How a log is put on a uniform grid.
 
     The ``clock`` of its samples, columns of the commands with the levels at which they are ``clipped``, how positions
-    and commands are held, by how much commands lag (``delay``, s), whether samples that repeat the time and values
-    of the one before are left out, and the ``glitches`` of the positions, by numbers of the samples that are left.
+    and commands are held, and by how much commands lag (``delay``, s).
     """
 
     clock: Clock
     clipped: tuple[tuple[int, float], ...]
     holds: Holds
     delay: float = 0.0
-    without_repeated: bool = False
-    glitches: tuple[Glitch, ...] = ()
 
     @property
     def direct(self) -> bool:
         """Whether the samples stand on the grid already."""
         return self.clock.gapless and self.holds.none and not self.delay
 
-    def between(self, first: int, stop: int) -> Resampling:
-        """Restrict it to samples from ``first`` to before ``stop``; glitches are then numbered from ``first``."""
-        here = (each for each in self.glitches if first <= each.sample < stop)
-        glitches = tuple(replace(each, sample=each.sample - first) for each in here)
-        return replace(self, clock=self.clock.between(first, stop), glitches=glitches)
 
-
-def uniform(
-    samples: Samples, instants: np.ndarray, wraps: np.ndarray, grid: Resampling, given: bool, notes: list[Note]
-) -> UniformSamples:
+def uniform(samples: Samples, instants: np.ndarray, grid: Resampling, given: bool, notes: list[Note]) -> UniformSamples:
     """Put samples taken at their ``instants`` onto a uniform ``grid``; of a clock that was ``given`` or found.
 
     Raises
@@ -114,21 +236,11 @@ def uniform(
         )
     count = clock.count
     time = store(clock.time(*span) for span in spans(count))
-    findings = Findings(
-        grid=grid,
-        wraps=wraps,
-        rows=_landmarks(samples.rows),
-        instants=_landmarks(instants),
-        position=_landmarks(samples.position),
-        landmark=sizes().landmark,
-        last=int(samples.rows[-1]),
-        samples=len(samples.rows),
-    )
     n, c = len(source.joints), samples.command.shape[1]
     if grid.direct:
         valid = store((unclipped(block(samples.command, *span), grid.clipped) for span in spans(count)), (c,), bool)
         notes += _of_clock(clock, given)
-        return UniformSamples(time, samples.position, samples.command, valid, tuple(notes), findings)
+        return UniformSamples(time, samples.position, samples.command, valid, tuple(notes))
     positions, commands, masks = Store((n,)), Store((c,)), Store((c,), bool)
     missing, masked = 0, 0
     for span in spans(count):
@@ -151,7 +263,7 @@ def uniform(
     if grid.delay:
         what = f"moved the commands {grid.delay * 1e3:.4g} ms forward, as preparation.delay says"
         notes.append(Note(Kind.READING, what))
-    return UniformSamples(time, positions.array(), commands.array(), masks.array(), tuple(notes), findings)
+    return UniformSamples(time, positions.array(), commands.array(), masks.array(), tuple(notes))
 
 
 def _of_clock(clock: Clock, given: bool) -> list[Note]:
@@ -175,10 +287,6 @@ def _of_clock(clock: Clock, given: bool) -> list[Note]:
         f"{clock.rate:.2f} Hz instead, {why}"
     )
     return [Note(Kind.READING, what)]
-
-
-def _landmarks(array: np.ndarray) -> np.ndarray:
-    return np.concatenate([block(array, k, k + 1) for k in range(0, len(array), sizes().landmark)])
 
 
 def resampled(

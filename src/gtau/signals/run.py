@@ -5,25 +5,32 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.wrench import WRENCH, WrenchFrame
-from gtau.signals.accelerometer import check_accelerometer
 from gtau.signals.checks import check
 from gtau.signals.column_units import Units, as_units
 from gtau.signals.columns import EXACT, Calibration, Signals, as_signals
 from gtau.signals.frames import as_log
 from gtau.signals.log_set import find_logs
-from gtau.signals.log_slice import Excerpt, Log, read_excerpt, stamps_of
 from gtau.signals.notes import Note
 from gtau.signals.payload import Payload, as_payload
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.settings import CHOSEN, PreparationSettings
-from gtau.signals.storage import Placed, block, spans, store
+from gtau.signals.storage import block, spans, store
 from gtau.signals.temperature import Temperature, read_temperature
+
+
+@dataclass(frozen=True)
+class Log:
+    """Where a run was read: the files, one or two, the columns and their units."""
+
+    paths: tuple[Path, ...]
+    signals: Signals
+    units: Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +41,10 @@ class Run:
     where ``kind`` says so, torques in N m (forces in N), then those of the torque ``sensors`` (names of joints), and
     then moments and forces of the ``wrenches`` on bodies, six of each about the origin of its axes. Where ``valid``
     (N, c) is false the sample was interpolated or clipped. ``notes`` say what was repaired, ``settings`` what is given
-    of the preparation, ``temperature`` that of the joints, ``calibration`` the accuracy of sensors; other processes do
-    not get these.
+    of the preparation, ``temperature`` that of the joints, ``calibration`` the accuracy of sensors, ``log`` where it
+    was read.
 
-    The arrays of a long log lie in a file, of which NumPy reads what is looked at. A run that was read from a ``log``
-    is pickled as that, and read again where it arrives.
+    The arrays of a long log lie in a file, of which NumPy reads what is looked at.
     """
 
     name: str
@@ -55,9 +61,7 @@ class Run:
     temperature: Temperature | None = None
     wrenches: tuple[WrenchFrame, ...] = ()
     calibration: Calibration = EXACT
-    # What is made by dataclasses.replace has neither:
-    log: Log | None = field(default=None, init=False, repr=False)
-    pickled: range | None = field(default=None, init=False, repr=False)  # samples that other processes get
+    log: Log | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         shape = (len(self.time), len(self.joints))
@@ -82,24 +86,6 @@ class Run:
     def rate(self) -> float:
         """Sampling rate, Hz."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
-
-    def only(self, samples: range) -> Run:
-        """Restrict what another process gets of the run to some samples; the others are zero there."""
-        run = _from(self.log, replace(self))
-        object.__setattr__(run, "pickled", samples)
-        return run
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        samples = range(len(self.time)) if self.pickled is None else self.pickled
-        known = Known(self.name, self.joints, self.kind, self.payload, self.notes, self.sensors, self.wrenches)
-        if self.log is not None:
-            return _again, (known, self.log.excerpt(self.joints, self.sensors, samples))
-        if self.pickled is None:
-            return super().__reduce_ex__(protocol)
-        at = slice(samples.start, samples.stop)
-        parts = {name: getattr(self, name)[at] for name in ("position", "command", "valid")}
-        ends = (0, self.time[:1]), (samples.start, self.time[at]), (len(self.time) - 1, self.time[-1:])
-        return _put_back, (known, len(self.time), samples.start, ends, parts)
 
 
 def read_run(
@@ -141,12 +127,11 @@ def read_run(
     signals, units = as_signals(signals), as_units(units)
     if not (isinstance(log, (str, Path)) or (isinstance(log, (list, tuple)) and all(map(_is_path, log)))):
         with as_log(log) as path:
-            return _from(None, read_run(path, signals, payload, units, progress))
+            return replace(read_run(path, signals, payload, units, progress), log=None)
     paths = tuple([Path(log)] if isinstance(log, (str, Path)) else [Path(each) for each in log])
     logged = find_logs(paths, signals, units)
-    stamps = stamps_of(paths)
     uniform = check(logged.source, logged.blocks(part.rows, progress=progress), settings, part)
-    run = Run(
+    return Run(
         name=paths[0].stem + part.label,
         joints=signals.joints,
         time=uniform.time,
@@ -161,52 +146,12 @@ def read_run(
         temperature=read_temperature(paths, signals, units, part),
         wrenches=tuple(each.frame for each in signals.wrenches),
         calibration=signals.calibration,
+        log=Log(paths, signals, units),
     )
-    if signals.base is not None and signals.base.accelerometer is not None:
-        check_accelerometer(run.name, signals, run.time, run.position)
-        return _from(None, run)  # an integral from the beginning on, which no part of the log gives
-    return _from(Log(paths, signals, units, stamps, uniform.findings, logged.places), run)
 
 
 def _is_path(each: Any) -> bool:
     return isinstance(each, (str, Path))
-
-
-def _from(log: Log | None, run: Run) -> Run:
-    object.__setattr__(run, "log", log)
-    return run
-
-
-class Known(NamedTuple):
-    """What is sent of a run beside its samples."""
-
-    name: str
-    joints: tuple[str, ...]
-    kind: Literal["current", "torque"]
-    payload: Payload | None
-    notes: tuple[Note, ...]
-    sensors: tuple[str, ...]
-    wrenches: tuple[WrenchFrame, ...]
-
-
-def _again(known: Known, excerpt: Excerpt) -> Run:
-    """Read a run again in this process; raises GtauError where its logs have changed since."""
-    arrays: dict[str, Any] = read_excerpt(excerpt)
-    return Run(**known._asdict(), **arrays)
-
-
-def _put_back(
-    known: Known, samples: int, first: int, times: Sequence[tuple[int, np.ndarray]], parts: Mapping[str, np.ndarray]
-) -> Run:
-    """Restore a run of which some samples were sent."""
-    places = {"time": Placed(samples)}
-    for start, time in times:
-        places["time"].put(start, time)
-    for column, rows in parts.items():
-        places[column] = Placed(samples, rows.shape[1:], rows.dtype.type)
-        places[column].put(first, rows)
-    arrays: dict[str, Any] = {column: place.array() for column, place in places.items()}
-    return Run(**known._asdict(), **arrays)
 
 
 def without_sensors(run: Run) -> Run:
@@ -214,8 +159,7 @@ def without_sensors(run: Run) -> Run:
     if not run.sensors:
         return run
     kept = [*range(len(run.joints)), *_wrench_columns(run)]
-    bare = replace(run, sensors=(), command=_columns(run.command, kept), valid=_columns(run.valid, kept))
-    return _from(run.log, bare)
+    return replace(run, sensors=(), command=_columns(run.command, kept), valid=_columns(run.valid, kept))
 
 
 def arrange(run: Run, joints: Sequence[str]) -> Run:
@@ -236,7 +180,7 @@ def arrange(run: Run, joints: Sequence[str]) -> Run:
     measured = [*order, *(len(order) + run.sensors.index(joint) for joint in sensors), *_wrench_columns(run)]
     if measured == list(range(len(measured))):
         return run
-    ordered = replace(
+    return replace(
         run,
         joints=tuple(joints),
         sensors=sensors,
@@ -244,7 +188,6 @@ def arrange(run: Run, joints: Sequence[str]) -> Run:
         command=_columns(run.command, measured),
         valid=_columns(run.valid, measured),
     )
-    return _from(run.log, ordered)
 
 
 def _wrench_columns(run: Run) -> range:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import builtins
-import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 from gtau.errors import GtauError
 from gtau.signals.log_file import find_columns, read_log
 from gtau.signals.run import Run, read_run
-from gtau.signals.sizes import Sizes, working_with
+from gtau.signals.storage import Sizes, working_with
 
 N, RATE = 1500, 500.0
 JOINTS = ("shoulder", "elbow")
@@ -286,25 +285,6 @@ def test_topics_with_stamps_of_their_own_are_aligned(topics: Callable, rng: np.r
     assert stamps(run) == pytest.approx((1000.102, 1002.496), abs=1e-6)
     np.testing.assert_allclose(run.position[:, 0], np.sin(3 * run.time), atol=1e-8)
     np.testing.assert_allclose(run.command[:, 0], np.cos(3 * run.time), atol=2e-5)
-
-
-@pytest.fixture
-def short_landmarks() -> Iterator[None]:
-    with working_with(Sizes(landmark=100)):
-        yield
-
-
-@pytest.mark.parametrize("kind", ["two topics", "bag"])
-@pytest.mark.usefixtures("short_landmarks")
-def test_another_process_reads_its_part_of_such_logs(tmp_path: Path, topics: Callable, log: Log, kind: str) -> None:
-    if kind == "bag":
-        run = read_run(tmp_path / "bag", rosbag(tmp_path / "bag", log))
-    else:
-        run = read_run(topics(1000.0 + np.arange(N) / RATE, 1000.1013 + np.arange(600) / 250), EACH)
-    part = pickle.loads(pickle.dumps(run.only(range(500, 700))))
-    for name in ("time", "position", "command", "valid"):
-        np.testing.assert_allclose(getattr(part, name)[500:700], getattr(run, name)[500:700], atol=1e-12)
-    assert not part.valid[:400].any()
 
 
 def test_equal_stamps_are_left_as_they_are(topics: Callable) -> None:

@@ -25,7 +25,6 @@ from gtau.estimation.thresholds.logs import (
     GEOMETRY_SHARE,
     GEOMETRY_STD,
 )
-from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import Constant
 from gtau.progress import Progress, silent
@@ -38,7 +37,6 @@ TRIED = 4  # constants that are fitted beyond the first order at each step; one 
 MOST = 4  # constants that may explain the residuals together: the effort of the search; three were the most found
 
 
-@single_threaded_blas
 def geometry_test(
     model: InverseDynamics,
     columns: PoseColumns,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -20,8 +19,7 @@ from gtau.estimation.regression.factors import Factors, HuberWeights
 from gtau.estimation.regression.problem import Problem, delayed
 from gtau.estimation.regression.system import System
 from gtau.progress import Progress
-from gtau.signals.quantiles import medians
-from gtau.signals.storage import block, spans
+from gtau.signals.storage import block, rows_at, spans, stride_of
 
 TUNING = 1.345  # standard deviations: 95 % efficient without outliers
 PASSES = 10
@@ -47,7 +45,7 @@ def reweighted(
         loads = [system.load(k, solution.theta) for k in range(len(dataset.runs))] if loaded else None
         dataset = dataset.reduced(loads, progress, weigh)
         system = dataset.system(system.friction, system.problem.slowest > 0)
-        sigma = MAD * medians(partial(_sizes, dataset.factors))
+        sigma = MAD * _medians(dataset.factors)
         sigma = np.maximum(sigma, system.whole.smallest_sigma)
     return dataset, system
 
@@ -57,6 +55,15 @@ def _sizes(factors: Sequence[Factors]) -> Iterator[np.ndarray]:
     for each in factors:
         if each.residuals is not None:
             yield from (np.abs(block(each.residuals, *span)) for span in spans(len(each.residuals)))
+
+
+def _medians(factors: Sequence[Factors]) -> np.ndarray:
+    """Compute the median size (c,) of each channel's residuals, NaN without any."""
+    residuals = [each.residuals for each in factors if each.residuals is not None]
+    stride = stride_of(sum(map(len, residuals)))
+    sizes = np.abs(np.concatenate([rows_at(each, np.arange(0, len(each), stride)) for each in residuals]))
+    known = [column[np.isfinite(column)] for column in sizes.T]
+    return np.array([np.median(column) if column.size else np.nan for column in known])
 
 
 def sandwich_factor(factors: Sequence[Factors]) -> float:
@@ -75,7 +82,7 @@ def sandwich_factor(factors: Sequence[Factors]) -> float:
     float
         ``E[w] / E[psi']`` over all rows, at least 1.
     """
-    limit = TUNING * MAD * medians(partial(_sizes, factors))
+    limit = TUNING * MAD * _medians(factors)
     weights, curvature = 0.0, 0
     for sizes in _sizes(factors):
         below = sizes <= limit

@@ -2,90 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property, lru_cache
-from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.factors import STRETCHES, Factors, HuberWeights, joined, outputs_of, reduce_run
+from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
 from gtau.estimation.regression.friction import PAPER, Friction
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.estimation.regression.system import System, assemble_system
 from gtau.estimation.regression.temperatures import Temperatures, temperatures_of
 from gtau.estimation.regression.torque_sensors import sensors_of
 from gtau.model.base_parameters import BaseParameters, base_parameters
-from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
-from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import Prior
 from gtau.signals.notes import Kind, Note
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import Preparation, PreparedRun, prepare
 from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run, arrange
-
-SHARD = 1 << 19  # samples of a shard, at least
-
-
-@dataclass(frozen=True, eq=False)
-class Shard:
-    """Some stretches of a run, with all that is needed to reduce them.
-
-    It can be sent to another process, which then has no more of the run than these stretches are made from: of a run
-    that was read from logs it reads as much there. What is found does not depend on how a run is cut into parts.
-
-    Attributes
-    ----------
-    robot : Robot
-        Its model is made once in a process.
-    columns : tuple of str
-        Standard parameters wanted, the columns of the factors.
-    prepared, decimator : PreparedRun, Decimator
-        The run, and the filter of its rows.
-    stretches : range
-        Which of the run's ``STRETCHES`` jackknife stretches.
-    load : ndarray, optional
-        Values of the columns that give the torques transmitted by the joints; see :func:`stream_rows`.
-    weigh : HuberWeights, optional
-        Weights of the rows; see :func:`reduce_run`.
-    """
-
-    robot: Robot
-    columns: tuple[str, ...]
-    prepared: PreparedRun
-    decimator: Decimator
-    stretches: range
-    load: np.ndarray | None = None
-    weigh: HuberWeights | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        each = self.prepared
-        outputs = outputs_of(self.stretches, self.decimator.outputs(len(each)))
-        reach = self.decimator.reach(len(each), outputs)
-        needed = each.needed(reach.start, max(reach.stop, reach.start + 1))
-        return self.__dict__ | {"prepared": replace(each, run=each.run.only(needed))}
-
-
-Mapper = Callable[[Callable[[Shard], Factors], Sequence[Shard]], Iterable[Factors]]
-"""Applies a function to parts and gives what it returns in their order, each as soon as it is there, as ``map`` does.
-
-The builtin ``map`` is the one that computes here and now; others may compute elsewhere or remember.
-"""
-
-
-@single_threaded_blas
-def reduce_shard(part: Shard) -> Factors:
-    """Reduce the stretches of a part to factors, in any process; :func:`joined` puts the parts of a run together."""
-    model = model_of(part.robot)
-    return reduce_run(model, part.columns, part.prepared, part.decimator, part.load, part.weigh, part.stretches)
 
 
 @lru_cache(maxsize=8)
@@ -108,8 +50,6 @@ class Dataset:
     prepared: tuple[PreparedRun, ...]
     factors: tuple[Factors, ...]
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    mapper: Mapper = map
-    shard: int = SHARD
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -146,26 +86,6 @@ class Dataset:
             tuple(dict.fromkeys(frame.body for frame in self.runs[0].wrenches)),
         )
 
-    def parts(
-        self, loads: Sequence[np.ndarray] | None = None, weigh: Sequence[HuberWeights] | None = None
-    ) -> list[list[Shard]]:
-        """List what is to be reduced, the parts of every run."""
-        return [
-            [
-                Shard(
-                    self.robot,
-                    self.base.standard,
-                    each,
-                    self.preparation.at(each.run.rate).decimator,
-                    stretches,
-                    None if loads is None else loads[k],
-                    None if weigh is None else weigh[k],
-                )
-                for stretches in cut(len(each), self.shard)
-            ]
-            for k, each in enumerate(self.prepared)
-        ]
-
     def reduced(
         self,
         loads: Sequence[np.ndarray] | None = None,
@@ -176,29 +96,26 @@ class Dataset:
 
         ``weigh`` (one a run) gives the rows weights; see :func:`reduce_run`.
         """
-        parts = self.parts(loads, weigh)
-        sizes = [len(part.prepared) * len(part.stretches) // STRETCHES for run in parts for part in run]
-        done, total, factors = 0, sum(sizes), []
-        progress("model along the runs", done, total)
-        for found, size in zip(self.mapper(reduce_shard, [part for run in parts for part in run]), sizes, strict=True):
-            factors.append(found)
-            done += size
-            progress("model along the runs", done, total)
-        of_run = iter(factors)
-        return replace(self, factors=tuple(joined([next(of_run) for _ in run]) for run in parts))
+        factors: list[Factors] = []
+        begun, total = 0, sum(map(len, self.prepared))
+
+        def advance(samples: int) -> None:
+            progress("model along the runs", begun + samples, total)
+
+        for k, each in enumerate(self.prepared):
+            advance(0)
+            decimator = self.preparation.at(each.run.rate).decimator
+            load, weights = None if loads is None else loads[k], None if weigh is None else weigh[k]
+            factors.append(reduce_run(self.model, self.base.standard, each, decimator, load, weights, advance))
+            begun += len(each)
+        advance(0)
+        return replace(self, factors=tuple(factors))
 
 
 def robot_notes(robot: Robot, loaded: bool) -> list[Note]:
     """Note implausible parts of a robot's description, and, where ``loaded``, the body assumed to carry payloads."""
     found = oddities(robot) + (tool_note(robot) if loaded else ())
     return [Note(Kind.ROBOT, note, source=f"robot '{robot.name}'") for note in found]
-
-
-def cut(samples: int, shard: int = SHARD) -> list[range]:
-    """Cut the stretches of a run into shards of at least ``shard`` samples."""
-    parts = min(max(samples // shard, 1), STRETCHES)
-    edges = [STRETCHES * k // parts for k in range(parts + 1)]
-    return [range(*pair) for pair in pairwise(edges)]
 
 
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:
@@ -212,13 +129,11 @@ def reduce_runs(
     preparation: Preparation | None = None,
     decimator: Literal["fir", "chebyshev"] = "fir",
     progress: Progress = silent,
-    mapper: Mapper = map,
-    shard: int = SHARD,
     priors: Mapping[str, Prior] | None = None,
 ) -> Dataset:
     """Prepare all runs and reduce them to triangular factors.
 
-    ``mapper`` reduces the shards, of at least ``shard`` samples each; ``priors`` are what is known of parameters.
+    ``priors`` are what is known of parameters.
 
     Raises
     ------
@@ -238,9 +153,7 @@ def reduce_runs(
     progress("base parameters", 0, 1)
     base = base_parameters(model, sensors=sensors_of(robot, runs))
     prepared = prepare_runs(model, runs, preparation)
-    return Dataset(robot, model, base, preparation, prepared, (), priors or {}, mapper, shard).reduced(
-        progress=progress
-    )
+    return Dataset(robot, model, base, preparation, prepared, (), priors or {}).reduced(progress=progress)
 
 
 def check_wrenches(robot: Robot, run: Run) -> None:

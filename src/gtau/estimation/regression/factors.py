@@ -6,7 +6,7 @@ for each of the stretches that the jackknife leaves out in turn. Factors of more
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +18,8 @@ from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
-from gtau.signals.storage import Store, store
+from gtau.signals.storage import Store
 
-FACTORS_VERSION = 4  # of the numbers in Factors; raised with every change of them, for the cache
 STRETCHES = 20
 ROWS = 512  # merged into a triangle at once
 CURRENTS = 3  # columns of a joint's current: v, v', v''
@@ -41,7 +40,7 @@ class HuberWeights:
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """A run, or some stretches of one, reduced.
+    """A run, reduced.
 
     Attributes
     ----------
@@ -77,22 +76,6 @@ def equations(regressor: Regressor, joints: Sequence[int], part: Rows) -> np.nda
     return A
 
 
-def outputs_of(stretches: range, outputs: int) -> range:
-    """Find which of a run's decimated rows are those of some stretches."""
-    return range(*(-(-s * outputs // STRETCHES) for s in (stretches.start, stretches.stop)))
-
-
-def joined(parts: Sequence[Factors]) -> Factors:
-    """Join the factors of a run's stretches, in order."""
-    return Factors(
-        R=np.concatenate([part.R for part in parts]),
-        rows=np.concatenate([part.rows for part in parts]),
-        distances=store((part.distances for part in parts if part.distances is not None), (2,), np.float32),
-        residuals=store((part.residuals for part in parts if part.residuals is not None), parts[0].rows.shape[1:]),
-        speeds=None if parts[0].speeds is None else np.concatenate([part.speeds for part in parts]),
-    )
-
-
 def reduce_run(
     idm: InverseDynamics,
     columns: tuple[str, ...],
@@ -100,12 +83,12 @@ def reduce_run(
     decimator: Decimator,
     load: np.ndarray | None = None,
     weigh: HuberWeights | None = None,
-    stretches: range = range(STRETCHES),
+    progress: Callable[[int], None] = lambda samples: None,
     fast: int = FAST_SAMPLES,
 ) -> Factors:
     """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
 
-    With ``weigh`` of weighted rows; of all its ``stretches`` or of some; in blocks of ``fast`` samples.
+    With ``weigh`` of weighted rows; in blocks of ``fast`` samples. ``progress`` gets the samples done at each stretch.
 
     Raises
     ------
@@ -114,16 +97,15 @@ def reduce_run(
     """
     regressor, near = idm.columns(columns), singularities(idm)
     outputs = decimator.outputs(len(prepared))
-    chosen = outputs_of(stretches, outputs)
     joints = prepared.run.measured_joints
     c, p = len(joints), len(columns) + EXTRA
     own = [np.append(np.unique(regressor.columns[regressor.rows == j]), np.arange(p - EXTRA, p)) for j in joints]
-    R, rows = np.zeros((len(stretches), c, p, p)), np.zeros((len(stretches), c), dtype=int)
-    small = [[np.zeros((0, each.size)) for each in own] for _ in stretches]  # the triangles of own columns
+    R, rows = np.zeros((STRETCHES, c, p, p)), np.zeros((STRETCHES, c), dtype=int)
+    small = [[np.zeros((0, each.size)) for each in own] for _ in range(STRETCHES)]  # the triangles of own columns
     waiting: list[list[np.ndarray]] = [[] for _ in joints]
     distances = Store((2,), np.float32)
     residuals = Store((c,))
-    speeds = np.zeros((len(stretches), len(idm.actuated)))
+    speeds = np.zeros((STRETCHES, len(idm.actuated)))
     now, held = 0, 0
 
     def merge() -> None:
@@ -132,9 +114,9 @@ def reduce_run(
                 small[now][j] = triangle(small[now][j], *waiting[j])
                 waiting[j].clear()
 
-    for part in stream_rows(idm, regressor, prepared, decimator, load, chosen, fast):
+    for part in stream_rows(idm, regressor, prepared, decimator, load, fast):
         distances.append(near.distances(part.motion).T)
-        stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs - stretches.start
+        stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
         A = equations(regressor, joints, part)
         if weigh is not None:
             e = np.einsum("jkp,jp->jk", A, weigh.coefficients)
@@ -143,6 +125,8 @@ def reduce_run(
         for s in range(stretch[0], stretch[-1] + 1):
             if s > now or held >= ROWS:
                 merge()
+                if s > now:
+                    progress(len(prepared) * s // STRETCHES)
                 now, held = s, 0
             held += int((stretch == s).sum())
             moving = np.abs(part.motion.yd[idm.layout.actuated]) * (part.keep[: len(idm.actuated)] & (stretch == s))
@@ -153,7 +137,7 @@ def reduce_run(
                     waiting[j].append(kept[:, own[j]])
                     rows[s, j] += len(kept)
     merge()
-    for s in range(len(stretches)):
+    for s in range(STRETCHES):
         for j in range(c):
             # in the columns of all joints a triangle's rows still begin at the diagonal or right of it
             R[s, j, : len(small[s][j]), own[j]] = small[s][j].T

@@ -49,7 +49,6 @@ def stream_rows(
     prepared: PreparedRun | InMemoryRun,
     decimator: Decimator,
     load: np.ndarray | None = None,
-    outputs: range | None = None,
     fast: int = FAST_SAMPLES,
     friction: Law | None = None,
 ) -> Iterator[Rows]:
@@ -64,8 +63,6 @@ def stream_rows(
     load : ndarray, optional
         Values of the columns (columns,) that give the torques transmitted by the joints, for friction
         that depends on them; without it the command stands in for the torque, up to the drive gain.
-    outputs : range, optional
-        The rows wanted, by their numbers in the run; all if left out.
     fast : int
         Samples of a block before decimation.
     friction : callable, optional
@@ -78,8 +75,7 @@ def stream_rows(
     """
     n = len(prepared)
     size = max(fast, 8 * decimator.warm_up) // decimator.factor
-    outputs = range(decimator.outputs(n)) if outputs is None else outputs
-    for block, of, c in _along(idm, prepared, decimator.blocks(n, size, outputs), decimator.reach(n, outputs).stop):
+    for block, of, c in _along(idm, prepared, decimator.blocks(n, size)):
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         seen = slice(block.first - decimator.support, last + decimator.support + 1)
         kept = slice(block.first, last + 1, decimator.factor)
@@ -125,19 +121,16 @@ def pushes_of(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarr
 
 
 def _along(
-    idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block], last: int
+    idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block]
 ) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
-    """Stream the blocks with samples and configurations; these are made for longer stretches, which is faster.
-
-    Samples from ``last`` on are not looked at.
-    """
+    """Stream the blocks with samples and configurations; these are made for longer stretches, which is faster."""
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     for block in blocks:
         at = block.samples
         if at.stop > end:
             known = max(end - at.start, 0) if c.size else 0
-            stop = min(max(at.start + PATH, at.stop), last)
+            stop = min(max(at.start + PATH, at.stop), len(prepared))
             of = prepared.samples(at.start, stop)
             labels = Labels(prepared.run.name, of.time[known:])
             path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)

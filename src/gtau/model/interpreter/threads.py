@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, wraps
-from typing import ParamSpec, TypeVar
+from contextlib import contextmanager
+from functools import cache
 
 from threadpoolctl import threadpool_limits
 
@@ -46,19 +46,11 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, "gtau", lambda: setattr(_inside, "pool", True))
 
 
-Parameters = ParamSpec("Parameters")
-Returned = TypeVar("Returned")
+@contextmanager
+def single_threaded_blas() -> Iterator[None]:
+    """Run BLAS and OpenMP in one thread, as a context or a decorator.
 
-
-def single_threaded_blas(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
-    """Run a function with one BLAS thread: on matrices as small as here, threads only wait for each other.
-
-    As ``threadpool_limits.wrap``, which has no types: type checkers take what it decorates for Any.
+    On matrices as small as here, and on busy cores, threads only wait for each other (a QR takes 100 times longer).
     """
-
-    @wraps(function)
-    def limited(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
-        with threadpool_limits(limits=1, user_api="blas"):
-            return function(*args, **kwargs)
-
-    return limited
+    with threadpool_limits(limits=1):
+        yield

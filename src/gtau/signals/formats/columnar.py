@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.formats.table import Place, Table
-from gtau.signals.sizes import sizes
+from gtau.signals.formats.table import Table
+from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl
@@ -50,7 +50,7 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
     except pl.exceptions.PolarsError as error:
         raise refused(error) from None
 
-    def frames(names: Sequence[str], rows: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+    def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
         first = 0  # row of the part
         for part, length in zip(parts, lengths, strict=True):
             begin, end = max(rows.start - first, 0), min(rows.stop - first, length)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.signals.formats.table import WIDEST, Place, Table, common_length, readable
-from gtau.signals.sizes import sizes
+from gtau.signals.formats.table import WIDEST, Table, common_length, readable
+from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl
@@ -59,7 +59,7 @@ def open_rosbag(path: Path) -> Table:
                 columns[f"{topic}/{name}"] = topic, _of_message(getter)
             columns[f"{topic}/received"] = topic, lambda message, received: received * 1e-9
 
-    def frames(names: Sequence[str], rows: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+    def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
         import polars as pl
 
         topics = [columns[name][0] for name in names]

@@ -12,13 +12,10 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.notes import Note
-from gtau.signals.sizes import sizes
+from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl
-
-Place = tuple[int, int]
-"""A row of a text file and the byte at which it begins."""
 
 WIDEST = 256  # columns of one array; a wider one is an image or a map, not signals
 
@@ -29,17 +26,15 @@ class Table:
 
     ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
     log that is then read. Row 0 stands in ``first_line`` of a text file; other logs have rows, counted from 1.
-    ``numbered``: the log has no header, and its columns are named by their number. ``places`` holds, as far as a text
-    file has been read, rows and the bytes at which they begin. ``notes`` report what the reader left out;
-    ``unusable`` says of columns that hold no numbers what to do.
+    ``numbered``: the log has no header, and its columns are named by their number. ``notes`` report what the reader
+    left out; ``unusable`` says of columns that hold no numbers what to do.
     """
 
     columns: tuple[str, ...]
-    frames: Callable[[Sequence[str], range, Place], Iterator[tuple[pl.DataFrame, float]]]
+    frames: Callable[[Sequence[str], range], Iterator[tuple[pl.DataFrame, float]]]
     first_line: int = 1
     line_word: str = "row"
     numbered: bool = False
-    places: list[Place] = field(default_factory=list)
     notes: tuple[Note, ...] = ()
     unusable: Mapping[str, str] = field(default_factory=dict)
 
@@ -89,7 +84,7 @@ def table_of_arrays(
                 column = f"{name}[{k + 1}]"
                 found[column], rows[column] = (name, k, shape[1] == long), long
 
-    def frames(names: Sequence[str], wanted: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
+    def frames(names: Sequence[str], wanted: range) -> Iterator[tuple[pl.DataFrame, float]]:
         import polars as pl
 
         count = common_length(path, {name: rows[name] for name in names})

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gtau.errors import GtauError
-from gtau.signals.formats.table import Place, Table
+from gtau.signals.formats.table import Table
 from gtau.signals.formats.text_layout import BOM, Layout, layout_of, split
-from gtau.signals.sizes import sizes
+from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl
@@ -28,14 +28,11 @@ def open_text(path: Path) -> Table:
         The file is empty or no text.
     """
     layout = layout_of(path)
-    places: list[Place] = []
 
-    def frames(names: Sequence[str], rows: range, place: Place) -> Iterator[tuple[pl.DataFrame, float]]:
-        first = place[0]
+    def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
+        first = 0
         wanted = [layout.columns.index(name) for name in names]
-        for begin, text, done in _whole_lines(path, place[1] or layout.first_byte):
-            if not places or places[-1][0] < first:
-                places.append((first, begin))
+        for text, done in _whole_lines(path, layout.first_byte):
             frame = _frame(path, layout, text, wanted)
             part = frame[max(rows.start - first, 0) : max(rows.stop - first, 0)]
             first += len(frame)
@@ -44,7 +41,7 @@ def open_text(path: Path) -> Table:
             if first >= rows.stop:
                 return
 
-    return Table(layout.columns, frames, layout.first_line, "line", layout.numbered, places, layout.notes)
+    return Table(layout.columns, frames, layout.first_line, "line", layout.numbered, layout.notes)
 
 
 def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.DataFrame:
@@ -73,26 +70,21 @@ def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.Dat
     return frame.select(columns[k] for k in wanted).select(entries)
 
 
-def _whole_lines(path: Path, begin: int) -> Iterator[tuple[int, bytes, float]]:
-    """Read lines from the byte ``begin`` on, many at once and each of them whole.
-
-    With the byte at which they begin, and the part of the file that is then read.
-    """
+def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
+    """Read blocks of whole lines from the byte ``begin`` on, each with the part of the file that is then read."""
     size, torn = path.stat().st_size, b""
     with path.open("rb") as file:
         file.seek(begin)
         if not begin and file.read(len(BOM)) != BOM:
             file.seek(0)
-        begin = file.tell()
         while read := file.read(sizes().text):
             end = read.rfind(b"\n") + 1
             if end:
                 text, torn = torn + read[:end], b""
-                yield begin, text, file.tell() / size
-                begin += len(text)
+                yield text, file.tell() / size
             torn += read[end:]
     if torn:
-        yield begin, torn, 1.0
+        yield torn, 1.0
 
 
 def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:

@@ -1,4 +1,4 @@
-"""Position glitches: up to three samples of a joint that are off, between others that go smoothly past them."""
+"""Faults of logged signals: positions that jump and come back, or stay away, and commands clipped at a limit."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.signals.held import Held
+from gtau.errors import GtauError
+from gtau.signals.clock import REACH, WHITE, cubic_residuals
 from gtau.signals.notes import Kind, Note
-from gtau.signals.quantiles import Quantiles
-from gtau.signals.samples import Samples
-from gtau.signals.smoothness import REACH, WHITE, cubic_residuals
-from gtau.signals.storage import block, spans, store
+from gtau.signals.resampling import MISSING_STEP, Held
+from gtau.signals.samples import Samples, ahead, counted, extremes
+from gtau.signals.storage import block, spans, store, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
 NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
@@ -28,6 +28,11 @@ NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
 # moves no gain by more than 0.15 of its standard deviation.
 SCALES, STEPS = 6.0, 1.5
 SHARE = 0.95
+LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
+SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
+SLIP_SPEED = 0.5  # and in shares of the joint's speed
+SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, shaken by others, goes by one
+SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Glitch:
 
 
 def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[Glitch, ...]:
-    """Find samples whose position is off while those around agree with each other; the log goes by twice.
+    """Find samples whose position is off while those around agree with each other, in two passes.
 
     Parameters
     ----------
@@ -56,14 +61,18 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[G
     tuple of Glitch
         In order.
     """
-    usual, steps = Quantiles(len(held.quanta)), Quantiles(1)
+    stride = stride_of(len(samples.time))
+    usual: list[np.ndarray] = []
+    steps: list[np.ndarray] = []
     for numbers, time, position, mine in _blocks(samples, instants, held):
         if len(numbers) > 2 * REACH:
             off = np.abs(cubic_residuals(time, position, float(np.diff(time).mean())))
-            usual.add(off[mine[REACH:-REACH]])
-            steps.add(np.diff(time)[mine[1:], None])
-    period = float(steps.quantile(0.5)[0])
-    scale = np.maximum(usual.quantile(SHARE) / WHITE, held.quanta)
+            usual.append(off[mine[REACH:-REACH]][::stride])
+            steps.append(np.diff(time)[mine[1:]][::stride])
+    if not any(map(len, usual)):
+        return ()
+    period = float(np.median(np.concatenate(steps)))
+    scale = np.maximum(np.quantile(np.concatenate(usual), SHARE, axis=0) / WHITE, held.quanta)
     found: list[Glitch] = []
     for numbers, time, position, mine in _blocks(samples, instants, held):
         if len(numbers) < NEIGHBOURS + WIDEST:
@@ -164,7 +173,7 @@ def without_glitches(samples: Samples, glitches: Sequence[Glitch]) -> Samples:
     return replace(samples, position=store(parts(), samples.position.shape[1:]))
 
 
-def note_on(samples: Samples, glitches: Sequence[Glitch]) -> Note:
+def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Note:
     """Say how many glitches there are, in which joints, and what the first looks like; ``samples`` still hold them."""
     names, first = samples.source.joints, glitches[0]
     counts = {names[j]: sum(each.joint == j for each in glitches) for j in sorted({each.joint for each in glitches})}
@@ -187,3 +196,136 @@ def note_on(samples: Samples, glitches: Sequence[Glitch]) -> Note:
         time=time,
         share=len(glitches) / len(samples.time),
     )
+
+
+def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
+    """Refuse a position that jumps between two samples and stays there, as after a slipped coupling or lost counts.
+
+    What follows a stale position makes up for it, and is no jump.
+    """
+    source, n = samples.source, len(samples.source.joints)
+    stride = stride_of(len(samples.time))
+    usual: list[np.ndarray] = []
+    fast: list[np.ndarray] = []
+    largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
+    median = None
+    for start, stop in spans(len(samples.time)):
+        begin = max(0, start - 7 - held.longest)
+        time, position = block(instants, begin, stop), block(samples.position, begin, stop)
+        step = np.diff(time)
+        median = np.median(step[step > 0]) if median is None else median
+        # Stamps that are the same, of a sample that repeats another, are no step.
+        moving = _moving(time, position, held.fresh(position))
+        speed = np.diff(moving, axis=0) / np.maximum(step, 0.1 * median)[:, None]
+        fast.append(np.abs(speed[max(start - 1, 0) - begin :: stride]))
+        if len(step) < 7:
+            continue
+        # The way of three steps against the steps around them: what was stale or a glitch is made up for there.
+        over = (moving[4:-1] - moving[1:-4]) - (time[4:-1] - time[1:-4])[:, None] * (speed[:-4] + speed[4:]) / 2
+        change = over / median
+        whole = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
+        change[~np.all([whole[k : len(whole) - 4 + k] for k in range(5)], axis=0)] = 0.0
+        three = np.stack([change[:-2], change[1:-1], change[2:]])
+        change = np.where((np.sign(three) == np.sign(three[1])).all(axis=0), np.abs(three).min(axis=0), 0.0)
+        usual.append(change[::stride])
+        at = np.argmax(change, axis=0)
+        for j, k in enumerate(at):
+            if change[k, j] > largest[j]:
+                jump = speed[k + 3, j] - (speed[k + 2, j] + speed[k + 4, j]) / 2
+                largest[j], places[j], jumps[j] = change[k, j], begin + k + 4, jump * step[k + 3]
+    usually, speeds = (np.quantile(np.concatenate(each), 0.999, axis=0) for each in (usual, fast))
+    for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
+        raise GtauError(
+            f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
+            "give the units of its position and of the time (units: {position: ..., time: ...})."
+        )
+    low, high = extremes(samples.position)
+    far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * np.array(held.quanta))
+    for j in np.flatnonzero((largest > SLIP * usually) & (largest > SLIP_SPEED * speeds) & far).tolist():
+        k = int(places[j])
+        raise GtauError(
+            f"{source.name}, {samples.place(k)}: the position of joint '{source.joints[j]}' jumps by "
+            f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is not a motion; check "
+            "the coupling and the counter of its encoder, or cut the log there into two runs."
+        )
+
+
+def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.ndarray:
+    """Interpolate the positions (M, n) that are not fresh."""
+    if fresh.all():
+        return position
+    return np.column_stack([np.interp(time, time[fresh], each[fresh]) for each in position.T])
+
+
+CLIPPED_RUN = 3  # samples in a row at the extreme value
+PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
+MAX_CLIPPED = 0.1
+
+
+def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
+    """Find joints, and levels at which their commands stay although they move, as at a limit of the drive.
+
+    Raises
+    ------
+    GtauError
+        More than a tenth of the samples are clipped.
+    """
+    source, count = samples.source, len(samples.time)
+    found = []
+    low, high = extremes(samples.command)
+    moving = [*range(len(source.joints)), *map(source.joints.index, source.sensors)]
+    for j, (what, mover) in enumerate(zip(source.measured, moving, strict=True)):
+        if low[j] == high[j]:
+            continue  # nothing acts on a floating base
+        for level in (float(high[j]), float(low[j])):
+            at = _count_at(samples.command, j, level)
+            if at < CLIPPED_RUN or at < PILE_UP * _count_beside(samples.command, j, level):
+                continue
+            if _longest_at(samples, j, mover, level) < CLIPPED_RUN:
+                continue
+            if at > MAX_CLIPPED * count:
+                raise GtauError(
+                    f"{source.name}: {what} is clipped at {level:.4g} in "
+                    f"{at} of {count} samples; record it again with slower motions or a higher limit of the drive."
+                )
+            masked = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
+            action = "log again with smaller accelerations, or a higher limit of the drive"
+            joint = source.joints[mover]
+            notes.append(Note(Kind.CLIPPED, masked, action, joint=joint, share=at / count))
+            found.append((j, level))
+    return found
+
+
+def _count_at(command: np.ndarray, j: int, level: float) -> int:
+    return sum(int(np.count_nonzero(block(command, *span)[:, j] == level)) for span in spans(len(command)))
+
+
+def _count_beside(command: np.ndarray, j: int, level: float) -> int:
+    """Count samples at the value next to an extreme one."""
+    nearest, count = np.inf, 0
+    for span in spans(len(command)):
+        away = np.abs(block(command, *span)[:, j] - level)
+        away = away[away > 0]
+        least = away.min(initial=np.inf)
+        if least < nearest:
+            nearest, count = least, 0
+        count += int(np.count_nonzero(away == nearest))
+    return count
+
+
+def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
+    """Count the most samples in a row in which joint j moves and its command stays at ``level``."""
+    position, command, count = samples.position, samples.command, len(samples.time)
+    steps = [np.sum(np.diff(block(position, *span)[:, mover]) ** 2) for span in ahead(count)]
+    least = 0.05 * np.sqrt(sum(steps) / count)
+    longest = now = 0
+    for start, stop in ahead(count):
+        speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
+        at = (block(command, start, stop)[1:, j] == level) & (speed > least)
+        edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
+        runs = edges[1::2] - edges[::2]
+        if runs.size and edges[0] == 0:
+            runs[0] += now
+        longest = max(longest, int(runs.max(initial=0)))
+        now = int(runs[-1]) if runs.size and at[-1] else 0
+    return longest
