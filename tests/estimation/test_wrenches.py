@@ -16,7 +16,8 @@ from gtau.estimation.check_logs import check_logs
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs, reduce_shard
-from gtau.estimation.regression.factors import CURRENTS, PUSH, joined
+from gtau.estimation.regression.equations import KNOWN
+from gtau.estimation.regression.factors import joined
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.signals.experiment import read_experiment
@@ -162,7 +163,7 @@ def test_parts_sent_to_other_processes_give_the_same_factors(leaning: Truth, tmp
     data = reduce_runs(load_robot(described.robot), [run], shard=500)
     ((*shards,),) = data.parts()
     assert len(shards) == 3
-    assert data.factors[0].R[..., -CURRENTS - PUSH].any()
+    assert data.factors[0].R[..., KNOWN].any()
     sent = joined([reduce_shard(pickle.loads(pickle.dumps(shard))) for shard in shards])
     assert np.array_equal(sent.rows, data.factors[0].rows)
     assert np.array_equal(sent.R, data.factors[0].R)
