@@ -26,11 +26,11 @@ from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.factors import CURRENTS, EXTRA, STRETCHES, Factors
+from gtau.estimation.regression.equations import SIGNALS, triangle
+from gtau.estimation.regression.factors import EXTRA, STRETCHES, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.triangle import triangle
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
@@ -193,8 +193,8 @@ def refactor(data: Dataset, fixed: Fixed, run: Run) -> Factors:
             along = Q.T @ v
             rest = triangle(v - Q @ along)
             m = len(upper)
-            R[s, j, :m, : data.base.count], R[s, j, :m, -CURRENTS:] = upper, along
-            R[s, j, m : m + len(rest), -CURRENTS:] = rest[: p - m]
+            R[s, j, :m, : data.base.count], R[s, j, :m, SIGNALS] = upper, along
+            R[s, j, m : m + len(rest), SIGNALS] = rest[: p - m]
             rows[s, j] = len(at)
     return Factors(R, rows)
 

@@ -16,8 +16,9 @@ from gtau.estimation.estimators.least_squares import ols, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.regression.problem import Problem, delayed
-from gtau.estimation.regression.triangle import leave_one_out, triangle
+from gtau.estimation.regression.equations import delayed, leave_one_out, triangle
+from gtau.estimation.regression.problem import Problem
+from gtau.signals.channel import Channel
 from gtau.signals.filters import differentiate, low_pass
 
 UNITS = 20
@@ -48,7 +49,7 @@ def exact_rows(rng: np.random.Generator, per_unit: int = 15, curved: bool = True
     units[..., -2] *= 50.0
     units[..., -1] *= 5000.0 if curved else 0.0
     tau = units[..., :N_THETA] @ THETA + units[..., N_THETA]
-    shift = np.stack([delayed(d)[1:] for d in DELAYS])
+    shift = delayed(DELAYS)[:, 1:]
     units[..., -3] = tau / GAINS[:, None] - np.einsum("ujpk,jk->ujp", units[..., -2:], shift)
     return units
 
@@ -61,9 +62,9 @@ def noisy(units: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def problem_of(units: np.ndarray) -> Problem:
-    joints = tuple(f"j{k + 1}" for k in range(units.shape[1]))
+    channels = tuple(Channel(f"j{k + 1}", "motor", f"j{k + 1}", k) for k in range(units.shape[1]))
     parameters = tuple(f"p{k + 1}" for k in range(units.shape[-1] - 4))
-    return Problem(parameters, joints, units, np.full(units.shape[:2], units.shape[2]), slowest=0.02)
+    return Problem(parameters, channels, units, np.full(units.shape[:2], units.shape[2]), slowest=0.02)
 
 
 def reduced(problem: Problem) -> Problem:
@@ -161,7 +162,7 @@ def test_maximum_likelihood_by_an_optimizer(rng: np.random.Generator) -> None:
 
     def errors(x: np.ndarray) -> np.ndarray:
         theta, gains, delays = x[:N_THETA], x[N_THETA : N_THETA + N], 1e-3 * x[N_THETA + N :]
-        v = np.einsum("ujpk,jk->ujp", units[..., -3:], np.stack([delayed(d) for d in delays]))
+        v = np.einsum("ujpk,jk->ujp", units[..., -3:], delayed(np.array(delays)))
         return (v - (units[..., :N_THETA] @ theta + units[..., N_THETA]) / gains[:, None]).swapaxes(0, 1)
 
     def cost(x: np.ndarray) -> float:
@@ -381,7 +382,9 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
         v = (W @ theta + known) / gain + low_pass(0.2 * rng.standard_normal(samples), rate, 10.0)
         whole = np.column_stack([W, known, v, *differentiate(v, rate)])
         units += [whole[part][None] for part in np.array_split(np.arange(samples), 10)]
-    problem = Problem(("a", "b", "c"), ("j",), np.array(units), np.full((20, 1), samples // 10), 0.5)
+    problem = Problem(
+        ("a", "b", "c"), (Channel("j", "motor", "j", 0),), np.array(units), np.full((20, 1), samples // 10), 0.5
+    )
     far = newton.Iterate(theta, np.array([1 / gain]), np.array([0.05]))
 
     def weights(state: newton.Iterate, errors: np.ndarray) -> np.ndarray:

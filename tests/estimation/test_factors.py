@@ -70,8 +70,8 @@ def all_rows(data: Dataset, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarra
     columns = [model.parameter_names.index(name) for name in data.base.standard]
     terms = np.stack([prepared.qd**3, np.abs(prepared.command) * np.sign(prepared.qd)], axis=-1)
     currents = np.stack([prepared.command, prepared.command_d, prepared.command_dd], axis=-1)
-    pushes = np.zeros((*prepared.q.shape, 1))  # no wrenches
-    rows = np.concatenate([W[:, :, columns], terms, pushes, currents], axis=-1)
+    known = np.zeros((*prepared.q.shape, 1))  # no wrenches
+    rows = np.concatenate([W[:, :, columns], terms, known, currents], axis=-1)
     rows = decimator.apply(np.ascontiguousarray(np.moveaxis(rows, 0, -1))).swapaxes(1, 2)
     instants = rows.shape[1]
     return rows, decimator.keep(prepared.usable).T, np.arange(instants) * STRETCHES // instants

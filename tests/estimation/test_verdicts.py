@@ -257,7 +257,7 @@ def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
 def test_moments_of_a_base_that_hangs_still_are_no_misfit(left: float, unexplained: bool) -> None:
     """Hung above its centre of mass a base has moments of 0.05 N m, all noise, while its terms of 3 N m cancel."""
     problem = SimpleNamespace(
-        base_channels=np.ones(6, dtype=bool),
+        of=lambda kind: list(range(6)) if kind == "base" else [],
         balance=lambda theta: np.array([2.0, 2.0, 100.0, left, left, left]),
         largest_terms=lambda theta: np.array([2.0, 2.0, 100.0, 3.0, 3.0, 3.0]),
     )

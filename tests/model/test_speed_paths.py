@@ -13,9 +13,9 @@ import pytest
 from numpy.testing import assert_allclose
 from robots_for_tests import hexapod, seven_r, trajectory
 
+from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.factors import EXTRA, reduce_run
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.triangle import triangle
 from gtau.model import inverse_dynamics as inverse_dynamics_module
 from gtau.model.home import load_robot
 from gtau.model.interpreter import kernel as interpreter
@@ -227,7 +227,7 @@ def test_factors_are_those_of_all_rows(rng):
             A = np.zeros((len(part.time), p))
             mine = np.flatnonzero(regressor.rows == j)
             A[:, regressor.columns[mine]] = part.entries[mine].T
-            A[:, -EXTRA:] = np.concatenate([part.terms[:, j], part.pushes[[j]], part.currents[:, j]]).T
+            A[:, -EXTRA:] = np.concatenate([part.terms[:, j], -part.external[[j]], part.currents[:, j]]).T
             A = A[part.keep[j]]
             gram[j] += A.T @ A
             kept[j] += len(A)

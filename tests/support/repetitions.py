@@ -7,11 +7,11 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.regression.factors import CURRENTS, EXTRA, Factors
+from gtau.estimation.regression.equations import SIGNALS, triangle
+from gtau.estimation.regression.factors import EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import assemble_system
-from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.forecast import expected_runs
 from gtau.excitation.task import DesignProblem
 from gtau.signals.filters import differentiate
@@ -38,7 +38,7 @@ def repeated_gains(task: DesignProblem, x: np.ndarray, count: int, rng: np.rando
         A = np.zeros((n, sum(len(part.time) for part in parts), p))
         entries = np.concatenate([part.entries for part in parts], axis=1)
         A[regressor.rows, :, regressor.columns] = entries
-        A[:, :, -CURRENTS:] = np.concatenate([part.currents for part in parts], axis=2).transpose(1, 2, 0)
+        A[:, :, SIGNALS] = np.concatenate([part.currents for part in parts], axis=2).transpose(1, 2, 0)
         clean.append(A)
         kept.append(np.concatenate([part.keep for part in parts], axis=1))
         first = int(np.argmin(np.abs(run.time - prepared.time[0])))
@@ -51,7 +51,7 @@ def repeated_gains(task: DesignProblem, x: np.ndarray, count: int, rng: np.rando
             noise = rng.normal(size=(samples, n)) * task.sigma
             slopes = differentiate(noise, task.rate)
             noisy = A.copy()
-            noisy[:, :, -CURRENTS:] += np.stack(
+            noisy[:, :, SIGNALS] += np.stack(
                 [decimator.apply(np.ascontiguousarray(each[cut].T)) for each in (noise, *slopes)], axis=2
             )
             R = np.zeros((1, n, p, p))

@@ -250,18 +250,18 @@ def _together(dataset: Dataset, prior_gains: Mapping[str, float]) -> list[Note]:
 
 
 def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, validation: bool) -> LogCheck:
-    run, n, c = prepared.run, len(prepared.run.joints), len(prepared.run.measured_joints)
+    run, n = prepared.run, len(prepared.run.joints)
     rows = decimator.outputs(len(prepared))
     if not rows:
         raise GtauError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
     lowest, highest, fastest, strongest = ([] for _ in range(4))
-    positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((c,), bool)
+    positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
     power, path = np.zeros(run.command.shape[1]), None
     for block in decimator.blocks(len(prepared), max(sizes().block // decimator.factor, 1)):
         of = prepared.samples(block.samples.start, block.samples.stop)
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         at = slice(block.first, last + 1, decimator.factor)
-        masks.append(decimator.keep(of.usable[block.first - decimator.support : last + decimator.support + 1]))
+        masks.append(decimator.keep(of.usable[block.first - decimator.support : last + decimator.support + 1, :n]))
         q, labels = of.q[at].T.copy(), Labels(run.name, of.time[at])
         path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)
@@ -271,8 +271,8 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         lowest.append(of.q.min(axis=0))
         highest.append(of.q.max(axis=0))
         fastest.append(np.abs(of.qd).max(axis=0))
-        strongest.append(np.abs(of.command[:, :c]).max(axis=0))
-    values, used, found = distances.array(), masks.array()[:, :n], spectra(run)  # of the joints, not their sensors
+        strongest.append(np.abs(of.command[:, :n]).max(axis=0))
+    values, used, found = distances.array(), masks.array(), spectra(run)
     columns = zip(
         run.joints,
         np.min(lowest, axis=0).tolist(),
@@ -281,7 +281,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         np.max(fastest, axis=0).tolist(),
         [each.bandwidth for each in found],
         np.sqrt(power / rows)[:n].tolist(),
-        np.max(strongest, axis=0)[:n].tolist(),
+        np.max(strongest, axis=0).tolist(),
         used.mean(axis=0).tolist(),
         strict=True,
     )
@@ -302,6 +302,6 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
 
 def _wrench_checks(run: Run, power: np.ndarray) -> Iterator[WrenchCheck]:
     """Describe the wrenches of a run by the mean squares of its command columns."""
-    of_wrenches = power[len(run.measured_joints) :].reshape(-1, 2, 3).sum(axis=2)
+    of_wrenches = power[[each.kind == "wrench" for each in run.channels]].reshape(-1, 2, 3).sum(axis=2)
     for frame, (moment, force) in zip(run.wrenches, np.sqrt(of_wrenches).tolist(), strict=True):
         yield WrenchCheck(frame.body, "world" if frame.of_world else "body", force, moment)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.regression.equations import triangle
 from gtau.excitation.gradients import Slopes
 from gtau.excitation.information import Criterion, derivative
 from gtau.excitation.task import DesignProblem, close

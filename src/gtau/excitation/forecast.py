@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.equations import MODEL, SIGNALS, modelled, triangle
 from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import assemble_system
-from gtau.estimation.regression.triangle import triangle
 from gtau.excitation.constraints import whole_run
 from gtau.excitation.design import Design
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, Point, design_grid, evaluate, information
@@ -122,9 +122,9 @@ def ml_covariance(problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma:
     blocks = []
     for j, R in enumerate(problem.triangles):
         block = np.zeros((len(R), n_theta + 2 * n))
-        block[:, :n_theta] = -R[:, :n_theta] / gains[j]
-        block[:, n_theta + j] = (R[:, :n_theta] @ theta + R[:, n_theta]) / gains[j]
-        block[:, n_theta + n + j] = -R[:, n_theta + 2]
+        block[:, :n_theta] = -R[:, MODEL] / gains[j]
+        block[:, n_theta + j] = modelled(R, theta) / gains[j]
+        block[:, n_theta + n + j] = -R[:, SIGNALS][:, 1]
         blocks.append(block / sigma[j])
     stacked = np.concatenate(blocks)
     size = np.linalg.norm(stacked, axis=0)

@@ -18,10 +18,10 @@ from difflib import get_close_matches
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.equations import MODEL, modelled, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import assemble_system
-from gtau.estimation.regression.triangle import triangle
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.payload import Payload
@@ -75,11 +75,11 @@ def unknowns(
     theta[[problem.parameters.index(name) for name in base.names if name in problem.parameters]] = [
         value for name, value in zip(base.names, chi, strict=True) if name in problem.parameters
     ]
-    load = M[:, :, :n_theta] @ theta + M[:, :, n_theta]
+    load = modelled(M, theta)
     smooth = load * np.array([not name.startswith("fs_") for name in base.names])
     maps = np.zeros((runs, n, n_b, n_theta + 2 * n))
     for j in range(n):
-        maps[:, j, :, :n_theta] = -M[:, :, :n_theta] / gains[j]
+        maps[:, j, :, :n_theta] = -M[..., MODEL] / gains[j]
         maps[:, j, :, n_theta + j] = load / gains[j]
     names = (*problem.parameters, *(f"gain_{j}" for j in model.actuated), *(f"delay_{j}" for j in model.actuated))
     scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])

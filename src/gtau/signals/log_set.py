@@ -87,8 +87,8 @@ class Logged:
         base, joints = self.base, len(self.source.joints) - len(self.source.base)
         ends = [0, joints, len(base.pose) if base else 0, joints + len(self.source.sensors)]
         ends.append(sum(len(each.columns) for each in self.wrenches))
-        q, pose, commands, pushes, held = np.split(values, np.cumsum(ends)[1:], axis=1)
-        wrenches = at_origins(self.wrenches, pushes, base.yaw if base else 0.0)
+        q, pose, commands, wrenches, held = np.split(values, np.cumsum(ends)[1:], axis=1)
+        wrenches = at_origins(self.wrenches, wrenches, base.yaw if base else 0.0)
         if base is None:
             return np.hstack([q, commands, wrenches])
         six, forces = base.converted(pose, held)

@@ -134,12 +134,14 @@ class PreparedRun:
         at = self.kept[start:stop]
         run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
         q, qd, qdd = position_filter(run.position, run.rate, preparation.cutoff, at.start, at.stop)
-        command, c = block(run.command, begin, min(len(run.time), at.stop + STENCIL)), len(run.measured_joints)
+        command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
+        rows = [channel.row for channel in run.channels if channel.kind != "wrench"]
+        c = len(rows)
         mine = slice(at.start - begin, at.stop - begin)
         command, command_d, command_dd = (each[mine] for each in (command, *differentiate(command, run.rate)))
         if run.wrenches:  # their noise is in the model's side of the equations, as that of the positions
-            pushes = position_filter(run.command[:, c:], run.rate, preparation.cutoff, at.start, at.stop)
-            for each, filtered in zip((command, command_d, command_dd), pushes, strict=True):
+            wrenches = position_filter(run.command[:, c:], run.rate, preparation.cutoff, at.start, at.stop)
+            for each, filtered in zip((command, command_d, command_dd), wrenches, strict=True):
                 each[:, c:] = filtered
         limit = preparation.speed_fraction * np.sqrt(
             np.einsum("yi,ij,yj->y", self.motor_to_joint_speed, self.speeds, self.motor_to_joint_speed)
@@ -150,7 +152,7 @@ class PreparedRun:
         moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
         valid = self.valid(start, stop)
         # a wrench acts on all joints
-        usable = moving[:, run.measured_joints] & valid[:, :c] & valid[:, c:].all(axis=1, keepdims=True)
+        usable = moving[:, rows] & valid[:, :c] & valid[:, c:].all(axis=1, keepdims=True)
         return SampleWindow(
             block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
         )  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.wrench import WRENCH, WrenchFrame
+from gtau.signals.channel import Channel, sensor_channels, wrench_channels
 from gtau.signals.checks import check
 from gtau.signals.column_units import Units, as_units
 from gtau.signals.columns import EXACT, Calibration, Signals, as_signals
@@ -78,9 +79,10 @@ class Run:
             )
 
     @property
-    def measured_joints(self) -> list[int]:
-        """The joint of each column of ``command`` but those of wrenches, by its number: one for each channel."""
-        return [*range(len(self.joints)), *map(self.joints.index, self.sensors)]
+    def channels(self) -> tuple[Channel, ...]:
+        """What the columns of ``command`` are."""
+        motors = (Channel(joint, "motor", joint, row) for row, joint in enumerate(self.joints))
+        return (*motors, *sensor_channels(self.joints, self.sensors), *wrench_channels(self.wrenches))
 
     @property
     def rate(self) -> float:

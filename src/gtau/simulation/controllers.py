@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.regression.carried_payload import known_values
+from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion

@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
 from gtau.estimation.estimators.estimator import Solution
+from gtau.estimation.regression.equations import SIGNALS, modelled
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 
@@ -21,9 +22,8 @@ def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.n
     The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated). The error is
     that of a ratio, from its scatter over the units.
     """
-    model, currents = problem.blocks[..., : problem.n_theta + 1], problem.blocks[..., problem.n_theta + 1 :]
-    v, rate, change = np.moveaxis(currents, -1, 0)  # (U, c, p) each
-    e = v - model @ np.append(solution.theta, 1.0) / solution.gains[:, None]
+    v, rate, change = np.moveaxis(problem.blocks[..., SIGNALS], -1, 0)  # (U, c, p) each
+    e = v - modelled(problem.blocks, solution.theta) / solution.gains[:, None]
     whole = np.einsum("ujp,ujp->uj", rate, rate)
     of_motion = whole + np.einsum("ujp,ujp->uj", e, change)
     total = np.maximum(whole.sum(axis=0), 1e-300)

@@ -16,7 +16,8 @@ import numpy as np
 from gtau.estimation.diagnostics.linearisation import LinearisedWindow
 from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.estimators.estimator import Solution
-from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, modelled, residuals, to_gains
+from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, to_gains
+from gtau.estimation.regression.equations import KNOWN, modelled
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import DOMINANT, TIE
 
@@ -50,7 +51,7 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
     """
     n, (runs, of_block) = len(problem.joints), np.unique(block_positions[:, 0].astype(int), return_inverse=True)
     loaded = np.zeros(len(runs), dtype=bool)
-    np.logical_or.at(loaded, of_block, np.any(problem.blocks[..., problem.n_theta], axis=(1, 2)))
+    np.logical_or.at(loaded, of_block, np.any(problem.blocks[..., KNOWN], axis=(1, 2)))
     groups = np.unique(np.vstack([np.eye(len(runs), dtype=bool), loaded]), axis=0)
     groups = groups[~groups.all(axis=1) & groups.any(axis=1)]
     if not len(groups):
@@ -88,7 +89,7 @@ def _windows(problem: Problem, solution: Solution, members: np.ndarray) -> Itera
     state = solution.iterate
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     for block, mine in zip(problem.blocks, members.T, strict=True):
-        e, J = residuals(block, state, problem.n_theta), jacobian(block, state, problem, True)
+        e, J = residuals(block, state), jacobian(block, state, problem, True)
         current = modelled(block, state.theta) * state.b[:, None]
         yield LinearisedWindow(
             e * weights[:, None], J * weights[:, None, None], -(current * weights[:, None])[..., None] * mine

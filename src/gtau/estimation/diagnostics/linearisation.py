@@ -10,9 +10,9 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.factors import CURRENTS, EXTRA, equations
+from gtau.estimation.regression.equations import FIXED, triangle
+from gtau.estimation.regression.factors import EXTRA, equations
 from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.preparation import InMemoryRun
 
@@ -114,7 +114,7 @@ def window_rows(
     parts, keep = [], []
     for part in stream_rows(model, regressor, window, decimator, load):
         torques = np.zeros((c, len(part.time), 0)) if candidates is None else candidates(part)
-        parts.append(np.concatenate([equations(regressor, window.run.measured_joints, part), torques], axis=-1))
+        parts.append(np.concatenate([equations(regressor, fit.system.problem.channels, part), torques], axis=-1))
         keep.append(part.keep)
     return np.concatenate(parts, axis=1), np.concatenate(keep, axis=1)
 
@@ -128,17 +128,12 @@ def errors_and_jacobian(
     """
     system, problem, state = fit.system, fit.system.problem, fit.solution.iterate
     kept = [system.whole.parameters.index(name) for name in problem.parameters]
-    columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + 1 + CURRENTS)]
-    maps = system.maps[run]
-    if system.warmth is not None and fit.dataset.temperatures is not None:  # the window's own instead of the run's
-        warm = fit.dataset.temperatures
-        above = warm.between(run, window.all.time[0], window.all.time[-1]) - warm.of_stretches[run].mean(axis=0)
-        maps = maps.copy()
-        maps[: len(above)] += above[:, None, None] * system.warmth[: len(above)]
-    maps = maps[..., columns]
+    columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + FIXED)]
+    warm, time = fit.dataset.temperatures, window.all.time
+    maps = system.map(run, None if warm is None else warm.between(run, time[0], time[-1]))[..., columns]
     blocks = rows[..., : maps.shape[1]] @ maps
     weights = 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    e, J = residuals(blocks, state, problem.n_theta), jacobian(blocks, state, problem, fit.free_gains)
+    e, J = residuals(blocks, state), jacobian(blocks, state, problem, fit.free_gains)
     return e * weights[:, None], J * weights[:, None, None], weights
 
 
@@ -168,8 +163,8 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
     """Offer a joint's torque to its torque sensor too, where the sensor has ``felt`` it, or there nothing."""
 
     def with_sensors(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        columns, n = offer(window, values), len(window.run.joints)
-        behind = window.run.measured_joints[n:]
+        columns = offer(window, values)
+        behind = [each.row for each in window.run.channels if each.kind == "sensor"]
 
         def of_channels(rows: Rows) -> np.ndarray:
             torques = columns(rows)

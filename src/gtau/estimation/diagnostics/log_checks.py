@@ -19,6 +19,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step
 from gtau.estimation.diagnostics.verdict import Refutation
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.equations import SIGNAL, SIGNALS
 from gtau.estimation.regression.motion_limits import clock_advice
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
@@ -37,11 +38,10 @@ def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     units.
     """
     lag, error = np.full(len(problem.joints), np.nan), np.full(len(problem.joints), np.nan)
-    first = problem.n_theta + 1
     for j in range(len(problem.joints)):
         R, columns = problem.triangles[j], problem.own_columns[j]
-        model = np.linalg.lstsq(R[:, columns], R[:, first:], rcond=None)[0]
-        rest = problem.blocks[:, j, :, first:] - problem.blocks[:, j][:, :, columns] @ model
+        model = np.linalg.lstsq(R[:, columns], R[:, SIGNALS], rcond=None)[0]
+        rest = problem.blocks[:, j, :, SIGNALS] - problem.blocks[:, j][:, :, columns] @ model
         r, rate, change = np.moveaxis(rest, -1, 0)  # (U, p) each
         along, whole = np.einsum("up,up->u", r, rate), np.einsum("up,up->u", rate, rate)
         of_motion = whole + np.einsum("up,up->u", r, change)
@@ -165,6 +165,6 @@ def require_felt_payload(system: System) -> None:
 
 def _residual(problem: Problem, joint: int, columns: list[int]) -> float:
     """Compute the relative residual of a joint's current, fitted by ``columns`` of its own equations."""
-    R, v = problem.triangles[joint], problem.n_theta + 1
+    R, v = problem.triangles[joint], SIGNAL
     solved = np.linalg.lstsq(R[:, columns], R[:, v], rcond=1e-10)[0]
     return float(np.linalg.norm(R[:, v] - R[:, columns] @ solved) / np.linalg.norm(R[:, v]))

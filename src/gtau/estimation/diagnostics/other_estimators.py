@@ -32,9 +32,8 @@ from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains, whitening
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.factors import CURRENTS
+from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
-from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD
 from gtau.signals.filters import below_nyquist
 from gtau.signals.notes import Kind, Note
@@ -237,16 +236,14 @@ def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.
     for (run, usual), (_, filtered) in windows:
         A, keep = window_rows(fit, run, usual, None, model)
         Z, keep_filtered = window_rows(fit, run, filtered, None, model)
-        b = A.shape[-1] - CURRENTS
+        b = A.shape[-1] - 3
         Z[..., dry] = A[..., dry]
         both = np.concatenate([Z[..., :b], A], axis=-1)
         factors = [triangle(of_joint[kept]) for of_joint, kept in zip(both, keep & keep_filtered, strict=True)]
         height = max(map(len, factors))
         R = np.stack([np.pad(each, ((0, height - len(each)), (0, 0))) for each in factors])
         e, J, _ = errors_and_jacobian(fit, run, usual, R[..., b:])
-        _, J_filtered, _ = errors_and_jacobian(
-            fit, run, usual, np.concatenate([R[..., :b], R[..., -CURRENTS:]], axis=-1)
-        )
+        _, J_filtered, _ = errors_and_jacobian(fit, run, usual, np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1))
         found.append((J_filtered.reshape(-1, J.shape[-1]), J.reshape(-1, J.shape[-1]), e.ravel()))
     return found
 

@@ -10,7 +10,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, known_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.scale_uncertainty import with_payload
-from gtau.estimation.regression.carried_payload import known_values
+from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.thresholds.estimates import PAYLOAD_MOVES
 from gtau.robots.units import unit_of

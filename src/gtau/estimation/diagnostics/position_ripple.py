@@ -27,7 +27,7 @@ from gtau.estimation.diagnostics.linearisation import (
 )
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.regression.equations import triangle
 from gtau.estimation.thresholds.estimates import RIPPLE_SHARE
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import InMemoryRun
@@ -144,7 +144,7 @@ def ripple_notes(found: PositionRipple, fit: Fit) -> list[Note]:
         if moves[k]
         else ""
     )
-    base = joints[j] in fit.system.problem.driveless  # its rows are no joints of the user
+    base = fit.system.problem.channels[j].kind == "base"  # its rows are no joints of the user
     where = f"of the base '{fit.dataset.robot.floating}'" if base else f"at joint '{joints[j]}'"
     ripple = "ripple of the motors, cables or springs, which the model lacks"
     cause = "a wrench is wrong or missing" if base else ripple

@@ -12,15 +12,14 @@ from gtau.estimation.estimators.estimator import Fit, Iterate, jackknife
 from gtau.estimation.estimators.newton import (
     jacobian,
     jacobian_of_known,
-    modelled,
     one_step,
     residuals,
     stacked,
     to_gains,
     whitening,
 )
+from gtau.estimation.regression.equations import modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds.estimates import APART
 from gtau.model.base_parameters import independent_columns
 
@@ -58,25 +57,25 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     fit : Fit
         With gains that were estimated.
     """
-    problem, solution, n = fit.system.problem, fit.solution, len(fit.gains)
-    if not problem.sensors:
+    problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.of("sensor")
+    if not sensors:
         return ()
     state = solution.iterate
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     whole, *units = (_linear(block, problem, state, weights) for block in (stacked(problem), *problem.blocks))
-    m, size = len(problem.sensors), whole.shape[1] - len(problem.sensors) - 1
+    size = whole.shape[1] - len(sensors) - 1
     of_known = np.zeros((len(problem.known), whole.shape[1]))
     of_known[:, :size] = jacobian_of_known(problem, size)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
     R = triangle(whole, of_known)
     T = to_gains(state, problem.n_theta, True)[problem.gain_rows] / fit.gains[:, None]
     found = []
-    for k, joint in enumerate(problem.sensors):
+    for k, sensor in enumerate(sensors):
         columns = [*range(size), size + k]
         J, e = R[:, columns], R[:, -1]
         if size not in independent_columns(J)[0]:
             continue  # without this sensor nothing gives the scale
-        back = whitening(J, np.zeros(n + m))
+        back = whitening(J, np.zeros(len(problem.channels)))
         step = -back @ (back.T @ (J.T @ e))
         sides = []
         for unit in units:
@@ -85,18 +84,16 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
         of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
         variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
         std = float(np.hypot(np.sqrt(variance), fit.dataset.runs[0].calibration.joint_torque or 0.0))
-        found.append(SensorScale(joint, 1 - float(step[-1]), std, T @ step[:-1]))
+        found.append(SensorScale(problem.channels[sensor].joint, 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(found)
 
 
 def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.ndarray) -> np.ndarray:
     """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in a block."""
-    n, m = len(problem.joints), len(problem.sensors)
-    torques = modelled(block, state.theta) * state.b[:, None]
-    offered = np.zeros((*torques.shape, m))
-    for k in range(m):
-        offered[n + k, :, k] = -torques[n + k]
-    J, e = jacobian(block, state, problem, True), residuals(block, state, problem.n_theta)
+    torques, sensors = modelled(block, state.theta) * state.b[:, None], problem.of("sensor")
+    offered = np.zeros((*torques.shape, len(sensors)))
+    offered[sensors, :, range(len(sensors))] = -torques[sensors]
+    J, e = jacobian(block, state, problem, True), residuals(block, state)
     rows = np.concatenate([J, offered, e[..., None]], axis=-1) * weights[:, None, None]
     return np.asarray(rows.reshape(-1, rows.shape[-1]))
 

@@ -30,11 +30,11 @@ def check_wrenches(verdicts: Sequence[Verdict], fit: Fit) -> tuple[Verdict, ...]
     or the moments on the base. Where a gain is contradictory for itself, the advice names the wrenches first.
     """
     problem = fit.system.problem
-    measured = bool(problem.pushed) or bool(np.any(problem.base_channels & ~problem.silent))
+    measured = bool(problem.wrenches) or not problem.silent[problem.of("base")].all()
     against = (_of_mass(fit) if measured else None) or _of_base(fit, WRENCHES if measured else FLIGHT)
     judged = []
-    for joint, each in zip(problem.joints, verdicts, strict=True):
-        if joint in problem.driveless:
+    for channel, each in zip(problem.channels, verdicts, strict=False):  # of the joints
+        if channel.kind == "base":
             judged.append(GOOD)  # the six rows are judged together
         elif against is not None:
             judged.append(against)
@@ -82,7 +82,7 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     directions each, as what acts in one of them may be small. Where all of it is, of a third of the model's terms.
     """
     problem, theta = fit.system.problem, fit.solution.theta
-    rows = np.flatnonzero(problem.base_channels)
+    rows = problem.of("base")
     left, whole = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
     terms = problem.largest_terms(theta)[rows] ** 2
     parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}

@@ -6,11 +6,18 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Solve
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, Friction, all_terms, temperature_terms
-from gtau.estimation.regression.problem import Problem, delayed
+from gtau.estimation.regression.equations import delayed_signal, triangle
+from gtau.estimation.regression.friction import (
+    BEARING,
+    TEMPERATURE_TERMS,
+    TERMS,
+    Friction,
+    all_terms,
+    bearing_terms,
+    temperature_terms,
+)
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.torque_sensors import BEARING, bearing_terms
-from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TERM_STD
 from gtau.progress import Progress
 
@@ -24,9 +31,9 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     Terms that the joints' own equations ask for, but that all equations together do not identify, are left out.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
-    joints, sensors, per_run = dataset.robot.motors, dataset.runs[0].sensors, len(dataset.runs) > 1
+    joints, channels, per_run = dataset.robot.motors, dataset.runs[0].channels, len(dataset.runs) > 1
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
-    offered = (*all_terms(joints), *temperature_terms(warm), *bearing_terms(sensors))
+    offered = (*all_terms(joints), *temperature_terms(warm), *bearing_terms(channels))
     terms, criterion = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
     if warm and per_run:  # what differs between runs may be the temperature's alone
         alone, less = select_friction_terms(dataset.system(Friction(offered)).problem)
@@ -67,10 +74,10 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
     total = 0.0
     for j, channel in enumerate(problem.channels):
         position = {name: k for k, name in enumerate(problem.parameters)}
-        kinds = (*TERMS, *TEMPERATURE_TERMS) if problem.free[j] else BEARING
-        offered = [f"{term}_{channel}" for term in kinds if f"{term}_{channel}" in position]
+        kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.free else BEARING
+        offered = [f"{term}_{channel.name}" for term in kinds if f"{term}_{channel.name}" in position]
         rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
-        current = problem.triangles[j][:, problem.n_theta + 1 :] @ delayed(problem.own_delays[j])
+        current = delayed_signal(problem.triangles[j], problem.own_delays[j])
         rows = problem.total_rows[j]
 
         price = max(np.log(rows), -2 * rows * np.log(1 - FRICTION_TERM_GAIN))

@@ -15,8 +15,9 @@ from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, S
 from gtau.estimation.estimators.least_squares import fit_free
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.equations import delayed
 from gtau.estimation.regression.factors import Factors, HuberWeights
-from gtau.estimation.regression.problem import Problem, delayed
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.progress import Progress
 from gtau.signals.storage import block, rows_at, spans, stride_of
@@ -38,10 +39,11 @@ def reweighted(
         if gains is not None and np.allclose(solution.gains, gains, rtol=SETTLED, atol=0):
             break
         gains, sigma = solution.gains, solution.sigma if sigma is None else sigma
-        values = dict(zip(system.problem.parameters, solution.theta, strict=True))
-        theta = np.append([values.get(name, 0.0) for name in system.whole.parameters], 1.0)
-        of_row = np.array([np.append(-theta / g, delayed(d)) for g, d in zip(gains, solution.delays, strict=True)])
-        weigh = [HuberWeights(np.einsum("jpk,jk->jp", maps, of_row), TUNING * sigma) for maps in system.maps]
+        of_row = np.hstack([-system.full(solution.theta) / gains[:, None], delayed(solution.delays)])
+        weigh = [
+            HuberWeights(np.einsum("jpk,jk->jp", system.map(run), of_row), TUNING * sigma)
+            for run in range(len(dataset.runs))
+        ]
         loads = [system.load(k, solution.theta) for k in range(len(dataset.runs))] if loaded else None
         dataset = dataset.reduced(loads, progress, weigh)
         system = dataset.system(system.friction, system.problem.slowest > 0)

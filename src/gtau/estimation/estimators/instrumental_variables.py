@@ -25,12 +25,12 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import jacobian, moved, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.factors import CURRENTS, EXTRA, PUSH, ROWS, STRETCHES, Factors
+from gtau.estimation.regression.equations import FIXED, SIGNALS, triangle
+from gtau.estimation.regression.factors import EXTRA, ROWS, STRETCHES, Factors
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
 from gtau.signals.decimation import Decimator
@@ -57,7 +57,7 @@ class Pair:
         """Keep some parameters only, the others taken for zero."""
         gone = [name for name in self.measured.parameters if name not in set(parameters)]
         kept = [k for k, name in enumerate(self.measured.parameters) if name in set(parameters)]
-        columns = [*kept, *range(self.measured.n_theta, self.measured.n_theta + 4)]
+        columns = [*kept, *range(self.measured.n_theta, self.measured.n_theta + FIXED)]
         measured, simulated = (each[..., columns] for each in self.whole)
         return Pair(self.measured.without(gone), self.simulated.without(gone), (measured, simulated))
 
@@ -103,14 +103,14 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 
     def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute errors (., n p), their Jacobian (., n p, k) and that of the instruments, weighted."""
-        e = residuals(blocks, state, n_theta) * weights[:, None]
+        e = residuals(blocks, state) * weights[:, None]
         J, Z = (jacobian(each, state, problem, free) * weights[:, None, None] for each in (blocks, instruments))
         axes = (*e.shape[:-2], -1)
         return e.reshape(axes), J.reshape(*axes, J.shape[-1]), Z.reshape(*axes, Z.shape[-1])
 
     for k in range(STEPS):
         free = free_gains and k > 0  # theta comes first: without it the model gives no currents for gains
-        errors = np.sum(residuals(pair.whole[0], state, n_theta) ** 2, axis=-1)
+        errors = np.sum(residuals(pair.whole[0], state) ** 2, axis=-1)
         weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
         e, J, Z = linear(*pair.whole)
         norms = np.linalg.norm(Z, axis=0)
@@ -156,12 +156,11 @@ def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
         replace(dataset, factors=factors).system(system.friction, system.problem.slowest > 0).whole
         for factors in zip(*pairs, strict=True)
     )
-    n_theta, whole, of_instruments = measured.n_theta, [], []
+    whole, of_instruments, b = [], [], measured.n_theta + 1
     for j in range(len(measured.joints)):
-        together = np.concatenate([instruments.blocks[:, j, :, : n_theta + 1], measured.blocks[:, j]], axis=-1)
-        R = triangle(*together)
-        whole.append(R[:, n_theta + 1 :])
-        of_instruments.append(np.hstack([R[:, : n_theta + 1], R[:, 2 * n_theta + 2 :]]))
+        R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))
+        whole.append(R[:, b:])
+        of_instruments.append(np.hstack([R[:, :b], R[:, SIGNALS]]))
     return Pair(measured, instruments, (np.stack(whole), np.stack(of_instruments))).of(system.problem.parameters)
 
 
@@ -180,9 +179,9 @@ def _reduced(
     """
     regressor = idm.columns(columns)
     outputs = decimator.outputs(len(measured.time))
-    n, b = len(idm.actuated), len(columns) + EXTRA - CURRENTS
+    n, b = len(idm.actuated), len(columns) + EXTRA - 3
     dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
-    T = [[np.zeros((0, 2 * b + CURRENTS))] * n for _ in range(STRETCHES)]
+    T = [[np.zeros((0, 2 * b + 3))] * n for _ in range(STRETCHES)]
     rows = np.zeros((STRETCHES, n), dtype=int)
     waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a stretch and joint
     held = 0
@@ -195,13 +194,12 @@ def _reduced(
     streams = (stream_rows(idm, regressor, each, decimator, load) for each in (simulated, measured))
     for part, other in zip(*streams, strict=True):
         stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
-        A = np.zeros((n, len(part.time), 2 * b + CURRENTS))
+        A = np.zeros((n, len(part.time), 2 * b + 3))
         for k, each in enumerate((part, other)):
             A[regressor.rows, :, regressor.columns + k * b] = each.entries
             A[:, :, k * b + len(columns) : k * b + len(columns) + len(TERMS)] = each.terms.transpose(1, 2, 0)
-            A[:, :, (k + 1) * b - PUSH] = each.pushes
         A[:, :, b + dry] = A[:, :, dry]
-        A[:, :, 2 * b :] = other.currents.transpose(1, 2, 0)
+        A[:, :, SIGNALS] = other.currents.transpose(1, 2, 0)
         keep = part.keep & other.keep
         for s in np.unique(stretch).tolist():
             for j in range(n):
@@ -213,12 +211,12 @@ def _reduced(
             merge()
             held = 0
     merge()
-    R = np.zeros((2, STRETCHES, n, 2 * b + CURRENTS, b + CURRENTS))
+    R = np.zeros((2, STRETCHES, n, 2 * b + 3, b + 3))
     for s in range(STRETCHES):
         for j in range(n):
             of = T[s][j]
             for k in range(2):
-                R[k, s, j, : len(of)] = np.hstack([of[:, (1 - k) * b : (2 - k) * b], of[:, 2 * b :]])
+                R[k, s, j, : len(of)] = np.hstack([of[:, (1 - k) * b : (2 - k) * b], of[:, SIGNALS]])
     return Factors(R[0], rows), Factors(R[1], rows)
 
 

@@ -75,7 +75,7 @@ def with_given(solver: Callable[[Problem, np.ndarray], Solution], given: Given) 
     """Fix the gains of a solver to those given."""
     assert given.gains is not None
     gains = given.gains
-    return lambda problem: solver(problem, np.append(gains, np.ones(len(problem.sensors))))
+    return lambda problem: solver(problem, np.append(gains, np.ones(len(problem.channels) - len(gains))))
 
 
 def _fit(solver: Callable[[Problem, np.ndarray], Solution], dataset: Dataset, system: System, given: Given) -> Fit:

@@ -21,6 +21,7 @@ from gtau.estimation.estimators.least_squares import fit_free, scarcity, with_gi
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.equations import KNOWN, MODEL
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN, MISFIT
@@ -48,8 +49,8 @@ def ml(problem: Problem) -> Solution:
 
     solution = solve(problem, start, weights, True)
     if not solution.settled:
-        loaded = bool(problem.blocks[..., problem.n_theta].any())
-        alone = len(problem.known) and not (loaded or problem.sensors or problem.driveless or problem.pushed)
+        loaded = bool(problem.blocks[..., KNOWN].any())
+        alone = len(problem.known) and problem.free.all() and not (loaded or problem.wrenches)
         if alone and (share := own_share(problem)) < HIDDEN_KNOWN:
             raise GtauError(
                 "the maximum-likelihood iteration did not converge, as the known parameters hardly fix the scale of "
@@ -59,8 +60,8 @@ def ml(problem: Problem) -> Solution:
             )
     if not solution.settled and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
         scale = "a heavier payload" if loaded else "a payload, torque sensors or more known parameters"
-        if problem.pushed:  # what a body that is always carried does to its sensor is what its own inertia would do
-            scale = f"one in which another wrench acts on {', '.join(problem.pushed)} (without the tool, say)"
+        if problem.wrenches:  # what a body that is always carried does to its sensor is what its own inertia would do
+            scale = f"one in which another wrench acts on {', '.join(problem.wrenches)} (without the tool, say)"
         raise GtauError(
             "the maximum-likelihood iteration did not converge, so the data do not determine the drive gains: "
             f"{scarcity(problem)}check the signs and units of positions and currents, add runs that move every joint "
@@ -76,7 +77,7 @@ def own_share(problem: Problem) -> float:
     """
     from scipy.linalg import null_space
 
-    W = np.concatenate([R[:, : problem.n_theta] for R in problem.triangles])
+    W = np.concatenate([R[:, MODEL] for R in problem.triangles])
     known, values = problem.known[:, :-1], problem.known[:, -1]
     alone, members = np.zeros(problem.n_theta), known.any(axis=0)
     alone[members] = np.linalg.lstsq(known[:, members], values, rcond=None)[0]

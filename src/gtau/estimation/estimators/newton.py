@@ -11,8 +11,16 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Iterate, Solution
-from gtau.estimation.regression.problem import Problem, delayed
-from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.regression.equations import (
+    FIXED,
+    MODEL,
+    SIGNAL,
+    SIGNALS,
+    delayed_signal,
+    modelled,
+    triangle,
+)
+from gtau.estimation.regression.problem import Problem
 
 STEPS = 200
 SETTLED = 1e-9  # of a standard deviation: a smaller step ends the iteration
@@ -29,28 +37,19 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(A / norms, y, rcond=None)[0] / norms
 
 
-def residuals(blocks: np.ndarray, state: Iterate, n_theta: int) -> np.ndarray:
+def residuals(blocks: np.ndarray, state: Iterate) -> np.ndarray:
     """Compute residuals (..., n, p) of blocks (..., n, p, n_theta + 4)."""
-    shifts = np.stack([delayed(d) for d in state.delays])
-    currents = np.einsum("...jpk,jk->...jp", blocks[..., n_theta + 1 :], shifts)
-    return np.asarray(currents - state.b[:, None] * modelled(blocks, state.theta))
-
-
-def modelled(blocks: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Compute the torques (..., n, p) that parameters (n_theta,) give blocks (..., n, p, n_theta + 4)."""
-    return np.asarray(np.einsum("...jpk,k->...jp", blocks[..., : len(theta)], theta) + blocks[..., len(theta)])
+    return delayed_signal(blocks, state.delays) - state.b[:, None] * modelled(blocks, state.theta)
 
 
 def jacobian(blocks: np.ndarray, state: Iterate, problem: Problem, free_gains: bool) -> np.ndarray:
     """Differentiate the residuals with respect to (theta, b, d) or (theta, d), (..., n, p, parameters)."""
-    n_theta = problem.n_theta
-    W, currents = blocks[..., :n_theta], blocks[..., n_theta + 1 :]
-    n = len(state.b)
-    eye = np.eye(n)[:, None, :]
-    parts = [-state.b[:, None, None] * W]
+    eye = np.eye(len(state.b))[:, None, :]
+    parts = [-state.b[:, None, None] * blocks[..., MODEL]]
     if free_gains:
         parts.append(-modelled(blocks, state.theta)[..., None] * (eye * problem.free))
-    shift = (state.delays[:, None] * currents[..., 2] - currents[..., 1]) * (problem.slowest > 0)
+    _, rate, change = np.moveaxis(blocks[..., SIGNALS], -1, 0)
+    shift = (state.delays[:, None] * change - rate) * (problem.slowest > 0)
     parts.append(shift[..., None] * eye)
     return np.concatenate(parts, axis=-1)
 
@@ -64,7 +63,7 @@ def moved(state: Iterate, step: np.ndarray, n_theta: int, free_gains: bool) -> I
 
 def stacked(problem: Problem) -> np.ndarray:
     """Stack the joints' triangles, (n, p, n_theta + 4), filled up with zero rows."""
-    triangles = np.zeros((len(problem.channels), max(map(len, problem.triangles)), problem.n_theta + 4))
+    triangles = np.zeros((len(problem.channels), max(map(len, problem.triangles)), problem.n_theta + FIXED))
     for j, R in enumerate(problem.triangles):
         triangles[j, : len(R)] = R
     return triangles
@@ -90,7 +89,7 @@ def solve(
     known, J_known = problem.known, jacobian_of_known(problem, size)
 
     def errors(at: Iterate) -> np.ndarray:
-        return np.sum(residuals(triangles, at, n_theta) ** 2, axis=-1)
+        return np.sum(residuals(triangles, at) ** 2, axis=-1)
 
     def cost(at: Iterate) -> float:
         return float(weights**2 @ errors(at) + np.sum((known[:, :-1] @ at.theta - known[:, -1]) ** 2))
@@ -99,12 +98,12 @@ def solve(
         weights = weigh(state, errors(state))
         J = (jacobian(triangles, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size)
         J = np.concatenate([J, J_known])
-        e = (residuals(triangles, state, n_theta) * weights[:, None]).reshape(-1)
+        e = (residuals(triangles, state) * weights[:, None]).reshape(-1)
         e = np.concatenate([e, known[:, :-1] @ state.theta - known[:, -1]])
         back = whitening(J, curvature_of_delays(triangles, state, problem, weights))
         step = -back @ (back.T @ (J.T @ e))
         before, share = cost(state), 1.0
-        terms = sizes[:, :, n_theta + 1] + np.abs(state.b)[:, None] * modelled(sizes, np.abs(state.theta))
+        terms = sizes[:, :, SIGNAL] + np.abs(state.b)[:, None] * modelled(sizes, np.abs(state.theta))
         rounding = ROUNDING * float(np.linalg.norm(terms * weights[:, None]))
         highest = (np.sqrt(before) + rounding) ** 2
         while share > 1e-6 and cost(moved(state, share * step, n_theta, free_gains)) > highest:
@@ -126,8 +125,8 @@ def curvature_of_delays(blocks: np.ndarray, state: Iterate, problem: Problem, we
     Where motions are slow and the current's noise white, ``v'`` is mostly noise; Gauss and Newton then see a curvature
     that is not there, and their steps in the delays are a hundred times too short.
     """
-    e = residuals(blocks, state, problem.n_theta)
-    second = np.einsum("...jp,...jp->...j", e, blocks[..., problem.n_theta + 3])
+    e = residuals(blocks, state)
+    second = np.einsum("...jp,...jp->...j", e, blocks[..., -1])
     return np.asarray(second * weights**2 * (problem.slowest > 0))
 
 
@@ -203,7 +202,7 @@ def finish(
         gauss = whitened.T @ whitened
         for block in problem.blocks:
             J_u = (jacobian(block, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
-            e_u = (residuals(block, state, n_theta) * weights[:, None]).reshape(-1)
+            e_u = (residuals(block, state) * weights[:, None]).reshape(-1)
             left = curved(gauss - J_u.T @ J_u, second - curvature(block))
             blocks.append((np.eye(len(left)) - left, J_u.T @ e_u))
         return one_step(blocks) @ (T @ back).T

@@ -23,10 +23,10 @@ from gtau.estimation.estimators.newton import jacobian, moved, residuals, stacke
 from gtau.estimation.estimators.semidefinite import constrained_least_squares, pseudo_inertia
 from gtau.estimation.estimators.standard_parameters import StandardUnknowns, standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.equations import leave_one_out, triangle
 from gtau.estimation.regression.known_parameters import of_theta
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.triangle import leave_one_out, triangle
 from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Prior
 
@@ -104,7 +104,7 @@ def consistent(
     state = Iterate(theta, 1 / solution.gains, solution.delays)
 
     def errors(at: Iterate) -> np.ndarray:
-        return np.sum(residuals(triangles, at, n_theta) ** 2, axis=-1)
+        return np.sum(residuals(triangles, at) ** 2, axis=-1)
 
     before = errors(state)
     for _ in range(STEPS):
@@ -161,7 +161,7 @@ def _linear(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.nd
     """Build rows ``[J_theta J_rest | y]`` (., size + 1), linear in theta and in steps of 1/g and the delays."""
     J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
     J = J.reshape(-1, J.shape[-1])
-    e = (residuals(blocks, state, problem.n_theta) * weights[:, None]).reshape(-1)
+    e = (residuals(blocks, state) * weights[:, None]).reshape(-1)
     return np.column_stack([J, J[:, : problem.n_theta] @ state.theta - e])
 
 

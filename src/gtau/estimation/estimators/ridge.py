@@ -17,9 +17,9 @@ from gtau.estimation.estimators.least_squares import fit_free
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.known_parameters import of_theta
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.triangle import triangle
 from gtau.signals.experiment import Prior
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Solution, Solve
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.equations import KNOWN, SIGNALS
 from gtau.estimation.regression.flight import whole_mass
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
@@ -36,7 +37,7 @@ def _with_other_scales(dataset: Dataset, system: System) -> Iterator[Problem]:
         payloads = with_payload(dataset, payload.name, heavier)
         yield dataset.system(system.friction, system.problem.slowest > 0, payloads).problem
     problem, calibration = system.problem, dataset.runs[0].calibration
-    if problem.driveless and problem.silent[problem.base_channels].all():
+    if problem.of("base") and problem.silent[problem.of("base")].all():
         name = whole_mass(dataset.base, dataset.model.parameter_names)
         mass = dataset.priors[name]
         assert mass.value is not None
@@ -44,16 +45,16 @@ def _with_other_scales(dataset: Dataset, system: System) -> Iterator[Problem]:
         more = mass.model_copy(update={"value": mass.value + mass.std})
         of_heavier = replace(dataset, priors={**dataset.priors, name: more})
         yield of_heavier.system(system.friction, problem.slowest > 0).problem
-    first, n = problem.n_theta + 1, len(problem.joints)
-    for k in range(len(problem.sensors)) if calibration.joint_torque else ():
+    for k in problem.of("sensor") if calibration.joint_torque else ():
         blocks = problem.blocks.copy()
-        blocks[:, n + k, :, first:] *= 1 + (calibration.joint_torque or 0.0)
+        blocks[:, k, :, SIGNALS] *= 1 + (calibration.joint_torque or 0.0)
         yield replace(problem, blocks=blocks)
     if calibration.wrenches:
         blocks = problem.blocks.copy()
-        blocks[:, problem.base_channels, :, first:] *= 1 + calibration.wrenches
-        if system.pushes is not None:
-            blocks[..., problem.n_theta] -= calibration.wrenches * system.pushes
+        for k in problem.of("base"):
+            blocks[:, k, :, SIGNALS] *= 1 + calibration.wrenches
+        if system.of_wrenches is not None:
+            blocks[..., KNOWN] += calibration.wrenches * system.of_wrenches
         yield replace(problem, blocks=blocks)
 
 

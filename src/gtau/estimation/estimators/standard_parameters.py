@@ -12,11 +12,10 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.semidefinite import Body, ball_row
-from gtau.estimation.regression.carried_payload import known_values
+from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.torque_sensors import joint_behind
 from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
@@ -121,7 +120,8 @@ def _natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
     if any(spring.name == body for spring in robot.springs):
         return mass * STANDARD_GRAVITY / (length if kind == STIFFNESS else 1.0)
-    turns = robot.joint(joint_behind(body, robot)).kind == "revolute"
+    joint = body if body in robot.bodies else body.removesuffix("_sensor")
+    turns = robot.joint(joint).kind == "revolute"
     if kind == "ia":
         return mass * length**2 if turns else mass
     if kind == "fl":

@@ -15,9 +15,9 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
 from gtau.estimation.estimators.least_squares import fit_free
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.problem import Problem, delayed
+from gtau.estimation.regression.equations import KNOWN, MODEL, delayed_signal, leave_one_out, modelled, triangle
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.triangle import leave_one_out, triangle
 
 
 def tls(problem: Problem) -> Solution:
@@ -42,8 +42,7 @@ def tls(problem: Problem) -> Solution:
     theta, gains = chi[:n_theta], chi[n_theta:-1]
     errors = np.zeros(n)
     for j, R in enumerate(problem.triangles):
-        current = R[:, n_theta + 1 :] @ delayed(problem.own_delays[j])
-        errors[j] = np.sum((current - (R[:, :n_theta] @ theta + R[:, n_theta]) / gains[j]) ** 2)
+        errors[j] = np.sum((delayed_signal(R, problem.own_delays[j]) - modelled(R, theta) / gains[j]) ** 2)
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - (n_theta + n) / n, 1))
 
     def replicates() -> np.ndarray:
@@ -58,10 +57,9 @@ def total_rows_of(problem: Problem, block: np.ndarray, j: int, weight: float) ->
     """Build rows of ``W_tot`` from a block (., n_theta + 4) of joint j (eq. 33)."""
     n_theta = problem.n_theta
     rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
-    rows[:, :n_theta] = -block[:, :n_theta]
-    rows[:, -1] = -block[:, n_theta]
+    rows[:, :n_theta], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
     # a gain that is known stands with the known payload
-    rows[:, n_theta + j if problem.free[j] else -1] += block[:, n_theta + 1 :] @ delayed(problem.own_delays[j])
+    rows[:, n_theta + j if problem.free[j] else -1] += delayed_signal(block, problem.own_delays[j])
     return weight * rows
 
 
@@ -78,7 +76,7 @@ def _scaled(direction: np.ndarray) -> np.ndarray:
 def _own_sigma_W(problem: Problem, j: int) -> float:
     """Compute sigma_W of joint j from the TLS of its own equations (eq. 38)."""
     R = problem.triangles[j]
-    current = R[:, problem.n_theta + 1 :] @ delayed(problem.own_delays[j])
+    current = delayed_signal(R, problem.own_delays[j])
     s = np.linalg.svd(np.column_stack([R[:, problem.own_columns[j]], current]), compute_uv=False)
     return float(s[-1] / np.sqrt(max(problem.total_rows[j] - len(s), 1)))
 

@@ -15,9 +15,9 @@ from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, I
 from gtau.estimation.estimators.least_squares import fit_free
 from gtau.estimation.estimators.newton import finish, least_squares, one_step, residuals, stacked
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.problem import Problem, delayed
+from gtau.estimation.regression.equations import KNOWN, MODEL, delayed_signal, triangle
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.triangle import triangle
 
 
 def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
@@ -36,7 +36,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     delays = problem.own_delays if delays is None else delays
     n, n_theta = len(problem.channels), problem.n_theta
     coefficients = [
-        least_squares(R[:, columns], R[:, n_theta + 1 :] @ delayed(d))
+        least_squares(R[:, columns], delayed_signal(R, d))
         for R, columns, d in zip(problem.triangles, problem.own_columns, delays, strict=True)
     ]
     blocks = [_rows(problem, j, R, coefficients[j]) for j, R in enumerate(problem.triangles)]
@@ -52,7 +52,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
                 "the currents of some joint are unrelated to its motion; check the columns of the current references."
             )
     state = Iterate(x[:n_theta], 1 / gains, delays)
-    errors = np.sum(residuals(stacked(problem), state, n_theta) ** 2, axis=-1)
+    errors = np.sum(residuals(stacked(problem), state) ** 2, axis=-1)
     weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
     solution = finish(problem, stacked(problem), state, weights, errors, True)
 
@@ -64,7 +64,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         for block in problem.blocks:
             # the projected currents of a unit are its regressor's rows with the coefficients of all units
             A_u = np.concatenate([_rows(problem, j, block[j], coefficients[j]) * scale[j] for j in range(n)])
-            e_u = (residuals(block, state, n_theta) * (scale * gains)[:, None]).reshape(-1)
+            e_u = (residuals(block, state) * (scale * gains)[:, None]).reshape(-1)
             white = A_u[:, :-1] @ back
             blocks.append((white.T @ white, -(white.T @ e_u)))
         return np.hstack(
@@ -78,7 +78,7 @@ def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray)
     """Build rows ``[W_theta -v_projected | known]`` of the second stage from a block (., n_theta + 4) of channel j."""
     n_theta = problem.n_theta
     rows = np.zeros((len(block), n_theta + len(problem.channels) + 1))
-    rows[:, :n_theta], rows[:, -1] = block[:, :n_theta], block[:, n_theta]
+    rows[:, :n_theta], rows[:, -1] = block[:, MODEL], block[:, KNOWN]
     # the torque of a sensor, whose gain is known, stands on the known side
     rows[:, n_theta + j if problem.free[j] else -1] -= block[:, problem.own_columns[j]] @ coefficients
     return rows

@@ -16,7 +16,6 @@ from gtau.estimation.regression.friction import PAPER, Friction
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.estimation.regression.system import System, assemble_system
 from gtau.estimation.regression.temperatures import Temperatures, temperatures_of
-from gtau.estimation.regression.torque_sensors import sensors_of
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
@@ -154,6 +153,38 @@ def reduce_runs(
     base = base_parameters(model, sensors=sensors_of(robot, runs))
     prepared = prepare_runs(model, runs, preparation)
     return Dataset(robot, model, base, preparation, prepared, (), priors or {}).reduced(progress=progress)
+
+
+def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
+    """List the joints with a torque sensor, the same in all runs, in the order of the robot's motors.
+
+    What the sensor of joint j measures is the torque of row j of the model without what belongs to its drive: rotor
+    inertia, friction of motor and gear, and the offset of the current. It has an offset of its own. The parameters of
+    the links are the same, so they carry the scale of the sensor to all drive gains.
+
+    Raises
+    ------
+    GtauError
+        Where runs differ in their sensors, or a motor drives a sensor's joint through a coupling.
+    """
+    sensors = runs[0].sensors
+    for run in runs:
+        if run.sensors != sensors:
+            listed = [", ".join(each.sensors) or "none" for each in (runs[0], run)]
+            raise GtauError(
+                f"runs '{runs[0].name}' and '{run.name}' have torque sensors at other joints ({listed[0]}; "
+                f"{listed[1]}); give 'joint_torque' for the same joints in all runs."
+            )
+    coupled = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}
+    for joint in sensors:
+        if joint in coupled:
+            raise GtauError(
+                f"joint '{joint}' has a torque sensor, but couplings of robot '{robot.name}' share it between motors, "
+                "so that no motor's torque is that of the joint; remove it from 'joint_torque'."
+            )
+        if f"{joint}_sensor" in robot.bodies:
+            raise GtauError(f"joint '{joint}_sensor' has the name of a torque sensor of '{joint}'; rename the joint.")
+    return sensors
 
 
 def check_wrenches(robot: Robot, run: Run) -> None:

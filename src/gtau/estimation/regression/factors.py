@@ -1,6 +1,6 @@
 """Triangular factors: all that the estimators need to know of a run, however long.
 
-Each channel's decimated rows ``[W_j  terms_j  push_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one
+Each channel's decimated rows ``[W_j  terms_j  known_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one
 for each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
 """
 
@@ -11,27 +11,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
-from gtau.estimation.regression.triangle import triangle
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
+from gtau.signals.channel import Channel, channels_of_model
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store
 
 STRETCHES = 20
 ROWS = 512  # merged into a triangle at once
-CURRENTS = 3  # columns of a joint's current: v, v', v''
-PUSH = 1  # column of what wrenches on bodies add to a joint's torque
-EXTRA = len(TERMS) + PUSH + CURRENTS
+EXTRA = len(TERMS) + FIXED  # columns behind those of standard parameters
 
 
 @dataclass(frozen=True, eq=False)
 class HuberWeights:
     """Huber's weights: rows whose residual is above ``limit`` (c,) count less, in proportion.
 
-    Residuals of channel j are ``rows @ coefficients[j]``, of ``[W_j terms_j push_j v_j v_j' v_j'']``, (c, p).
+    Residuals of channel j are ``rows @ coefficients[j]``, of ``[W_j terms_j known_j v_j v_j' v_j'']``, (c, p).
     """
 
     coefficients: np.ndarray
@@ -45,8 +44,9 @@ class Factors:
     Attributes
     ----------
     R : ndarray
-        (stretches, c, p, p) triangles of ``[W_j terms_j push_j v_j v_j' v_j'']``, p = columns + 6, of the joints and
-        then of the torque sensors: these have the regressor's row of their joint, and no further friction.
+        (stretches, c, p, p) triangles of ``[W_j terms_j known_j v_j v_j' v_j'']``, p = columns + 6, of the joints and
+        then of the torque sensors: these have the regressor's row of their joint, and no further friction. Known is
+        what measured wrenches add to the torque of the joint, less.
     rows : ndarray
         (stretches, c) number of rows behind each.
     distances : ndarray
@@ -64,15 +64,16 @@ class Factors:
     speeds: np.ndarray | None = None
 
 
-def equations(regressor: Regressor, joints: Sequence[int], part: Rows) -> np.ndarray:
-    """Build the rows ``[W_j terms_j push_j v_j v_j' v_j'']`` (c, K, p) of channels that measure these ``joints``."""
+def equations(regressor: Regressor, channels: Sequence[Channel], part: Rows) -> np.ndarray:
+    """Build the rows ``[W_j terms_j known_j v_j v_j' v_j'']`` (c, K, p) of ``channels``."""
+    joints = [channel.row for channel in channels]
     n, width = part.terms.shape[1], len(regressor.names)
     A = np.zeros((len(joints), len(part.time), width + EXTRA))
     A[regressor.rows, :, regressor.columns] = part.entries
     A[n:, :, :width] = A[joints[n:], :, :width]
     A[:n, :, width : width + len(TERMS)] = part.terms.transpose(1, 2, 0)
-    A[:, :, -CURRENTS - PUSH] = part.pushes[joints]
-    A[:, :, -CURRENTS:] = part.currents.transpose(1, 2, 0)
+    A[:, :, KNOWN] = -part.external[joints]
+    A[:, :, SIGNALS] = part.currents.transpose(1, 2, 0)
     return A
 
 
@@ -97,12 +98,13 @@ def reduce_run(
     """
     regressor, near = idm.columns(columns), singularities(idm)
     outputs = decimator.outputs(len(prepared))
-    joints = prepared.run.measured_joints
-    c, p = len(joints), len(columns) + EXTRA
-    own = [np.append(np.unique(regressor.columns[regressor.rows == j]), np.arange(p - EXTRA, p)) for j in joints]
+    channels = channels_of_model(idm.robot, prepared.run.sensors)
+    c, p = len(channels), len(columns) + EXTRA
+    rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
+    own = [np.append(np.unique(each), np.arange(p - EXTRA, p)) for each in rows_of]
     R, rows = np.zeros((STRETCHES, c, p, p)), np.zeros((STRETCHES, c), dtype=int)
     small = [[np.zeros((0, each.size)) for each in own] for _ in range(STRETCHES)]  # the triangles of own columns
-    waiting: list[list[np.ndarray]] = [[] for _ in joints]
+    waiting: list[list[np.ndarray]] = [[] for _ in channels]
     distances = Store((2,), np.float32)
     residuals = Store((c,))
     speeds = np.zeros((STRETCHES, len(idm.actuated)))
@@ -117,7 +119,7 @@ def reduce_run(
     for part in stream_rows(idm, regressor, prepared, decimator, load, fast):
         distances.append(near.distances(part.motion).T)
         stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
-        A = equations(regressor, joints, part)
+        A = equations(regressor, channels, part)
         if weigh is not None:
             e = np.einsum("jkp,jp->jk", A, weigh.coefficients)
             residuals.append(np.where(part.keep, e, np.nan).T)

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.factors import CURRENTS, Factors
+from gtau.estimation.regression.equations import SIGNAL
+from gtau.estimation.regression.factors import Factors
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.experiment import Prior
@@ -30,7 +31,7 @@ def with_exact_mass(
         The mass is not among the ``priors``.
     """
     rows = [idm.actuated.index(joint) for joint in idm.robot.base]
-    if not rows or any(factor.R[:, rows, :, -CURRENTS].any() for factor in factors):
+    if not rows or any(factor.R[:, rows, :, SIGNAL].any() for factor in factors):
         return priors
     name = whole_mass(base, idm.parameter_names)
     prior = priors.get(name)

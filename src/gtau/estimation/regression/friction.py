@@ -11,6 +11,8 @@ Where temperatures of the joints are logged, two more are:
 - ``fvt``, ``fst``: viscous and Coulomb friction per degree above the mean temperature, ``fvt (T - T_mean) qd`` and
   ``fst (T - T_mean) sign(qd)``.
 
+The bearing of a joint's torque sensor may have friction of its own, viscous and Coulomb (``fv_2_sensor``).
+
 Warm-up makes friction drift between runs by per cents, which no single run shows and which ruins the
 drive gains; so viscous and Coulomb friction may take a value of their own in every run.
 """
@@ -22,9 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.signals.channel import Channel
+
 TERMS = ("f3", "fl")
 TEMPERATURE_TERMS = {"fvt": "fv", "fst": "fs"}
 DRIFTING = ("fv", "fs")
+BEARING = ("fv", "fs")
 UNITS = {
     "revolute": {"f3": "N m s3/rad3", "fl": "1", "fvt": "N m s/rad", "fst": "N m"},
     "prismatic": {"f3": "N s3/m3", "fl": "1", "fvt": "N s/m", "fst": "N"},
@@ -57,6 +62,11 @@ def all_terms(joints: tuple[str, ...]) -> tuple[str, ...]:
 def temperature_terms(joints: Sequence[str]) -> tuple[str, ...]:
     """List the temperature-dependent friction terms of the joints with a temperature."""
     return tuple(f"{term}_{joint}" for joint in joints for term in TEMPERATURE_TERMS)
+
+
+def bearing_terms(channels: Sequence[Channel]) -> tuple[str, ...]:
+    """List all friction terms that the bearings of torque sensors may have of their own."""
+    return tuple(f"{kind}_{channel.name}" for channel in channels if channel.kind == "sensor" for kind in BEARING)
 
 
 def transmitted(names: Sequence[str]) -> np.ndarray:

@@ -1,14 +1,10 @@
-"""The estimation problem, ready to solve: every joint's equations as small matrices (eqs. 29 to 33).
+"""The estimation problem, ready to solve: every channel's equations as small matrices (eqs. 29 to 33).
 
-Row block (u, j) holds the equations of channel j in unit u, a stretch of one run: first those of the joints' currents,
-then those of torque sensors, whose gain is 1. Its columns are
-
-    [ W_theta | known | v | v' | v'' ]
-
-where ``W_theta`` acts on the unknown parameters ``theta`` (base parameters, then every loaded run's unknown payload
-parameters), ``known`` is ``W_kl chi_kl`` less what measured wrenches do, and v is the current reference, of a sensor
-the torque, with its two time derivatives. The rows may be those of the decimated system, or their triangular factor:
-all estimators see them only through ``A^T A`` and give the same for both.
+Row block (u, j) holds the equations of channel j in unit u, a stretch of one run, with the columns of
+:mod:`gtau.estimation.regression.equations`: those of the model act on the unknown parameters ``theta`` (base
+parameters, then what every other effect adds), ``known`` is ``W_kl chi_kl`` less what measured wrenches do, and v is a
+current reference, or the torque of a channel with the gain 1. The rows may be those of the decimated system, or their
+triangular factor: all estimators see them only through ``A^T A`` and give the same for both.
 """
 
 from __future__ import annotations
@@ -19,9 +15,18 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.regression.torque_sensors import sensor_name
-from gtau.estimation.regression.triangle import triangle
+from gtau.estimation.regression.equations import (
+    FIXED,
+    KNOWN,
+    MODEL,
+    SIGNAL,
+    SIGNALS,
+    delayed_signal,
+    select_columns,
+    triangle,
+)
 from gtau.model.base_parameters import independent_columns
+from gtau.signals.channel import Channel, ChannelKind
 
 
 @dataclass(frozen=True)
@@ -32,58 +37,51 @@ class Problem:
     ----------
     parameters : tuple of str
         Names of theta, (n_theta,).
-    joints : tuple of str
-        Actuated joints, (n,).
+    channels : tuple of Channel
+        The signals explained, (c,): of the n actuated joints, then of torque sensors.
     blocks : ndarray
         (U, c, p, n_theta + 4), rows or triangular factors.
     rows : ndarray
         (U, c) number of equations behind each block.
     slowest : float
         Longest delay (s) that the expansion in derivatives can describe; 0 for a problem without delays.
-    sensors : tuple of str
-        Joints with a torque sensor, (c - n,), the last channels.
     known : ndarray
         (k, n_theta + 1) further equations ``[P | y]``, of known parameters: ``P theta = y`` with errors of unit
         variance.
-    driveless : tuple of str
-        Joints of a floating base, whose commands are measured forces: their gain is 1.
-    pushed : tuple of str
-        Bodies on which measured wrenches act; what they add to the motors' torques is in ``known``, less.
+    wrenches : tuple of str
+        Bodies on which measured wrenches act; what they add to the motors' torques is in the column ``known``, less.
     """
 
     parameters: tuple[str, ...]
-    joints: tuple[str, ...]
+    channels: tuple[Channel, ...]
     blocks: np.ndarray
     rows: np.ndarray
     slowest: float
-    sensors: tuple[str, ...] = ()
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    driveless: tuple[str, ...] = ()
-    pushed: tuple[str, ...] = ()
+    wrenches: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.known.size:
             object.__setattr__(self, "known", np.zeros((0, len(self.parameters) + 1)))
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels, (c,): the joints, and their torque sensors."""
-        return (*self.joints, *map(sensor_name, self.sensors))
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Actuated joints, those of a floating base included, (n,)."""
+        return tuple(each.joint for each in self.channels if each.kind != "sensor")
 
-    @property
+    def of(self, kind: ChannelKind) -> list[int]:
+        """List the channels of a kind, by number."""
+        return [k for k, each in enumerate(self.channels) if each.kind == kind]
+
+    @cached_property
     def free(self) -> np.ndarray:
-        """Whether the gain of a channel is to be found, (c,); that of a sensor or a base is 1."""
-        return np.array([each not in self.driveless for each in self.joints] + [False] * len(self.sensors))
-
-    @property
-    def base_channels(self) -> np.ndarray:
-        """Which channels are those of a floating base, (c,)."""
-        return np.array([each in self.driveless for each in self.channels])
+        """Whether the gain of a channel is to be found, (c,)."""
+        return np.array([each.free for each in self.channels])
 
     @property
     def scaled(self) -> bool:
         """Whether torque sensors, measured wrenches or known parameters say how large gains are, beside payloads."""
-        return bool(self.sensors or self.driveless or self.pushed) or len(self.known) > 0
+        return not self.free.all() or bool(self.wrenches) or len(self.known) > 0
 
     @property
     def gain_rows(self) -> slice:
@@ -103,14 +101,14 @@ class Problem:
     @cached_property
     def own_columns(self) -> tuple[list[int], ...]:
         """For each channel, the columns of [W_theta | known] that are independent in its own equations."""
-        return tuple(_told_apart(R, self.n_theta) for R in self.triangles)
+        return tuple(_independent(R) for R in self.triangles)
 
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
         """What each channel's own model leaves of v, v', v'': (3, 3) triangles, one a channel."""
         left = []
         for R, columns in zip(self.triangles, self.own_columns, strict=True):
-            full = triangle(R[:, [*columns, *range(self.n_theta + 1, self.n_theta + 4)]])
+            full = triangle(np.concatenate([R[:, columns], R[:, SIGNALS]], axis=1))
             left.append(full[len(columns) :, len(columns) :])
         return tuple(left)
 
@@ -145,7 +143,7 @@ class Problem:
         """Standard deviation of each channel about its own model (eq. 28), (c,)."""
         sigma = np.zeros(len(self.channels))
         for j, T in enumerate(self.own_currents):
-            rest = T @ delayed(self.own_delays[j])
+            rest = delayed_signal(T, self.own_delays[j])
             free = max(self.total_rows[j] - len(self.own_columns[j]), 1)
             sigma[j] = np.sqrt(rest @ rest / free)
         found = np.maximum(sigma, self.smallest_sigma)
@@ -155,7 +153,7 @@ class Problem:
     @property
     def signal(self) -> np.ndarray:
         """Each channel's current or torque, rms, (c,)."""
-        norms = [np.linalg.norm(R[:, self.n_theta + 1]) for R in self.triangles]
+        norms = [np.linalg.norm(R[:, SIGNAL]) for R in self.triangles]
         return np.asarray(norms / np.sqrt(self.total_rows))
 
     @property
@@ -169,7 +167,7 @@ class Problem:
 
     def largest_terms(self, theta: np.ndarray) -> np.ndarray:
         """Return the largest of the model's terms in each channel, rms, (c,)."""
-        terms = [np.linalg.norm(R[:, : self.n_theta], axis=0) * np.abs(theta) for R in self.triangles]
+        terms = [np.linalg.norm(R[:, MODEL], axis=0) * np.abs(theta) for R in self.triangles]
         return np.asarray(np.array([each.max(initial=0.0) for each in terms]) / np.sqrt(self.total_rows))
 
     @property
@@ -180,7 +178,7 @@ class Problem:
     def without(self, names: Sequence[str]) -> Problem:
         """Set the parameters ``names`` of a problem to zero."""
         keep = [k for k, name in enumerate(self.parameters) if name not in set(names)]
-        columns = [*keep, *range(self.n_theta, self.n_theta + 4)]
+        columns = [*keep, *range(self.n_theta, self.n_theta + FIXED)]
         less = replace(
             self,
             parameters=tuple(self.parameters[k] for k in keep),
@@ -188,21 +186,16 @@ class Problem:
             known=self.known[:, [*keep, -1]],
         )
         # the triangles of fewer columns follow from those of all: the units need not be looked at again
-        less.__dict__["triangles"] = tuple(triangle(R[:, columns]) for R in self.triangles)
+        less.__dict__["triangles"] = tuple(select_columns(R, columns) for R in self.triangles)
         # columns that depended on others still do if these are all there
         now = {old: new for new, old in enumerate(columns)}
         less.__dict__["own_columns"] = tuple(
-            [now[k] for k in own] if now.keys() >= set(own) else _told_apart(R, less.n_theta)
+            [now[k] for k in own] if now.keys() >= set(own) else _independent(R)
             for own, R in zip(self.own_columns, less.triangles, strict=True)
         )
         return less
 
 
-def _told_apart(R: np.ndarray, n_theta: int) -> list[int]:
+def _independent(R: np.ndarray) -> list[int]:
     """Find columns of [W_theta | known] that are linearly independent in the equations with the triangle R."""
-    return independent_columns(R[:, : n_theta + 1])[0]
-
-
-def delayed(d: float) -> np.ndarray:
-    """Compute the weights of v, v', v'' that make ``v(t - d)``, (3,)."""
-    return np.array([1.0, -d, d * d / 2])
+    return independent_columns(R[:, : KNOWN + 1])[0]

@@ -10,6 +10,7 @@ import numpy as np
 from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
+from gtau.robots.wrench import WRENCH
 from gtau.signals.decimation import Block, Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 from gtau.signals.run import Run
@@ -23,9 +24,9 @@ class Rows:
 
     ``time`` (K,) in s; ``keep`` (c, K); ``entries`` of the regressor (entries, K); ``currents``
     (3, c, K): the command and its first two time derivatives, of a base all that acts on it from outside; ``terms``
-    (2, n, K), the columns of further friction of the joints; ``pushes`` (n, K), what wrenches on bodies add to the
-    motors' torques, 0 for a base; ``outputs`` their numbers in the run; ``motion`` of the whole tree at these instants;
-    ``friction`` (n, K), where a law of it is given.
+    (2, n, K), the columns of further friction of the joints; ``external`` (n, K), what wrenches on bodies add
+    to the motors' torques, 0 for a base; ``outputs`` their numbers in the run; ``motion`` of the whole tree
+    at these instants; ``friction`` (n, K), where a law of it is given.
     """
 
     time: np.ndarray
@@ -33,7 +34,7 @@ class Rows:
     entries: np.ndarray
     currents: np.ndarray
     terms: np.ndarray
-    pushes: np.ndarray
+    external: np.ndarray
     outputs: slice
     motion: Motion
     friction: np.ndarray | None = None
@@ -84,40 +85,40 @@ def stream_rows(
         measured = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
         currents = measured[:, : of.usable.shape[1]]
         entries = regressor(idm.layout, motion)
-        pushes = pushes_of(idm, prepared.run, motion, measured)
+        external = external_torques(idm, prepared.run, motion, measured)
         # all that acts on a base is one signal there, wherever it acts
         base = [idm.actuated.index(joint) for joint in idm.robot.base]
-        currents[:, base] += pushes[:, base]
-        pushes[:, base] = 0.0
+        currents[:, base] += external[:, base]
+        external[:, base] = 0.0
         effort = currents[0, : len(qd)]
         if load is not None:
-            effort = regressor.torques(entries, load, len(idm.actuated)) - pushes[0]
+            effort = regressor.torques(entries, load, len(idm.actuated)) - external[0]
         yield Rows(
             of.time[kept],
             decimator.keep(of.usable[seen]).T,
             decimator.apply(entries, block),
             decimator.apply(currents, block),
             decimator.apply(term_columns(qd, effort), block),
-            decimator.apply(pushes[0], block),
+            decimator.apply(external[0], block),
             block.outputs,
             motion[kept],
             None if friction is None else decimator.apply(friction(of.time, motion, effort), block),
         )
 
 
-def pushes_of(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
+def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
     """Compute what the wrenches of a run add to the torques of the actuated joints, ``J^T w`` (3, n, M).
 
     ``measured`` (3, ., M) are the columns of the run's commands and their time derivatives, those of the wrenches last;
     ``motion`` is that of the same M samples. A wrench that is late is late in the robot's pose of now, so that the
     columns of its delay are ``J^T w'`` and ``J^T w''``.
     """
-    pushes = np.zeros((len(measured), len(idm.actuated), measured.shape[-1]))
+    torques = np.zeros((len(measured), len(idm.actuated), measured.shape[-1]))
     if run.wrenches:
-        columns, w = idm.wrenches(run.wrenches), measured[:, len(run.measured_joints) :]
+        columns, w = idm.wrenches(run.wrenches), measured[:, len(run.channels) - len(WRENCH) * len(run.wrenches) :]
         for entry, row, column in zip(columns(idm.layout, motion), columns.rows, columns.columns, strict=True):
-            pushes[:, row] += entry * w[:, column]
-    return pushes
+            torques[:, row] += entry * w[:, column]
+    return torques
 
 
 def _along(

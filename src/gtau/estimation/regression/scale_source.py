@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.equations import KNOWN, MODEL, SIGNAL
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import ANSWERED, OWN_BODY
@@ -43,27 +44,28 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
             "the same payload; "
             f"add a run without payload, {other}."
         )
-    if problem.pushed and not (problem.driveless or problem.sensors or len(problem.known) or weighed):
+    if problem.wrenches and problem.free.all() and not (len(problem.known) or weighed):
         own, answered = own_of_wrenches(problem)
         if own < OWN_BODY and answered < ANSWERED:
-            raise GtauError(_always_carried(problem.pushed, other))
+            raise GtauError(_always_carried(problem.wrenches, other))
     if problem.n_theta in independent_columns(_with_scale(problem))[0]:
         return
-    if problem.sensors:
+    if sensors := problem.of("sensor"):
+        named = ", ".join(problem.channels[k].joint for k in sensors)
         raise GtauError(
-            f"the torque sensors of {', '.join(problem.sensors)} measure no load that the motors carry too, so they "
+            f"the torque sensors of {named} measure no load that the motors carry too, so they "
             "cannot give the scale of the drive gains; add sensors of other joints, runs that move them against "
             f"gravity, {other}."
         )
     if len(problem.known):
         raise _hidden(system.stated, other)
-    if problem.pushed:
+    if problem.wrenches:
         raise GtauError(
-            f"the wrenches on {', '.join(problem.pushed)} have no effect of their own on any actuated joint, so they "
+            f"the wrenches on {', '.join(problem.wrenches)} have no effect of their own on any actuated joint, so they "
             "cannot give the scale of the drive gains; check their columns, their 'body' and 'at' under 'signals', "
             f"carry a payload of known mass in some runs, {other}."
         )
-    if problem.driveless:
+    if robot.floating:
         raise GtauError(
             f"nothing measured acts on the base '{robot.floating}' from outside, or it has no effect of its own "
             "on the motors, so the scale of the drive gains is open; log the wrench that holds the base ('base' under "
@@ -96,8 +98,8 @@ def own_of_wrenches(problem: Problem) -> tuple[float, float]:
     n, joints, rows = problem.n_theta, len(problem.joints), []
     for j, (R, sigma) in enumerate(zip(problem.triangles, problem.own_sigma, strict=True)):
         currents = np.zeros((len(R), joints))
-        currents[:, j] = R[:, n + 1]
-        rows.append(np.column_stack([R[:, :n], currents, R[:, n]]) / sigma)
+        currents[:, j] = R[:, SIGNAL]
+        rows.append(np.column_stack([R[:, MODEL], currents, R[:, KNOWN]]) / sigma)
     stacked = np.concatenate(rows)
     columns, torque = stacked[:, :-1] / np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), 1e-300), stacked[:, -1]
     left, unanswered = (
@@ -118,11 +120,11 @@ def _always_carried(bodies: Sequence[str], other: str) -> str:
 
 def _with_scale(problem: Problem) -> np.ndarray:
     """Stack weighted rows ``[W_theta | known]``, of sensors with the torque that their own columns explain."""
-    n, rows = problem.n_theta, []
+    rows = []
     for j, (R, own, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
-        known = R[:, n]
+        known = R[:, KNOWN]
         if not problem.free[j]:
-            torque, columns = R[:, n + 1], R[:, own]
+            torque, columns = R[:, SIGNAL], R[:, own]
             known = known - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
-        rows.append(np.column_stack([R[:, :n], known]) / sigma)
-    return np.concatenate([*rows, problem.known * np.append(np.ones(n), -1.0)])
+        rows.append(np.column_stack([R[:, MODEL], known]) / sigma)
+    return np.concatenate([*rows, problem.known * np.append(np.ones(problem.n_theta), -1.0)])

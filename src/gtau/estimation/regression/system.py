@@ -8,17 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.carried_payload import CarriedPayload, carried_payload
-from gtau.estimation.regression.column_maps import ColumnMaps, drift_name
-from gtau.estimation.regression.factors import CURRENTS, PUSH, Factors
+from gtau.estimation.regression.column_blocks import (
+    CarriedPayload,
+    ColumnBlock,
+    carried_payload,
+    column_blocks,
+    column_map,
+    unknown_names,
+)
+from gtau.estimation.regression.equations import KNOWN, MODEL
+from gtau.estimation.regression.factors import Factors
 from gtau.estimation.regression.flight import with_exact_mass
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS, Friction, transmitted
+from gtau.estimation.regression.friction import Friction, transmitted
 from gtau.estimation.regression.known_parameters import known_equations
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.torque_sensors import joint_behind
 from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.robot import Robot
+from gtau.signals.channel import channels_of_model
 from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
 
@@ -31,10 +37,10 @@ class System:
 
     ``unexcited`` are base parameters that these motions cannot separate from those before them; they are
     not part of the problem, but of ``whole``. ``block_positions`` (U, 2) say where the problem's units stand: the
-    number of the run, and the time from its beginning (0) to its end (1). ``maps`` (runs, c, p, n_theta + 4) lead
-    from the columns of the runs' factors to those of ``whole``, at the mean temperatures of each run. ``stated`` are
-    the parameters with a prior value. ``warmth`` (c, p, n_theta + 4) is what is added to the maps for each degree.
-    ``pushes`` (U, c, p) are the rows of what measured wrenches add to the motors' torques; None without wrenches.
+    number of the run, and the time from its beginning (0) to its end (1). ``effects`` are the column blocks, and
+    ``above`` (runs, n) how far the joints were above their mean temperatures. ``stated`` are the parameters with a
+    prior value. ``of_wrenches`` (U, c, p) is what measured wrenches contribute to the problem's column ``known``; None
+    without wrenches.
     """
 
     problem: Problem
@@ -44,42 +50,35 @@ class System:
     unexcited: tuple[str, ...]
     friction: Friction
     block_positions: np.ndarray
-    maps: np.ndarray
+    effects: tuple[ColumnBlock, ...]
+    above: np.ndarray
     stated: tuple[str, ...] = ()
-    warmth: np.ndarray | None = None
-    pushes: np.ndarray | None = None
+    of_wrenches: np.ndarray | None = None
+
+    def map(self, run: int, above: np.ndarray | None = None) -> np.ndarray:
+        """Map the columns of the factors of a run to those of ``whole``, for every channel, (c, p, n_theta + 4).
+
+        ``above`` (n,) are the joints' temperatures above their means; those of the whole run if left out.
+        """
+        above = self.above[run] if above is None else above
+        return np.stack([column_map(self.effects, run, each, above[each.row]) for each in self.whole.channels])
+
+    def full(self, theta: np.ndarray) -> np.ndarray:
+        """Fill up parameters of the problem to those of ``whole`` and a 1 for what is known, (n_theta + 1,)."""
+        values = dict(zip(self.problem.parameters, theta, strict=True))
+        return np.array([*(values.get(name, 0.0) for name in self.whole.parameters), 1.0])
 
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run``, with its payload and its own friction, (n_b,)."""
-        values = dict(zip(self.problem.parameters, theta, strict=True))
-        last = len(self.maps) - 1
-        chi = np.array([values.get(name, 0.0) for name in self.base.names])
-        for k, name in enumerate(self.base.names):
-            drifts = [values.get(drift_name(name, other), 0.0) for other in range(last)]
-            chi[k] += drifts[run] if run < last else -sum(drifts)
-        for j, joint in enumerate(self.whole.joints):
-            for term, kind in TEMPERATURE_TERMS.items():
-                if value := values.get(f"{term}_{joint}"):
-                    k, column = self.base.standard.index(f"{kind}_{joint}"), f"{term}_{joint}"
-                    chi[k] += value * self.maps[run, j, k, self.whole.parameters.index(column)]
-        return chi + self._payload(run, values)
+        joints = self.whole.joints
+        of_joints = self.map(run)[: len(joints), : self.base.count, : KNOWN + 1] @ self.full(theta)
+        bodies = [name.split("_", 1)[1] for name in self.base.standard]
+        rows = [joints.index(body) if body in joints else 0 for body in bodies]  # whose own friction it may be
+        return np.asarray(of_joints[rows, np.arange(len(rows))])
 
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run`` that joints transmit: with payload, without friction, (n_b,)."""
-        values = dict(zip(self.problem.parameters, theta, strict=True))
-        chi = np.array([values.get(name, 0.0) for name in self.base.names]) * transmitted(self.base.names)
-        return chi + self._payload(run, values)
-
-    def _payload(self, run: int, values: Mapping[str, float]) -> np.ndarray:
-        """Return the values that the payload of ``run`` adds to the base columns, (n_b,)."""
-        of_run = [carried for carried in self.payloads if carried.run == run]
-        return sum(
-            (
-                each.unknown_columns @ [values.get(name, 0.0) for name in each.unknown] + each.known_column
-                for each in of_run
-            ),
-            np.zeros(self.base.count),
-        )
+        return self.motion(run, theta) * transmitted(self.base.names)
 
 
 def assemble_system(
@@ -92,7 +91,7 @@ def assemble_system(
     sensors: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
     temperatures: Sequence[np.ndarray] | None = None,
-    pushed: Sequence[str] = (),
+    wrenches: Sequence[str] = (),
 ) -> System:
     """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33).
 
@@ -116,7 +115,7 @@ def assemble_system(
         What is known of parameters, by name.
     temperatures : sequence of ndarray, optional
         Deviations (stretches, n) of the joints' temperatures from their means, for each run.
-    pushed : sequence of str
+    wrenches : sequence of str
         Bodies on which measured wrenches act.
 
     Raises
@@ -127,17 +126,14 @@ def assemble_system(
     carried = tuple(
         carried_payload(idm, base, run, payload) for run, payload in enumerate(payloads) if payload is not None
     )
-    columns = ColumnMaps(base, idm.actuated, tuple(sensors), carried, friction, len(factors))
-    blocks, maps = [], []
+    channels = channels_of_model(idm.robot, sensors)
+    effects = tuple(column_blocks(base, channels, carried, friction, len(factors)))
+    parameters = unknown_names(effects)
+    blocks = []
     for run, factor in enumerate(factors):
-        of_channels = columns.of_run(run)
-        parts = [factor.R[:, j] @ M for j, M in enumerate(of_channels)]
-        for j, joint in enumerate(idm.actuated if temperatures is not None else ()):
-            of_run, warmth = temperatures[run][:, j], columns.warmth(joint)  # type: ignore[index]
-            parts[j] = parts[j] + of_run[:, None, None] * (factor.R[:, j] @ warmth)
-            of_channels[j] = of_channels[j] + of_run.mean() * warmth
-        maps.append(of_channels)
-        blocks.append(np.stack(parts, axis=1))
+        warm = None if temperatures is None else temperatures[run]  # (stretches, n)
+        maps = [column_map(effects, run, each, 0.0 if warm is None else warm[:, each.row]) for each in channels]
+        blocks.append(np.stack([factor.R[:, j] @ M for j, M in enumerate(maps)], axis=1))
     rows = np.concatenate([factor.rows for factor in factors])
     filled = rows.sum(axis=1) > 0
     block_positions = np.array(
@@ -145,17 +141,15 @@ def assemble_system(
     )
     priors = with_exact_mass(idm, base, factors, priors or {})
     problem = Problem(
-        columns.parameters,
-        idm.actuated,
+        parameters,
+        channels,
         np.concatenate(blocks)[filled],
         rows[filled],
         slowest,
-        tuple(sensors),
-        known_equations(base, idm.parameter_names, columns.parameters, priors),
-        idm.robot.base,
-        tuple(pushed),
+        known_equations(base, idm.parameter_names, parameters, priors),
+        tuple(wrenches),
     )
-    _require_rows(problem, idm.robot)
+    _require_rows(problem)
     unexcited = _unexcited(problem)
     return System(
         problem.without(unexcited),
@@ -165,27 +159,28 @@ def assemble_system(
         unexcited,
         friction,
         block_positions[filled],
-        np.array(maps),
+        effects,
+        np.array([each.mean(axis=0) for each in temperatures])
+        if temperatures is not None
+        else np.zeros((len(factors), len(idm.actuated))),
         tuple(name for name, prior in priors.items() if prior.value is not None),
-        None if temperatures is None else np.array([columns.warmth(channel) for channel in problem.channels]),
-        np.concatenate([factor.R[..., -CURRENTS - PUSH] for factor in factors])[filled] if pushed else None,
+        np.concatenate([factor.R[..., KNOWN] for factor in factors])[filled] if wrenches else None,
     )
 
 
-def _require_rows(problem: Problem, robot: Robot) -> None:
+def _require_rows(problem: Problem) -> None:
     for channel, count in zip(problem.channels, problem.total_rows, strict=True):
         if count < FEWEST_ROWS:
-            joint = joint_behind(channel, robot)
             raise GtauError(
-                f"joint '{joint}' has {count} usable rows in all runs together, away from its reversals and gaps; "
-                "add runs in which it moves, or longer ones."
+                f"joint '{channel.joint}' has {count} usable rows in all runs together, away from its reversals and "
+                "gaps; add runs in which it moves, or longer ones."
             )
 
 
 def _unexcited(problem: Problem) -> tuple[str, ...]:
     stacked = np.concatenate(
         [
-            *(R[:, : problem.n_theta] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)),
+            *(R[:, MODEL] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)),
             problem.known[:, :-1],
         ]
     )

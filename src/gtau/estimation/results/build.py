@@ -17,11 +17,10 @@ from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.total_least_squares import total_rows_of
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS, UNITS
+from gtau.estimation.regression.equations import triangle
+from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, UNITS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.regression.torque_sensors import BEARING
-from gtau.estimation.regression.triangle import triangle
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
@@ -151,7 +150,7 @@ def build_result(
         covariance_names=(
             *problem.parameters,
             *(f"gain_{joint}" for joint in joints),
-            *(f"delay_{channel}" for channel in problem.channels),
+            *(f"delay_{channel.name}" for channel in problem.channels),
         ),
         covariance=covariance[np.ix_(named, named)],
         preparation=dataset.preparation,
@@ -235,8 +234,9 @@ def _sensors(
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the torque sensors' own parameters."""
     robot, problem, solution, sensors = fit.dataset.robot, fit.system.problem, fit.solution, []
-    for k, joint in enumerate(problem.sensors, start=len(problem.joints)):
-        channel, unit = problem.channels[k], torque_unit(robot, joint)
+    for k in problem.of("sensor"):
+        channel, joint = problem.channels[k].name, problem.channels[k].joint
+        unit = torque_unit(robot, joint)
         row = problem.n_theta + len(problem.channels) + k
         own = {
             name: Estimate(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict
-from gtau.estimation.regression.carried_payload import known_values
+from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System

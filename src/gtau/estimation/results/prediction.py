@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.carried_payload import known_values
+from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS
 from gtau.estimation.regression.rows import stream_rows
@@ -53,7 +53,7 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
 
     for part in stream_rows(model, regressor, prepared, decimator, load, friction=friction):
         assert part.friction is not None
-        tau = regressor.torques(part.entries, load, len(model.actuated)) + part.friction - part.pushes
+        tau = regressor.torques(part.entries, load, len(model.actuated)) + part.friction - part.external
         v, v_d, v_dd = part.currents[:, : len(gains)]  # eq. (17), each current at its delayed time
         time.append(part.time)
         predicted.append(tau.T)

@@ -1,0 +1,62 @@
+"""A channel: one signal in A, N m or N that the equations of the model explain, or take for given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from gtau.robots.robot import Robot
+from gtau.robots.wrench import WRENCH, WrenchFrame
+
+ChannelKind = Literal["motor", "sensor", "base", "wrench"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A motor, the torque sensor of a joint, a row of a floating base, or a component of a measured wrench.
+
+    Attributes
+    ----------
+    name : str
+        As it ends the names of the channel's own parameters (``off_2_sensor``).
+    kind : str
+        What it is.
+    joint : str
+        Joint whose torque it shows; of a wrench the body.
+    row : int
+        Row of the model with that torque, the number of the joint; of a wrench that of its component.
+    """
+
+    name: str
+    kind: ChannelKind
+    joint: str
+    row: int
+
+    @property
+    def free(self) -> bool:
+        """Whether its gain may be unknown; what is measured in N m or N has the gain 1."""
+        return self.kind == "motor"
+
+
+def channels_of_model(robot: Robot, sensors: Sequence[str]) -> tuple[Channel, ...]:
+    """List the channels that have equations, (c,): the actuated joints, then the torque ``sensors``, given by joint."""
+    joints = robot.actuated
+    return (
+        *(Channel(joint, "base" if joint in robot.base else "motor", joint, row) for row, joint in enumerate(joints)),
+        *sensor_channels(joints, sensors),
+    )
+
+
+def sensor_channels(joints: Sequence[str], sensors: Sequence[str]) -> tuple[Channel, ...]:
+    """List the channels of torque sensors, given by joint; ``joints`` are those of the rows of the model."""
+    return tuple(Channel(f"{joint}_sensor", "sensor", joint, joints.index(joint)) for joint in sensors)
+
+
+def wrench_channels(frames: Sequence[WrenchFrame]) -> tuple[Channel, ...]:
+    """List the channels of measured wrenches, six each."""
+    return tuple(
+        Channel(f"{frame.body}_{component}", "wrench", frame.body, 6 * k + number)
+        for k, frame in enumerate(frames)
+        for number, component in enumerate(WRENCH)
+    )
