@@ -19,8 +19,7 @@ from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
-from gtau.signals.column_units import Units
-from gtau.signals.columns import SampleRate, Signals
+from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload
