@@ -18,7 +18,7 @@ QUARTILE = 0.4549364  # median of the chi-square distribution with one degree of
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """How far values are from their median.
+    """Distances of values from their median.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Distances:
 
     @property
     def outlier(self) -> np.ndarray:
-        """Whether each value is an outlier, (N,)."""
+        """True for each value that is an outlier, (N,)."""
         return np.abs(self.z) > self.limit
 
 

@@ -104,7 +104,7 @@ class Signals(Keys):
 
     @property
     def kind(self) -> Literal["current", "torque"]:
-        """What the commands are, motor torques as those of the joints."""
+        """Kind of the commands; motor torques count as torques."""
         return "torque" if self.current is None else "current"
 
     @property

@@ -187,7 +187,7 @@ def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, L
 
 
 def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
-    """Match columns of positions and commands to joints; also say how, and whether by no more than their order."""
+    """Match columns of positions and commands to joints; also say how, and whether by their order alone."""
     common = [label for label in positions.columns if label in commands.columns]
     pairs = {label: (positions.columns[label], commands.columns[label]) for label in common}
     by_order = False
@@ -267,7 +267,7 @@ UNSURE = {
     "floats under 'base:' (docs/experiment-file.md, 'Wrenches on bodies')",
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
-"""What a person has to confirm or add, by what was open in the draft."""
+"""Questions to the user, by the open points of the draft."""
 
 
 def draft_text(draft: Draft, folder: Path) -> str:

@@ -1,4 +1,4 @@
-"""What a log holds: its columns by kind of signal, from their names, ranges and derivatives."""
+"""Contents of a log: its columns by kind of signal, from their names, ranges and derivatives."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class LogContents:
             groups = [each for each in groups if _topic(each.first, topics) == main]
         values = _values(path, [each.name for each in wanted])
         time = _time_columns(wanted, values)
-        return cls(path, table, values, time, tuple(_told_apart(groups, values, path)), {})
+        return cls(path, table, values, time, tuple(_classified(groups, values, path)), {})
 
     def of_another_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
@@ -197,7 +197,7 @@ def _grows(column: np.ndarray) -> bool:
     return len(step) > 0 and bool((step >= 0).all()) and float((step > 0).mean()) > 0.5
 
 
-def _told_apart(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
+def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
     """Classify commands that are derivatives of the positions as velocities, and a lone group by the file's name."""
     positions = next((each for each in groups if each.kind == "position" and not each.reference), None)
     of_file = parse_column_name(path.stem).kind

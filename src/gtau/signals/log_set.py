@@ -79,7 +79,7 @@ class Logged:
             yield np.column_stack([self._converted(found * self.scale), time])
 
     def _converted(self, values: np.ndarray) -> np.ndarray:
-        """Put a floating base before the joints, from its pose and what acts on it, and wrenches about their origins.
+        """Prepend the base's six coordinates and generalised forces; move the wrenches to the origins of their bodies.
 
         The columns (M, .) are those of positions, pose, commands and sensors, wrenches, and wrenches on the base.
         """

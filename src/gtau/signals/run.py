@@ -25,7 +25,7 @@ from gtau.signals.storage import block, spans, store
 
 @dataclass(frozen=True)
 class Log:
-    """Where a run was read: the files, one or two, the columns and their units."""
+    """Origin of a run: the files, one or two, the columns and their units."""
 
     paths: tuple[Path, ...]
     signals: Signals
