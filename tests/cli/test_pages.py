@@ -15,8 +15,7 @@ from pydantic import BaseModel
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.signals.column_units import Units
-from gtau.signals.columns import SampleRate, Signals
+from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.data_sheets import Drive
 from gtau.signals.experiment import Experiment, Prior
 from gtau.signals.payload import Payload

@@ -26,10 +26,9 @@ from gtau.report.check import check_page
 from gtau.report.render.html import html
 from gtau.report.render.terminal import plain
 from gtau.robots.robot import Mdh, Robot
-from gtau.signals.column_units import as_units
-from gtau.signals.columns import as_signals
-from gtau.signals.pose import LoggedPoses, read_poses
+from gtau.signals.columns import as_signals, as_units
 from gtau.signals.pose_columns import PoseColumns
+from gtau.signals.side_signals import LoggedPoses, read_poses
 
 NOISE = 1e-4  # m and rad
 

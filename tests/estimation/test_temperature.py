@@ -16,7 +16,7 @@ from gtau.estimation.results.result import Result
 from gtau.signals.columns import as_signals
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
-from gtau.signals.temperature import Temperature
+from gtau.signals.side_signals import Temperature
 
 SLOPES = {"fvt_left": -0.02, "fst_left": -0.03, "fvt_right": -0.025, "fst_right": -0.02}  # per K
 BEFORE, AFTER = 25.0, 40.0  # degC

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gtau.fleet.outliers import LEAST, distances
+from gtau.fleet.gains import LEAST, distances
 
 JOINTS = 3
 

@@ -14,9 +14,8 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
-from gtau.signals.column_names import base_like, taken_apart, wrench_like
-from gtau.signals.discovery import discover
-from gtau.signals.draft_text import draft_text
+from gtau.signals.column_names import base_like, parse_column_name, wrench_like
+from gtau.signals.discovery import discover, draft_text
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 
@@ -64,21 +63,21 @@ def save(path: Path, header: str, *columns: np.ndarray) -> Path:
     ],
 )
 def test_kinds_by_name(name: str, kind: str | None, label: str, unit: str | None) -> None:
-    found = taken_apart(name)
+    found = parse_column_name(name)
     assert (found.kind, found.label, found.unit) == (kind, label, unit)
     assert found.reference == (name == "q_ref3")
-    assert taken_apart("Sollstrom3").reference
+    assert parse_column_name("Sollstrom3").reference
 
 
 def test_joints_by_name() -> None:
-    found = taken_apart("elbow_joint.effort", ["joint", "elbow_joint"])
+    found = parse_column_name("elbow_joint.effort", ["joint", "elbow_joint"])
     assert (found.label, found.kind) == ("elbow_joint", "torque")
-    assert taken_apart("qleft", ["left"]).kind == "position"
-    assert taken_apart("vleft", ["left"]).label == "left"
-    assert taken_apart("outleft", ["left"]).label == "left"
-    assert taken_apart("unleftly", ["left"]).label == ""
-    assert taken_apart("q11", ["11", "12"]).label == "11"
-    assert taken_apart("q111", ["11", "12"]).label == "111"
+    assert parse_column_name("qleft", ["left"]).kind == "position"
+    assert parse_column_name("vleft", ["left"]).label == "left"
+    assert parse_column_name("outleft", ["left"]).label == "left"
+    assert parse_column_name("unleftly", ["left"]).label == ""
+    assert parse_column_name("q11", ["11", "12"]).label == "11"
+    assert parse_column_name("q111", ["11", "12"]).label == "111"
 
 
 def test_an_ambiguous_name_is_settled_by_the_derivative(tmp_path: Path) -> None:

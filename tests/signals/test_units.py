@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.column_units import as_units
-from gtau.signals.columns import as_signals
+from gtau.signals.columns import as_signals, as_units
 from gtau.signals.run import read_run
 from gtau.signals.units import si_factor
 

@@ -45,8 +45,7 @@ def init(
     with refusals(json_):
         from gtau.documents.files import write_atomically
         from gtau.model.home import load_robot
-        from gtau.signals.discovery import discover
-        from gtau.signals.draft_text import UNSURE, draft_text
+        from gtau.signals.discovery import UNSURE, discover, draft_text
 
         if out.exists():
             raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")

@@ -15,8 +15,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.signals.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.logged_run import LoggedRun
-from gtau.signals.pose import read_poses
 from gtau.signals.run import Run, read_run
+from gtau.signals.side_signals import read_poses
 
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:

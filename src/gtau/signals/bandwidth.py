@@ -55,7 +55,7 @@ class JointSpectrum:
 
     @property
     def moves(self) -> bool:
-        """Whether the joint's motion stands out from the noise of its position."""
+        """True where the joint's motion stands out from the noise of its position."""
         return bool(np.isfinite(self.bandwidth))
 
 
@@ -65,7 +65,7 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
     Parameters
     ----------
     run : Run
-        One run; a long one goes by in segments.
+        One run; a long one is read in segments.
 
     Returns
     -------

@@ -97,7 +97,7 @@ class Clock:
 def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "regular"] | None = None) -> Clock:
     """Find the clock of a time column (N,) in s that never goes back, and of the positions (N, n) at these times.
 
-    Where the samples leave a straight line by no more than the rounding of the time column, the clock is regular.
+    Where the stamps differ from a straight line by the rounding of the time column at most, the clock is regular.
     Otherwise the positions decide between the stamps and a regular clock, unless it is ``given``.
     """
     steps = sampled_steps(time)
@@ -243,7 +243,7 @@ def sampled_steps(time: np.ndarray) -> np.ndarray:
 
 
 def parts_of(samples: int) -> list[tuple[int, int]]:
-    """Cut a log of so many samples into the parts that are looked at: all of it, or parts spread over a long one."""
+    """Choose the parts of a log that are looked at: all of a short one, parts spread over a long one."""
     parts, size = LOOKED_AT
     if samples <= parts * size:
         return [(0, samples)]

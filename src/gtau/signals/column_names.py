@@ -1,11 +1,17 @@
-"""What a column of a log holds, by its name: a kind of signal, and the joint that it belongs to."""
+"""Names of columns: the kind of signal and the joint that a name stands for, and the columns of common recorders.
+
+These are looked up in the recorders' sources: libfranka ``log.cpp`` (time in ms, ``state.q[0]`` ...), Universal Robots'
+RTDE client (``timestamp``, ``actual_q_0`` ...), PlotJuggler's parser of ``sensor_msgs/JointState``, and the manual of
+TwinCAT 3 Scope View (export to CSV: rows of channel properties, time in ms, channels named by the user).
+"""
 
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 WORDS: dict[str, frozenset[str]] = {
     kind: frozenset(words.split())
@@ -69,8 +75,8 @@ class ColumnName:
     unit: str | None
 
 
-def taken_apart(name: str, joints: Sequence[str] = ()) -> ColumnName:
-    """Take a column's name apart; the names of ``joints`` are recognised in it."""
+def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
+    """Parse the name of a column; the names of ``joints`` are recognised in it."""
     unit = re.search(r"[\[(]\s*([^\[\]()\d]+?)\s*[\])]\s*$", name)
     bare = name[: unit.start()] if unit else name
     label, stem = "", bare
@@ -145,3 +151,61 @@ def _words(text: str) -> list[str]:
     plain = "".join(each for each in unicodedata.normalize("NFD", text) if not unicodedata.combining(each))
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", plain)]
     return [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Time column with its unit, and patterns of the columns by joint: its number from 0 (``{k}``), or its name."""
+
+    time: str
+    time_unit: str = "s"
+    position: str | None = None
+    current: str | None = None
+    torque: str | None = None
+
+
+PRESETS: Mapping[str, Preset] = {
+    "ur_rtde": Preset("timestamp", position="actual_q_{k}", current="actual_current_{k}"),
+    "franka": Preset("time", "ms", position="state.q[{k}]", torque="state.tau_J[{k}]"),
+    "plotjuggler": Preset("__time", position="/joint_states/{joint}/position", torque="/joint_states/{joint}/effort"),
+    "twincat_scope": Preset("time", "ms"),
+}
+
+
+def time_unit(preset: str | None) -> str:
+    """Return the unit of the time column where none is given."""
+    return "s" if preset is None else PRESETS[preset].time_unit
+
+
+def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
+    """Fill in the columns of a preset for the ``joints`` named, those given by hand first.
+
+    Raises
+    ------
+    ValueError
+        There is no such preset, or its joints are missing; the text says what to write.
+    """
+    given = {key: value for key, value in signals.items() if key != "joints"}
+    preset = PRESETS.get(str(signals["preset"]))
+    if preset is None:
+        raise ValueError(f"there is no preset '{signals['preset']}'; choose from {', '.join(PRESETS)}")
+    patterns = {"position": preset.position, "current": preset.current, "torque": preset.torque}
+    if given.keys() & {"current", "torque", "motor_torque"}:
+        patterns |= {"current": None, "torque": None}
+    wanted = {key: pattern for key, pattern in patterns.items() if pattern is not None and key not in given}
+    joints = signals.get("joints")
+    if wanted and (not isinstance(joints, Sequence) or isinstance(joints, str) or not joints):
+        raise ValueError(f"the preset '{signals['preset']}' needs the joints in their order; add 'joints: [..., ...]'")
+    columns = {
+        key: {str(joint): pattern.format(k=k, joint=joint) for k, joint in enumerate(joints or ())}
+        for key, pattern in wanted.items()
+    }
+    return {"time": preset.time} | columns | given
+
+
+def mass_in_name(name: str) -> float | None:
+    """Read a mass in kg from the name of a file, as in ``loaded_1983g``."""
+    found = re.search(r"(?<![\d.])(\d+(?:[.]\d+)?)[_ ]?(kg|g|grams?)(?![a-z])", name, re.IGNORECASE)
+    if not found:
+        return None
+    return round(float(found[1]) * (1.0 if found[2].lower() == "kg" else 1e-3), 6)

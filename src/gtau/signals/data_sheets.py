@@ -1,4 +1,4 @@
-"""What the data sheets of motors and gears say: gains and rotor inertias expected at the joints."""
+"""Data sheets of motors and gears: gains and rotor inertias expected at the joints."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class Decimator:
 
     @property
     def warm_up(self) -> int:
-        """Samples to either side of an output that its value is computed from, where there are so many."""
+        """Samples to either side of an output that its value is computed from, fewer at the ends of a log."""
         return 180 * self.factor if self.kind == "chebyshev" and self.factor > 1 else self.support
 
     def instants(self, n: int) -> np.ndarray:

@@ -19,8 +19,7 @@ from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
-from gtau.signals.column_units import Units
-from gtau.signals.columns import SampleRate, Signals
+from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload
@@ -28,7 +27,7 @@ from gtau.signals.settings import CHOSEN, PreparationSettings
 
 
 class Prior(Keys):
-    """What is known of a standard parameter beforehand, SI units: a value with its standard deviation, or bounds."""
+    """Prior of a standard parameter, SI units: a value with its standard deviation, or bounds."""
 
     value: FiniteFloat | None = None
     std: Positive | None = None
@@ -48,7 +47,7 @@ class Experiment(Keys):
     """An experiment file; its paths are relative to the working directory or absolute once read.
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
-    ``priors`` say what is known of standard parameters, by name, ``drives`` what data sheets say of motors and gears,
+    ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
     by joint, and ``preparation`` what is set of it by hand.
     """
 
@@ -145,7 +144,7 @@ class Experiment(Keys):
 
     @property
     def expected_parameters(self) -> dict[str, Prior]:
-        """What is known of standard parameters beforehand: ``priors``, and rotor inertias of data sheets."""
+        """Priors of standard parameters: ``priors``, and rotor inertias of data sheets."""
         sheets = {f"ia_{joint}": drive.inertia for joint, drive in self.drives.items()}
         return self.priors | {
             name: Prior(value=each[0], std=each[1]) for name, each in sheets.items() if each is not None

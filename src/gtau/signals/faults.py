@@ -16,10 +16,10 @@ from gtau.signals.storage import block, spans, store, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
 NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
-# A glitch is so many scales off that cubic. A scale is the largest of what 95 % of the samples are off a cubic through
+# A glitch is SCALES scales off that cubic. A scale is the largest of what 95 % of the samples are off a cubic through
 # four neighbours (white noise of standard deviation s: 2 s), of the smallest change of the position, and of what the
 # neighbours are off their own cubic.
-# And it is so many times as far off as the joint moves in a step there: what is less may be a wrong time of the sample.
+# And it is STEPS times as far off as the joint moves in a step there: less may be a wrong time of the sample.
 # In 47 shared logs of ten robots nothing is off by 4 scales and one step: what is off by more scales (a stale sample of
 # a Panda polled at 30 Hz, the begin of a motion without noise) is less than a step off, what is off by 1.25 steps less
 # than 4 scales. Nor is anything in 480 logs of benchmarks/preparation_study.py, up to 1 kHz. Of samples put off in
@@ -31,7 +31,7 @@ SHARE = 0.95
 LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
 SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
 SLIP_SPEED = 0.5  # and in shares of the joint's speed
-SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, shaken by others, goes by one
+SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, shaken by others, moves by one
 SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
 
 

@@ -86,7 +86,7 @@ def position_filter(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute filtered positions, speeds and accelerations.
 
-    Those of some samples are the same as those of the whole log, of which only what acts on them is read.
+    Those of some samples equal those of the whole log; only the samples that the filters reach are read.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a log holds: its columns by kind of signal, from their names, ranges and derivatives."""
+"""Contents of a log: its columns by kind of signal, from their names, ranges and derivatives."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.checks import LARGEST_RATE, LEAST_RATE
-from gtau.signals.column_names import ColumnName, taken_apart
+from gtau.signals.column_names import ColumnName, parse_column_name
 from gtau.signals.formats.table import Table
 from gtau.signals.log_file import find_columns, read_log
 
@@ -60,7 +60,7 @@ class LogContents:
         """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
         table = find_columns(path)
         joints = robot.actuated if robot else ()
-        names = [taken_apart(name, joints) for name in table.columns if name and table.columns.count(name) == 1]
+        names = [parse_column_name(name, joints) for name in table.columns if name and table.columns.count(name) == 1]
         if table.numbered:
             return _numbered(path, table, len(joints))
         groups = _grouped(names)
@@ -73,7 +73,7 @@ class LogContents:
             groups = [each for each in groups if _topic(each.first, topics) == main]
         values = _values(path, [each.name for each in wanted])
         time = _time_columns(wanted, values)
-        return cls(path, table, values, time, tuple(_told_apart(groups, values, path)), {})
+        return cls(path, table, values, time, tuple(_classified(groups, values, path)), {})
 
     def of_another_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
@@ -104,7 +104,7 @@ class LogContents:
 
     def other_clocks(self) -> list[str]:
         """List columns that are named as times, too, and grow; a bag's stamps of its messages are none."""
-        names = [name for name in self.values if name not in self.time and taken_apart(name).kind == "time"]
+        names = [name for name in self.values if name not in self.time and parse_column_name(name).kind == "time"]
         if len(self.time) != 1:
             return []
         return [name for name in names if not name.startswith("/") and _grows(self.values[name])]
@@ -117,7 +117,7 @@ class LogContents:
     def time_unit(self) -> tuple[str, str]:
         """Determine the time column's unit, the first in which drives are logged at such a rate, and say why."""
         step = float(np.median(np.diff(self.seconds())))
-        written = taken_apart(self.time[0]).unit
+        written = parse_column_name(self.time[0]).unit
         for unit, factor in TIME_UNITS.items():
             if step > 0 and LEAST_RATE <= 1 / (step * factor) <= LARGEST_RATE and written in (None, unit):
                 return unit, f"median step {step:.4g} {unit}, {1 / (step * factor):.4g} Hz"
@@ -197,10 +197,10 @@ def _grows(column: np.ndarray) -> bool:
     return len(step) > 0 and bool((step >= 0).all()) and float((step > 0).mean()) > 0.5
 
 
-def _told_apart(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
+def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
     """Classify commands that are derivatives of the positions as velocities, and a lone group by the file's name."""
     positions = next((each for each in groups if each.kind == "position" and not each.reference), None)
-    of_file = taken_apart(path.stem).kind
+    of_file = parse_column_name(path.stem).kind
     found = []
     for each in groups:
         if each.kind is None and of_file in ("position", "current", "torque") and len(groups) == 1:

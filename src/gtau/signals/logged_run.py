@@ -26,7 +26,7 @@ from gtau.signals.samples import Part
 
 
 class Folders(NamedTuple):
-    """What the paths in an experiment file are relative to."""
+    """Folders to which the paths in an experiment file are relative."""
 
     robot: Path
     logs: Path
@@ -59,9 +59,9 @@ RobotName = Annotated[str, AfterValidator(_beside)]
 class LoggedRun(Keys):
     """One run: its log, or two logs with positions and commands, and the payload carried, if any.
 
-    In a file the logs may be patterns (``free_*.csv``): so many runs, of two patterns the first match of one with
-    the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2. Of a log the first rows may
-    be left out (``skip``), and what lies before ``from`` or after ``to``, in s from the first row that is left.
+    In a file the logs may be patterns (``free_*.csv``): a run for each match, of two patterns the first match of one
+    with the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2. Of a log the first rows
+    may be left out (``skip``), and what lies before ``from`` or after ``to``, in s from the first row that is left.
     """
 
     log: Annotated[

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """What a note is about; :mod:`gtau.estimation.grades` says how much each matters."""
+    """Subject of a note; :mod:`gtau.estimation.grades` says how much each matters."""
 
     REFUSED = "refused"  # a log, or all of them together, cannot be used
     VALIDATION = "validation log"  # one that cannot be used
@@ -32,7 +32,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Note:
-    """What was found, and what to do about it; as text, a sentence without its full stop.
+    """A finding with its remedy; as text, a sentence without its full stop.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than
 
 @dataclass(frozen=True)
 class Preparation:
-    """How the runs of an experiment are prepared.
+    """Preparation of the runs of an experiment.
 
     Attributes
     ----------

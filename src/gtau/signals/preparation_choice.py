@@ -24,7 +24,7 @@ from gtau.signals.storage import spans
 # noise of the torques (the Panda's errors rise from 2.0 to 2.3 %, geometric mean), and the standard deviations of the
 # Orthoglide's gains from 1.3 to 2.8 N/A.
 KEPT = 0.85
-FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves where there are so many
+FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves if the logs have them
 STRETCHES = 8  # parts of a long run that are looked at for that
 LARGEST_FACTOR = 400
 

@@ -21,21 +21,21 @@ from gtau.signals.storage import Store, block, spans, store
 # At constant acceleration the factor is 6 after rest and 4 around a reversal.
 AS_BEFORE = 3.0
 SPORADIC = 4  # equal samples in a row, at most, that are stale ones; more of them are a rest or a slow rounded motion,
-FROZEN = 20  # unless up to so many stand where nearly every sample is new:
-AROUND, NEW = 4, 1.5  # so many changes to either side come after so many samples on average
+FROZEN = 20  # unless up to FROZEN stand where nearly every sample is new:
+AROUND, NEW = 4, 1.5  # AROUND changes to either side come after NEW samples each, on average
 LONGEST = 200  # samples for which a slower signal is held, at most
 REGULAR = 0.6  # share of the samples in runs of equal ones of nearly one length, where a signal is slower than the log
-JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded goes by one
+JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded changes by one
 REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
 GROUPS = ("positions", "commands", "torque sensors", "wrenches")
 
 
 @dataclass(frozen=True)
 class Held:
-    """How the columns of a group, positions, commands, torque sensors or wrenches, are held.
+    """Sample-and-hold of a group of columns: positions, commands, torque sensors or wrenches.
 
     ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
-    ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` says that repeated values are no more than noise
+    ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` says that repeated values are as many as noise
     and reversals make, so that all samples are new.
     """
 
@@ -75,7 +75,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Holds:
-    """How the groups of columns of a log are held, in the order of :data:`GROUPS`; None where it has no such columns.
+    """Sample-and-hold of each group of columns, in the order of :data:`GROUPS`; None where a log has no such columns.
 
     ``stale`` are the samples of each that repeat the one before, and ``widths`` its columns.
     """
@@ -86,13 +86,13 @@ class Holds:
 
     @property
     def position(self) -> Held:
-        """How the positions are held."""
+        """Sample-and-hold of the positions."""
         assert self.groups[0] is not None
         return self.groups[0]
 
     @property
     def none(self) -> bool:
-        """Whether every sample is new."""
+        """True where every sample is new."""
         return not any(self.stale)
 
     @property
@@ -166,7 +166,7 @@ def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
             run += len(change)
     held = Held(_period(lengths), tuple(quanta.tolist()))
     stale = sum(int((~held.fresh(block(array, *span)[:, columns])).sum()) for span in ahead(len(array)))
-    # Noise of some quanta repeats a sample as often as it goes by one quantum in any of the other 3^n - 1 directions.
+    # Noise of some quanta repeats a sample as often as it steps by one quantum in each of the other 3^n - 1 directions.
     chance = 2 * near / (3.0**n - 1) + REPORTED * len(array)
     return (held, stale) if stale > chance else (replace(held, period=1, by_chance=True), 0)
 
@@ -182,7 +182,7 @@ def _period(lengths: np.ndarray) -> int:
 
 
 MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
-MISSING_STEP = 1.5  # steps longer than so many mean steps have lost a sample
+MISSING_STEP = 1.5  # mean steps; longer steps have lost a sample
 # Steps over which positions are interpolated without a mask: the cubic is then off by 3 % of an oscillation of ten
 # samples, the fastest that logs should hold, and by 4e-4 of one of thirty.
 BRIDGED = 3
@@ -203,7 +203,7 @@ class UniformSamples:
 
 @dataclass(frozen=True)
 class Resampling:
-    """How a log is put on a uniform grid.
+    """Resampling of a log on a uniform grid.
 
     The ``clock`` of its samples, columns of the commands with the levels at which they are ``clipped``, how positions
     and commands are held, and by how much commands lag (``delay``, s).
@@ -216,7 +216,7 @@ class Resampling:
 
     @property
     def direct(self) -> bool:
-        """Whether the samples stand on the grid already."""
+        """True where the samples stand on the grid already."""
         return self.clock.gapless and self.holds.none and not self.delay
 
 

@@ -13,21 +13,20 @@ from gtau.errors import GtauError
 from gtau.robots.wrench import WRENCH, WrenchFrame
 from gtau.signals.channel import Channel, sensor_channels, wrench_channels
 from gtau.signals.checks import check
-from gtau.signals.column_units import Units, as_units
-from gtau.signals.columns import EXACT, Calibration, Signals, as_signals
-from gtau.signals.frames import as_log
+from gtau.signals.columns import EXACT, Calibration, Signals, Units, as_signals, as_units
+from gtau.signals.log_file import as_log
 from gtau.signals.log_set import find_logs
 from gtau.signals.notes import Note
 from gtau.signals.payload import Payload, as_payload
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.settings import CHOSEN, PreparationSettings
+from gtau.signals.side_signals import Temperature, read_temperature
 from gtau.signals.storage import block, spans, store
-from gtau.signals.temperature import Temperature, read_temperature
 
 
 @dataclass(frozen=True)
 class Log:
-    """Where a run was read: the files, one or two, the columns and their units."""
+    """Origin of a run: the files, one or two, the columns and their units."""
 
     paths: tuple[Path, ...]
     signals: Signals

@@ -18,7 +18,7 @@ MAX_MISSING = 0.05  # part of a log that may be bad or missing
 
 @dataclass(frozen=True)
 class Source:
-    """What messages about a log say of it.
+    """A log, as messages name it.
 
     ``columns`` are the names of the position columns, the command columns, those of the torque ``sensors`` (by joint),
     those behind the ``components`` of wrenches and the time column; ``texts`` their first entries that are no numbers,
@@ -38,7 +38,7 @@ class Source:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """What the columns behind the positions hold, for messages: commands, then torque sensors."""
+        """Contents of the columns behind the positions, for messages: commands, then torque sensors."""
         commands = (f"the command of joint '{joint}'" for joint in self.joints)
         return (*commands, *(f"the torque sensor of joint '{joint}'" for joint in self.sensors))
 
@@ -81,7 +81,7 @@ class Part:
 
     @property
     def label(self) -> str:
-        """What distinguishes the names of runs from one log."""
+        """Suffix that distinguishes the names of runs from one log."""
         if self.begin == 0 and self.end == np.inf:
             return ""
         return f" from {self.begin:g} s" + ("" if self.end == np.inf else f" to {self.end:g} s")

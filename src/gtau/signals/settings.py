@@ -1,4 +1,4 @@
-"""What a user may set of the preparation by hand, instead of what is chosen from the data."""
+"""Settings of the preparation that a user may give by hand."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class BodyWrench(Wrench):
 
     @property
     def frame(self) -> WrenchFrame:
-        """Where it acts."""
+        """Frame in which it acts."""
         return WrenchFrame(self.body, self.axes == "world")
 
     @property

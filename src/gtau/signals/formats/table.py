@@ -1,4 +1,4 @@
-"""What every reader of a log returns: the names of its columns, and a way to read some of them block by block."""
+"""The table that every reader returns: names of columns, and a function that reads some of them block by block."""
 
 from __future__ import annotations
 

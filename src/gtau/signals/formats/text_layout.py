@@ -1,4 +1,4 @@
-"""Where the table begins in a text log: separator, header, and first row of numbers.
+"""Layout of a text log: separator, header, and first row of numbers.
 
 Loggers write titles, settings and units before their table, and a log that was cut begins with half a row. The table
 begins with the first ``ROWS_ALIKE`` lines of mostly numbers that have as many fields.
