@@ -7,7 +7,7 @@ import pytest
 from orthoglide_logs import orthoglide
 
 from gtau.demo.orthoglide import standard_parameters
-from gtau.estimation.diagnostics.lack_of_fit import lack_of_fit
+from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import FLATTEST, curved

@@ -18,7 +18,9 @@ from gtau.estimation.diagnostics.alternatives import (
     same_effects,
     support,
 )
-from gtau.estimation.diagnostics.findings import Findings
+from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
@@ -50,10 +52,8 @@ def fit_of(runs: list[Run]) -> Fit:
     return ML.fit(dataset, dataset.system(Friction((), per_run=True)), Given())
 
 
-def found(runs: list[Run], hypothesis: str, subject: str) -> Alternative:
-    return next(
-        each for each in find_alternatives(fit_of(runs)) if each.hypothesis == hypothesis and subject in each.subject
-    )
+def found(runs: list[Run], kind: F, joint: str) -> Alternative:
+    return next(each for each in find_alternatives(fit_of(runs)) if Finding(kind, (joint,)) in each.causes)
 
 
 def currents(runs: list[Run], change: Callable[[Run], np.ndarray]) -> list[Run]:
@@ -64,7 +64,7 @@ def test_a_torque_constant_that_falls_has_its_size_and_moves_its_gain(runs: list
     rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
     fall = 0.02  # up to twice the rms current
     faulty = currents(runs, lambda run: run.command * (1 + fall * np.abs(run.command) / (2 * rms) * [1.0, 0.0]))
-    each = found(faulty, "saturation", "'left'")
+    each = found(faulty, F.SATURATION, "left")
     assert each.size == pytest.approx(fall, rel=0.25)
     assert each.t > 6
     # taking it into account brings the gain to the truth, to first order
@@ -78,13 +78,13 @@ def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run
         return run.command * (1 + 0.02 * along * [1.0, 0.0])
 
     faulty = currents(runs, warmer)
-    assert found(faulty, "gain drift", "'left'").size == pytest.approx(0.02, rel=0.2)
-    assert abs(found(faulty, "gain drift", "'right'").t) < 5
+    assert found(faulty, F.GAIN_DRIFT, "left").size == pytest.approx(0.02, rel=0.2)
+    assert abs(found(faulty, F.GAIN_DRIFT, "right").t) < 5
 
 
 def test_an_encoder_zero_has_its_size(runs: list[Run]) -> None:
     shifted = [replace(run, position=run.position + np.array([np.radians(1.0), 0.0])) for run in runs]
-    each = found(shifted, "encoder zeros", "'left'")
+    each = found(shifted, F.ENCODER_ZERO, "left")
     # the position is too large by a degree, so taking a degree off it gives the right torques
     assert each.size == pytest.approx(-1.0, abs=max(0.3, 3 * each.std))
 
@@ -107,8 +107,8 @@ def under_another_name(hypothesis: Hypothesis) -> Hypothesis:
             columns = made.offer(window, values)
             return lambda rows: 3.0 * columns(rows)
 
-        names = [f"another {name}" for name in made.names]
-        return Candidates(names, made.units, made.plausible / 3.0, offer, made.describe)
+        causes = [replace(each, subject="another") for each in made.causes]
+        return Candidates(causes, made.units, made.plausible / 3.0, offer, made.describe)
 
     return replace(hypothesis, name=f"another {hypothesis.name}", candidates=candidates)
 
@@ -155,7 +155,7 @@ def test_support_by_the_data() -> None:
 def test_alternatives_of_a_group_compete() -> None:
     def alternative(group: str, factor: float) -> Alternative:
         zero = np.zeros(1)
-        return Alternative("h", "s", 1.0, 0.1, "", 1.0, group, factor, 1.0, 0.0, zero, zero, "", False)
+        return Alternative("h", (), 1.0, 0.1, "", 1.0, (group,), factor, 1.0, 0.0, zero, zero, False)
 
     pair = compete([alternative("a", 0.0), alternative("a", 0.0)])
     assert [each.probability for each in pair] == [pytest.approx(ALTERNATIVE_PRIOR / 2)] * 2
@@ -176,13 +176,13 @@ def test_what_a_lag_leaves_does_not_refute_the_description(lag: float, refuted: 
 
     def held(hypothesis: str, share: float, description: bool) -> Alternative:
         return Alternative(
-            hypothesis, hypothesis, 1.0, 0.05, "", 1.0, hypothesis, 180.0, 1.0, share, nothing, nothing, "",
-            description, probability=1.0,
+            hypothesis, (), 1.0, 0.05, "", 1.0, (hypothesis,), 180.0, 1.0, share, nothing, nothing, description,
+            probability=1.0,
         )  # fmt: skip
 
     gravity = held("gravity", 0.19, True)
     weighed = (held("current lag", lag, False), gravity)
-    found = Findings(2.0, weighed, PositionRipple(nothing, nothing), ())
+    found = Examination(2.0, weighed, PositionRipple(nothing, nothing), ())
     assert found.refuted == ((gravity,) if refuted else ())
 
 
@@ -216,16 +216,16 @@ def test_intervals_hold_a_random_and_a_model_part(runs: list[Run]) -> None:
 
 
 def test_a_description_is_refuted_only_where_it_explains_more_than_missing_physics() -> None:
-    def alternative(hypothesis: str, share: float, description: bool, subject: str = "") -> Alternative:
+    def alternative(hypothesis: str, share: float, description: bool, joint: str = "") -> Alternative:
         nothing = np.zeros(4)
         return Alternative(
-            hypothesis, subject or hypothesis, 10.0, 1.0, "", 1.0, subject or hypothesis, 50.0, 1.0, share, nothing,
-            nothing[:2], "", description, 1.0,
+            hypothesis, (), 10.0, 1.0, "", 1.0, (joint or hypothesis,), 50.0, 1.0, share, nothing, nothing[:2],
+            description, 1.0,
         )  # fmt: skip
 
     def refuted(*alternatives: Alternative, repeating: float = 0.0) -> list[str]:
         ripple = PositionRipple(np.full(2, repeating), np.zeros(4))
-        return [each.hypothesis for each in Findings(1.0, alternatives, ripple, ()).refuted]
+        return [each.hypothesis for each in Examination(1.0, alternatives, ripple, ()).refuted]
 
     gravity = alternative("gravity", 0.3, True)
     lag = [alternative("current lag", 0.2, False, joint) for joint in ("left", "right")]

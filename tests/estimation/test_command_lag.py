@@ -9,7 +9,9 @@ import pytest
 from five_bar_logs import STEEL, Plant
 from scipy.signal import lfilter
 
-from gtau.estimation.diagnostics.log_checks import command_lags, lag_notes
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.log_checks import command_lag, command_lags
+from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.grades import Grade, grade_of
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
@@ -48,7 +50,7 @@ def test_the_time_constant_of_a_low_pass_is_found(lag: float) -> None:
     found, error = command_lags(system.problem)
     period = 1 / dataset.runs[0].rate
     np.testing.assert_allclose(found, lag, atol=0.05 * lag + 0.5 * period + 4 * error.max())
-    assert bool(lag_notes(dataset, system)) == (lag > 0)
+    assert bool(command_lag(dataset, system)) == (lag > 0)
 
 
 @pytest.mark.parametrize("late", [-5, 5])
@@ -56,23 +58,23 @@ def test_currents_before_the_motion_are_a_delay_and_those_after_it_are_late(late
     dataset = logged(0.0, late)
     (lag, _), _ = command_lags(dataset.system(Friction()).problem)
     assert lag == pytest.approx(late / 500, rel=0.2)  # a delay is a low-pass to first order only, here of 0.2 rad
-    assert bool(lag_notes(dataset, dataset.system(Friction()))) == (late > 0)
+    assert bool(command_lag(dataset, dataset.system(Friction()))) == (late > 0)
 
 
 def test_torques_are_judged_alike_and_the_grade_follows_what_is_lost() -> None:
     strong, weak = (logged(lag, kind="torque") for lag in (0.02, 0.005))
-    (note,) = lag_notes(strong, strong.system(Friction()))
-    assert str(note).startswith("the torques lag behind the motion by ")
-    assert (note.kind, grade_of(note)) == (Kind.FILTERED, Grade.MEND)
-    (note,) = lag_notes(weak, weak.system(Friction()))
-    assert grade_of(note) == Grade.INFORMATION
+    (found,) = command_lag(strong, strong.system(Friction()))
+    assert (found.kind, found.values["kind"]) == (F.COMMAND_LAG, "torque")
+    assert (note(found).kind, grade_of(note(found))) == (Kind.FILTERED, Grade.MEND)
+    (found,) = command_lag(weak, weak.system(Friction()))
+    assert (found.kind, grade_of(note(found))) == (F.SLIGHT_COMMAND_LAG, Grade.INFORMATION)
 
 
 def test_noise_alone_has_no_lag() -> None:
     """Currents that are mostly noise say nothing, however they are filtered."""
     run = Plant(noise=20.0).run("free", 8.0, seed=1)
     dataset = reduce_runs(FIVE_BAR, [low_passed(run, 0.05)])
-    assert lag_notes(dataset, dataset.system(Friction())) == []
+    assert command_lag(dataset, dataset.system(Friction())) == []
 
 
 def test_gains_that_are_given_come_with_the_note() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_change import gain_changes
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ml
@@ -62,13 +63,18 @@ def test_runs_in_scale_are_good(runs: list[Run]) -> None:
 def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run]) -> None:
     """Not taken for ripple, which it looks like: a torque that lifts is a function of the position."""
     result = identify(ARM, scaled(runs, which, factor))
-    said = " ".join([*(gain.verdict.sentence for gain in result.drive_gains.values()), *map(str, result.notes)])
-    way = "larger" if factor > 1 else "smaller"
-    assert f"being {way} in run 'run {which}' than the other runs say" in said
+    causes = [
+        each for gain in result.drive_gains.values() if gain.verdict.finding for each in gain.verdict.finding.causes
+    ]
+    noted = [note for note in result.notes if note.finding == F.SMALL_REFUTATION]
+    changes = [each.values for each in causes if each.kind == F.GAIN_CHANGE]
+    assert changes or noted
+    assert all(each["runs"] == [f"run {which}"] and (each["change"] > 0) == (factor > 1) for each in changes)
+    assert all(f"in run 'run {which}'" in str(note) for note in noted)
     for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
         low, high = gain.interval() or (0.0, 0.0)
         assert low < truth < high or gain.verdict.outcome == Outcome.CONTRADICTORY
-    assert not any("repeat at the same positions" in note for note in map(str, result.notes))
+    assert F.RIPPLE not in {note.finding for note in result.notes}
 
 
 def test_the_difference_is_measured(runs: list[Run]) -> None:

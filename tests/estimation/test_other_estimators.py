@@ -10,12 +10,13 @@ import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant
 from threadpoolctl import threadpool_limits
 
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.other_estimators import (
-    INSTRUMENTS,
     Difference,
     alternatives_of,
-    noise_note,
     other_estimators,
+    position_noise,
     two_stage_difference,
 )
 from gtau.estimation.estimators.estimator import Fit, Given
@@ -64,12 +65,12 @@ def noisy() -> Fit:
     return fit_of(logs(4e-4, 24.0), NOISY)
 
 
-def of(fit: Fit, name: str) -> Difference:
-    return next(each for each in other_estimators(fit) if name in each.estimator)
+def of(fit: Fit, estimator: Finding) -> Difference:
+    return next(each for each in other_estimators(fit)[0] if each.estimator == estimator)
 
 
 def test_instruments_undo_what_noise_of_the_encoders_does(noisy: Fit) -> None:
-    found, n_theta = of(noisy, INSTRUMENTS), noisy.system.problem.n_theta
+    found, n_theta = of(noisy, Finding(F.INSTRUMENTS)), noisy.system.problem.n_theta
     fv_left = noisy.system.problem.parameters.index("fv_left")
     for k, truth in ((fv_left, CHI["fv_left"]), (n_theta, GAINS[0])):
         bias = noisy.solution.stacked[k] - truth
@@ -78,23 +79,23 @@ def test_instruments_undo_what_noise_of_the_encoders_does(noisy: Fit) -> None:
 
 
 def test_the_summary_names_the_noise_and_the_intervals_allow_for_it(noisy: Fit) -> None:
-    alternatives = alternatives_of(noisy, other_estimators(noisy))
-    assert "noise of the positions biases" in str(noise_note(noisy, alternatives)[0])
-    of_first_moment = [each for each in alternatives if each.group.endswith("my_L2")]
+    alternatives = alternatives_of(noisy, other_estimators(noisy)[0])
+    assert [each.kind for each in position_noise(noisy, alternatives)] == [F.POSITION_NOISE]
+    of_first_moment = [each for each in alternatives if each.causes[0].subject.endswith("my_L2")]
     assert sum(each.probability for each in of_first_moment) > 0.8
-    assert other_estimators(replace(noisy, noise_free=True))[0].estimator != INSTRUMENTS
+    assert other_estimators(replace(noisy, noise_free=True))[0][0].estimator.kind != F.INSTRUMENTS
 
 
 def test_nothing_is_said_of_clean_logs() -> None:
     fit = fit_of(logs())
-    alternatives = alternatives_of(fit, (*other_estimators(fit), two_stage_difference(fit)))
-    assert noise_note(fit, alternatives) == []
+    alternatives = alternatives_of(fit, (*other_estimators(fit)[0], two_stage_difference(fit)))
+    assert position_noise(fit, alternatives) == []
     n_theta = fit.system.problem.n_theta
     std = np.sqrt(np.diag(fit.solution.jackknife))[n_theta : n_theta + 2]
     added = np.sqrt([sum(a.mean_square * a.slopes[n_theta + j] ** 2 for a in alternatives) for j in range(2)])
     assert np.all(added < 0.7 * std)
     # five preparations and estimators, each with its move of each gain
-    assert len([each for each in alternatives if "the gain of" in each.subject]) == 6 * 2
+    assert len([each for each in alternatives if each.causes[0].joints]) == 6 * 2
 
 
 def test_one_step_is_what_another_preparation_gives() -> None:
@@ -106,7 +107,7 @@ def test_one_step_is_what_another_preparation_gives() -> None:
 
     runs = [sticking(run) for run in logs(seconds=24.0)]
     fit = fit_of(runs)
-    found, names = of(fit, "below 10 %"), fit.system.problem.parameters
+    found, names = of(fit, Finding(F.SLOW_ROWS, values={"fraction": 0.1})), fit.system.problem.parameters
     again = fit_of(runs, replace(choose_preparation(runs), speed_fraction=0.1))
     exact = again.solution.stacked - fit.solution.stacked
     assert names == again.system.problem.parameters
@@ -118,6 +119,6 @@ def test_one_step_is_what_another_preparation_gives() -> None:
 def test_alternatives_are_listed_with_the_result() -> None:
     result = identify(ROBOT, logs())
     listed = {each.hypothesis for each in result.alternatives}
-    assert {INSTRUMENTS, "two-stage least squares", "a bandwidth 0.7 times as large"} <= listed
-    named = {each.subject for each in result.alternatives if each.hypothesis == "a bandwidth 0.7 times as large"}
-    assert "the gain of 'left' that results from a bandwidth 0.7 times as large" in named
+    assert {F.INSTRUMENTS, F.TWO_STAGE, F.BANDWIDTH, F.SLOW_ROWS} <= listed
+    causes = [cause for each in result.alternatives for cause in each.causes]
+    assert Finding(F.BANDWIDTH, ("left",), values={"factor": 0.7}) in causes

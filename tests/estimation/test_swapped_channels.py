@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import unexplained
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
@@ -74,5 +75,5 @@ def test_swapped_columns_are_named(columns: tuple[int, ...], runs: list[Run]) ->
     for joint, gain in result.drive_gains.items():
         assert gain.verdict.outcome == (Outcome.CONTRADICTORY if joint in wrong else Outcome.WEAK)
         if joint in wrong:
-            first, second = sorted(wrong)
-            assert f"the currents of '{first}' and '{second}' look swapped" in gain.verdict.why
+            assert gain.verdict.finding.kind == F.SWAPPED
+            assert set(gain.verdict.finding.joints) == wrong

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.stats
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+from hypothesis import given
+from hypothesis import strategies as st
 
+import gtau.estimation.diagnostics.diagnose
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.physical_plausibility import cannot_be_negative, judge_parameter
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict, known_verdict, parameter_verdict, percent_text, worst
-from gtau.estimation.diagnostics.wrench_checks import base_misfit
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.gain_checks import base_misfit
+from gtau.estimation.diagnostics.parameter_checks import (
+    cannot_be_negative,
+    judge_parameter,
+    known_verdict,
+    parameter_verdict,
+)
+from gtau.estimation.diagnostics.sentences import percent_text
+from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict, decide, verdict_of, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.factors import STRETCHES
 from gtau.estimation.results.estimate import Estimate
@@ -83,7 +96,7 @@ def test_the_width_of_an_interval_is_rounded_alike_everywhere(runs: list[Run], r
     weak = identify(FIVE_BAR, runs, accuracy=(1 - 1e-6) * half / 100)
     shown = percent_text(half, (1 - 1e-6) * half)
     assert float(shown) >= half - 0.005
-    assert weak.drive_gains["left"].verdict.why.startswith(f"its 95 % interval is +-{shown} %")
+    assert weak.drive_gains["left"].verdict.finding.values["half"] == pytest.approx(half / 100)
     headline, table = weak.summary().split("Drive gains ", 1)
     assert f"'left' is known to +-{shown} %" in " ".join(headline.split())
     assert next(line for line in table.splitlines() if line.startswith("  left")).split("m/A")[1].split()[0] == shown
@@ -172,8 +185,59 @@ def test_verdicts_of_masses() -> None:
     assert known_verdict("m", 2.0, 2.02, 0.01, "kg").outcome == Outcome.GOOD
     wrong = known_verdict("m", 2.0, 2.05, 0.01, "kg")
     assert wrong.outcome == Outcome.CONTRADICTORY
-    assert "2.05" in wrong.sentence
-    assert "weigh the payloads again" in wrong.sentence
+    assert wrong.finding.kind == F.PAYLOAD_MASS
+    assert (wrong.finding.values["declared"], wrong.finding.values["found"]) == (2.0, 2.05)
+
+
+GAIN_KINDS = list(OUTCOMES)[: list(OUTCOMES).index(F.NEGATIVE_GAIN) + 1]
+
+
+@given(
+    st.lists(
+        st.builds(
+            Finding,
+            st.sampled_from(GAIN_KINDS),
+            st.lists(st.sampled_from(["a", "b", "c"]), min_size=1, unique=True).map(tuple),
+            st.sampled_from(["", "steel", "lead"]),
+            severity=st.sampled_from([0.0, 0.5, 2.0]),
+        ),
+        max_size=6,
+    ),
+    st.randoms(use_true_random=False),
+)
+def test_verdicts_do_not_depend_on_the_order_of_the_checks(findings: list[Finding], random: Random) -> None:
+    found = decide("abc", findings)
+    shuffled = random.sample(findings, len(findings))
+    assert decide("abc", shuffled) == found
+    assert decide("abc", [*shuffled, *findings]) == found
+    for joint, verdict in zip("abc", found, strict=True):
+        mine = [each for each in findings if joint in each.joints]
+        ranks = [GAIN_KINDS.index(each.kind) for each in mine]
+        if verdict.finding is not None and verdict.finding.kind == F.COUPLED and verdict.finding not in mine:
+            assert all(OUTCOMES[each.kind] == Outcome.GOOD for each in mine)
+            assert found["abc".index(verdict.finding.subject)].outcome == Outcome.CONTRADICTORY
+        elif mine:
+            assert GAIN_KINDS.index(verdict.finding.kind) == min(ranks)
+            assert verdict.finding.severity == max(each.severity for each in mine if each.kind == verdict.finding.kind)
+        else:
+            assert verdict == GOOD
+
+
+@pytest.mark.parametrize("fault", ["none", "prior", "sign"])
+def test_the_checks_of_a_fit_may_run_in_any_order(fault: str, runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same verdicts where the one decision sees the findings backwards."""
+    priors = {"left": 9.0 * GAINS[0], "right": GAINS[1]} if fault == "prior" else None
+    logged = [replace(run, command=run.command * [1.0, -1.0]) for run in runs[:1]] if fault == "sign" else runs[:1]
+    forwards = identify(FIVE_BAR, [*logged, *runs[1:]], prior_gains=priors)
+
+    def backwards(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict) -> tuple[Verdict, ...]:
+        return decide(joints, reversed(list(findings)), otherwise)
+
+    monkeypatch.setattr(gtau.estimation.diagnostics.diagnose, "decide", backwards)
+    again = identify(FIVE_BAR, [*logged, *runs[1:]], prior_gains=priors)
+    verdicts = [gain.verdict for gain in forwards.drive_gains.values()]
+    assert verdicts == [gain.verdict for gain in again.drive_gains.values()]
+    assert ({verdict.outcome for verdict in verdicts} == {Outcome.GOOD}) == (fault == "none")
 
 
 def test_the_worst_of_several() -> None:
@@ -193,12 +257,12 @@ def test_every_number_has_a_verdict_and_good_ones_say_nothing(result: Result) ->
 
 
 def test_no_gain_is_called_known_that_another_joint_makes_doubtful(result: Result) -> None:
-    wrong, doubt = Verdict(Outcome.CONTRADICTORY, "why", "advice"), Verdict(Outcome.WEAK, "elsewhere", "do that first")
+    wrong, doubt = verdict_of(Finding(F.ALL_NEGATIVE)), verdict_of(Finding(F.COUPLED, (), JOINTS[0]))
     gains = [
         replace(gain, verdict=each) for gain, each in zip(result.drive_gains.values(), (wrong, doubt), strict=True)
     ]
     said = headline(replace(result, drive_gains=dict(zip(JOINTS, gains, strict=True))))
-    assert f"Joint '{JOINTS[1]}' is in doubt: elsewhere; do that first." in said
+    assert f"Joint '{JOINTS[1]}' is in doubt: {doubt.why}; {doubt.advice}." in said
     assert "is known to +-" not in said
 
 
@@ -211,7 +275,8 @@ def test_a_light_payload_is_weak_or_with_more_noise_refused() -> None:
 
     verdicts = [gain.verdict for gain in identify(FIVE_BAR, pair(0.05)).drive_gains.values()]
     assert {verdict.outcome for verdict in verdicts} == {Outcome.WEAK}
-    assert all("use a heavier payload" in verdict.advice for verdict in verdicts)
+    assert {verdict.finding.kind for verdict in verdicts} == {F.WIDE_RANDOM}
+    assert all(verdict.finding.values["payload"] for verdict in verdicts)
     with pytest.raises(GtauError, match=r"explained as well without payload 'light'.*longer runs with a heavier one"):
         identify(FIVE_BAR, pair(0.2))
 
@@ -247,10 +312,10 @@ def test_autocorrelated_residuals_are_a_lack_of_fit(result: Result, runs: list[R
 
 
 def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
-    turned = Verdict(Outcome.GOOD, "negative gain", "reverse a sign")
+    turned = verdict_of(Finding(F.NEGATIVE_GAIN))
     gains = {joint: replace(gain, verdict=turned) for joint, gain in result.drive_gains.items()}
     names = " and ".join(f"'{joint}'" for joint in gains)
-    assert headline(replace(result, drive_gains=gains)).endswith(f". Joints {names}: negative gain; reverse a sign.")
+    assert headline(replace(result, drive_gains=gains)).endswith(f". Joints {names}: {turned.why}; {turned.advice}.")
 
 
 @pytest.mark.parametrize(("left", "unexplained"), [(0.05, False), (1.0, True)])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
@@ -70,7 +71,7 @@ def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
 
 def test_a_gain_far_off_the_data_sheet_is_contradictory(tmp_path: Path) -> None:
     found = identify(experiment(tmp_path, "{gear_ratio: 5, torque_constant: 0.05}"))
-    assert "times its prior" in found.drive_gains["arm"].verdict.why
+    assert found.drive_gains["arm"].verdict.finding.kind == F.PRIOR_GAIN
 
 
 def test_motors_that_turn_against_their_joints_may_have_negative_gains(tmp_path: Path) -> None:
@@ -79,7 +80,7 @@ def test_motors_that_turn_against_their_joints_may_have_negative_gains(tmp_path:
     assert expected.value == pytest.approx(-2.1, rel=0.01)
     assert expected.verdict.outcome == Outcome.GOOD
     unexpected = identify(experiment(tmp_path, "{rotor_inertia: 2.0e-5}", gain=-2.1)).drive_gains["arm"]
-    assert unexpected.verdict.why == "all drive gains are negative"
+    assert unexpected.verdict.finding.kind == F.ALL_NEGATIVE
 
 
 @pytest.mark.parametrize(

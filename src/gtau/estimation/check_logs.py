@@ -12,7 +12,8 @@ import numpy as np
 from gtau import display
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.diagnostics.log_checks import lag_notes, require_felt_payload
+from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
+from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
@@ -223,7 +224,7 @@ def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
 def _together(dataset: Dataset, prior_gains: Mapping[str, float]) -> list[Note]:
     """Note what only all runs together show: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system(Friction())
-    notes = [*lag_notes(dataset, system), *not_separated(system.unexcited)]
+    notes = [*map(note, command_lag(dataset, system)), *not_separated(system.unexcited)]
     if dataset.runs[0].kind == "torque":
         return notes
     payloads = [run.payload for run in dataset.runs]

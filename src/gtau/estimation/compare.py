@@ -13,7 +13,8 @@ import numpy as np
 
 from gtau import display
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Outcome, percent_text, worst
+from gtau.estimation.diagnostics.sentences import percent_text
+from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.experiment_runs import read_runs

@@ -66,6 +66,7 @@ def to_document(note: Note) -> dict[str, Any]:
     return {
         "grade": grade_of(note).value,
         "kind": note.kind.value,
+        "finding": note.finding or None,
         "source": note.source or None,
         "joint": note.joint or None,
         "time": note.time,
@@ -85,4 +86,5 @@ def from_document(document: Mapping[str, Any]) -> Note:
         joint=document["joint"] or "",
         time=document["time"],
         share=document["share"],
+        finding=document["finding"] or "",
     )

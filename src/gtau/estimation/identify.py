@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.log_checks import lag_notes, require_felt_payload
+from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
+from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
@@ -119,7 +120,7 @@ def identify(
         if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
             require_felt_payload(system)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
-        found = [*([geometry.note] if geometry else []), *lag_notes(dataset, system)]
+        found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
         notes = (*found, *_data_sheet_notes(drives, result), *result.notes)
         return replace(result, geometry=geometry, notes=notes)
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from gtau.estimation.diagnostics.diagnose import diagnose
-from gtau.estimation.diagnostics.findings import examine
+from gtau.estimation.diagnostics.examine import examine
 from gtau.estimation.diagnostics.payload_checks import weigh_known
 from gtau.estimation.diagnostics.uncertainty import uncertainty_of
 from gtau.estimation.estimators.essential_parameters import reduce_fit
@@ -95,8 +95,8 @@ def estimate(
         system = dataset.system(PAPER, options.delays)  # eqs. (29) to (33)
     progress("estimation", 0, 1)
     fit = estimator.fit(dataset, system, given)  # eqs. (24) to (28), or (34) to (39)
-    findings = examine(fit, progress)
-    uncertainty = uncertainty_of(fit, findings, options.correlated)
+    examined = examine(fit, progress)
+    uncertainty = uncertainty_of(fit, examined, options.correlated)
     essential = reduce_fit(fit, uncertainty.covariance, options.ratio, options.correlated, options.joint_reduction)
     payloads = weigh_known(fit, estimator.name) if fit.free_gains else {}
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
@@ -107,5 +107,5 @@ def estimate(
         covariance = essential.solution.covariance
         nothing = np.zeros_like(covariance)
         uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
-    diagnosis = diagnose(fit, findings, uncertainty, payloads, prior_gains or {}, options.accuracy)
-    return build_result(fit, estimator, findings, uncertainty, essential, diagnosis, bodies)
+    diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, options.accuracy)
+    return build_result(fit, estimator, examined, uncertainty, essential, diagnosis, bodies)

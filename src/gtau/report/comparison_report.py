@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.estimation.compare import EstimatorComparison, Row
-from gtau.estimation.diagnostics.verdict import percent_text
+from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.report import provenance
 from gtau.report.html.document import Section
 from gtau.report.html.drawings import Interval, interval_rows

@@ -130,10 +130,7 @@ def scale_note(result: Result) -> str:
     """Describe what the scale of the gains rests on."""
     if not any(gain.std is not None for gain in result.drive_gains.values()):
         return ""
-    masses = {f"payload '{each.name}'": each.parameters["m"].value for each in result.payloads if "m" in each.known}
-    said = " ".join(scale_lines(result))
-    for source, mass in masses.items():
-        said = said.replace(source, f"{source} ({mass:g} kg)", 1)
+    said = " ".join(scale_lines(result, masses=True))
     return paragraph(said, "soft") if said else ""
 
 

@@ -48,6 +48,8 @@ class Note:
         Instant in the log, s.
     share : float, optional
         Share of the samples that it concerns.
+    finding : str
+        Kind of the finding of a diagnosis that it states; empty for notes on logs and robots.
     """
 
     kind: Kind
@@ -57,6 +59,7 @@ class Note:
     joint: str = ""
     time: float | None = None
     share: float | None = None
+    finding: str = ""
 
     def __str__(self) -> str:
         """Put the sentence together."""

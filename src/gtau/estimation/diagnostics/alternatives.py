@@ -19,6 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
 from gtau.estimation.diagnostics.linearisation import (
@@ -46,14 +47,16 @@ class Alternative:
 
     Attributes
     ----------
-    hypothesis, subject : str
-        What it is, in words, and the name of its hypothesis.
+    hypothesis : str
+        The name of its hypothesis.
+    causes : tuple of Finding
+        What it is, and what else has the same effect; the first has the largest plausible effect.
     size, std, unit : float, float, str
         The unknown as the data find it; ``std`` is infinite where the other unknowns explain as much, and NaN where
         the share of the residual variance alone shows how significant it is.
     plausible : float
         Standard deviation of the sizes that experience allows.
-    group : str
+    group : tuple of str
         Alternatives of one group compete: they would explain the same residuals.
     log_factor, second_moment : float
         See :func:`support`.
@@ -65,25 +68,22 @@ class Alternative:
         By how much (theta, gains, delays) move for a unit of it, (k,).
     moves : ndarray
         By what share of itself each gain moves at that size, (n,).
-    advice : str
-        What to do about it.
     description : bool
         Whether it contradicts what the user states of robot and logs.
     """
 
     hypothesis: str
-    subject: str
+    causes: tuple[Finding, ...]
     size: float
     std: float
     unit: str
     plausible: float
-    group: str
+    group: tuple[str, ...]
     log_factor: float
     second_moment: float
     share: float
     slopes: np.ndarray
     moves: np.ndarray
-    advice: str
     description: bool
     probability: float = 0.0
 
@@ -122,7 +122,7 @@ def support(size: float, std: float, plausible: float) -> tuple[float, float]:
 
 def compete(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """Give the alternatives of each group their probabilities: one of them holds, or none."""
-    groups: dict[str, list[Alternative]] = {}
+    groups: dict[tuple[str, ...], list[Alternative]] = {}
     for each in alternatives:
         groups.setdefault(each.group, []).append(each)
     found: list[Alternative] = []
@@ -152,7 +152,7 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     offers = [on_channels(candidates.offer, hypothesis.shared) for hypothesis, candidates in tried]
     linear, known = linearise(fit, side_by_side(offers), windows), known_rows(fit, windows)
     found: list[Alternative] = []
-    ends = np.cumsum([0, *(len(candidates.names) for _, candidates in tried)])
+    ends = np.cumsum([0, *(len(candidates.causes) for _, candidates in tried)])
     columns = [slice(*pair) for pair in pairwise(ends.tolist())]
     shared = [hypothesis.shared for hypothesis, _ in tried]
     tests = score_tests(lambda: linear, list(zip(columns, shared, strict=True)), known[1])
@@ -177,7 +177,7 @@ def _alternatives(fit: Fit, hypothesis: Hypothesis, candidates: Candidates, test
     T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
     gains = problem.gain_rows
     found: list[Alone] = []
-    for m, (name, unit) in enumerate(zip(candidates.names, candidates.units, strict=True)):
+    for m, (cause, unit) in enumerate(zip(candidates.causes, candidates.units, strict=True)):
         for j in range(1 if hypothesis.shared else len(joints)):
             if not (hypothesis.shared or problem.free[j]):
                 continue  # a base that floats has no current and no friction
@@ -186,17 +186,16 @@ def _alternatives(fit: Fit, hypothesis: Hypothesis, candidates: Candidates, test
             plausible = float(candidates.plausible[m, j])
             alternative = Alternative(
                 hypothesis.name,
-                name.format(subject=f"'{joints[j]}'"),
+                (cause if hypothesis.shared else replace(cause, joints=(joints[j],)),),
                 size,
                 std,
                 unit,
                 plausible,
-                name if hypothesis.shared else joints[j],
+                ("all", hypothesis.name, str(m)) if hypothesis.shared else (joints[j],),
                 *support(size, std, plausible),
                 float(tests.share[m, j]),
                 slopes,
                 slopes[gains] * size / fit.gains,
-                hypothesis.advice,
                 hypothesis.description,
             )
             found.append((m, None if hypothesis.shared else j, alternative))
@@ -211,8 +210,8 @@ def _counted_once(
     tried = [Tried(columns[k].start + m, joint, each.plausible, each.description) for k, m, joint, each in flat]
     kept = {}
     for group in same_effects(tried, windows):
-        subjects = dict.fromkeys(flat[position][-1].subject for position in group)
-        kept[group[0]] = replace(flat[group[0]][-1], subject=" or ".join(subjects))
+        causes = tuple(cause for position in group for cause in flat[position][-1].causes)
+        kept[group[0]] = replace(flat[group[0]][-1], causes=causes)
     return [
         [kept[position] for position, (k, *_) in enumerate(flat) if k == number and position in kept]
         for number in range(len(alone))
@@ -222,7 +221,7 @@ def _counted_once(
 def _together(
     fit: Fit,
     hypothesis: Hypothesis,
-    describe: Callable[[np.ndarray, np.ndarray], tuple[str, str]],
+    describe: Callable[[np.ndarray, np.ndarray], Finding],
     windows: Sequence[LinearisedWindow],
     known: tuple[np.ndarray, np.ndarray],
 ) -> list[Alternative]:
@@ -243,12 +242,12 @@ def _together(
     alone = np.array([1 - fitted(columns[:, [k]])[1] / rest for k in range(columns.shape[1])])
     T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains)
     slopes = T @ (step[: J.shape[1]] - before)
-    subject, advice = describe(step[J.shape[1] :], alone / share)
+    cause = describe(step[J.shape[1] :], alone / share)
     moves = slopes[fit.system.problem.gain_rows] / fit.gains
     return [
         Alternative(
-            hypothesis.name, subject, 1.0, np.nan, "", 1.0, subject, np.inf, 1.0, share, slopes, moves,
-            advice, hypothesis.description,
+            hypothesis.name, (cause,), 1.0, np.nan, "", 1.0, ("together", hypothesis.name), np.inf, 1.0, share, slopes,
+            moves, hypothesis.description,
         )
     ]  # fmt: skip
 

@@ -1,39 +1,46 @@
-"""What can be believed of a fit: verdicts on gains and delays from all findings and checks."""
+"""Diagnose a fit: verdicts on gains and delays from the findings of all checks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.delays import delay_verdicts
-from gtau.estimation.diagnostics.findings import Findings
-from gtau.estimation.diagnostics.gain_verdicts import gain_verdicts
-from gtau.estimation.diagnostics.known_checks import check_mass, contradicted, prior_notes
-from gtau.estimation.diagnostics.leg_symmetry import unlike_legs
-from gtau.estimation.diagnostics.other_estimators import noise_note
-from gtau.estimation.diagnostics.position_ripple import ripple_notes
-from gtau.estimation.diagnostics.prior_checks import check_limits, check_payloads, check_priors, share_doubts
-from gtau.estimation.diagnostics.sensor_checks import SensorScale, check_sensors, sensor_scales
+from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.gain_checks import (
+    efforts_exceeded,
+    estimated_gains,
+    given_gains,
+    motors,
+    prior_gains_off,
+    wrench_contradictions,
+)
+from gtau.estimation.diagnostics.known_checks import prior_contradictions
+from gtau.estimation.diagnostics.other_estimators import position_noise
+from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
+from gtau.estimation.diagnostics.position_ripple import ripple_findings
+from gtau.estimation.diagnostics.sensor_checks import SensorScale, sensor_contradictions, sensor_scales
+from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
-from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict
-from gtau.estimation.diagnostics.wrench_checks import check_wrenches
+from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict, decide
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.estimates import MISFIT_GIVEN
-from gtau.signals.notes import Kind, Note
+from gtau.estimation.regression.flight import whole_mass
+from gtau.signals.notes import Note
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """Verdicts on gains, delays and known payloads, and notes on what was found.
 
-    Of the drive ``gains`` (n,), the ``delays`` (c,), those of torque sensors included, and the ``payloads`` by name.
+    Of the drive ``gains`` by joint, the ``delays`` (c,), with those of torque sensors, and the ``payloads`` by name.
     ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good; ``sensors`` are the scales
     of torque sensors by all else that is known.
     """
 
-    gains: tuple[Verdict, ...]
+    gains: Mapping[str, Verdict]
     delays: tuple[Verdict, ...]
     payloads: Mapping[str, Verdict]
     notes: tuple[Note, ...]
@@ -43,7 +50,7 @@ class Diagnosis:
 
 def diagnose(
     fit: Fit,
-    findings: Findings,
+    examined: Examination,
     uncertainty: Uncertainty,
     payloads: Mapping[str, Verdict],
     prior_gains: Mapping[str, float],
@@ -53,7 +60,7 @@ def diagnose(
 
     Parameters
     ----------
-    fit, findings, uncertainty : Fit, Findings, Uncertainty
+    fit, examined, uncertainty : Fit, Examination, Uncertainty
         What was estimated, what the data say against it, and how well it is known.
     payloads : mapping
         Verdicts on known payloads, by name.
@@ -62,63 +69,48 @@ def diagnose(
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good.
     """
-    dataset, system, solution = fit.dataset, fit.system, fit.solution
-    robot, problem, joints = dataset.robot, system.problem, dataset.model.actuated
-    torques = np.abs(solution.gains) * problem.signal
+    dataset, problem, joints = fit.dataset, fit.system.problem, motors(fit)
     sensors = sensor_scales(fit) if fit.free_gains else ()
+    priors = prior_contradictions(fit, uncertainty.covariance, accuracy)
+    mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
+    against = [
+        *wrench_contradictions(fit),
+        *(replace(each, kind=F.WHOLE_MASS, joints=joints) for each in priors if each.subject == mass),
+        *efforts_exceeded(fit),
+    ]
     if fit.free_gains:
-        verdicts: Sequence[Verdict] = gain_verdicts(fit, findings, uncertainty, accuracy, prior_gains)
-        verdicts = check_wrenches(verdicts, fit)
-        verdicts = check_sensors(check_payloads(verdicts, payloads), sensors, accuracy)
-        verdicts = check_priors(verdicts, robot, fit.gains, prior_gains)
+        against += [
+            *estimated_gains(fit, examined, uncertainty, accuracy, prior_gains),
+            *prior_gains_off(fit, prior_gains),
+            *sensor_contradictions(sensors, problem.joints, accuracy),
+            *(
+                Finding(F.PAYLOAD, joints, name, severity=each.finding.severity)
+                for name, each in payloads.items()
+                if each.finding is not None and each.outcome == Outcome.CONTRADICTORY
+            ),
+        ]
     else:
-        verdicts = check_wrenches(_given_verdicts(fit, findings), fit)
-    wrong_priors = contradicted(fit, uncertainty.covariance, accuracy)
-    verdicts = check_mass(verdicts, fit, wrong_priors)
-    verdicts = share_doubts(check_limits(verdicts, robot, torques), joints)
+        against += given_gains(fit, examined)
     delay_std = np.sqrt(np.diag(uncertainty.random))[problem.n_theta + len(problem.channels) :]
     period = 1 / min(run.rate for run in dataset.runs)
-    delays = delay_verdicts(problem, solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)
-    notes = (
-        *unlike_legs(dataset, system, solution.theta, uncertainty.covariance),
-        *prior_notes(wrong_priors),
-        *noise_note(fit, findings.alternatives),
-        *ripple_notes(findings.ripple, fit),
-        *_small_refutations(fit, findings, accuracy),
-    )
-    return Diagnosis(tuple(verdicts), tuple(delays), payloads, notes, accuracy, sensors)
+    delays = delay_verdicts(problem, fit.solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)
+    beside = [
+        *unlike_legs(dataset, fit.system, fit.solution.theta, uncertainty.covariance),
+        *priors,
+        *position_noise(fit, examined.alternatives),
+        *ripple_findings(examined.ripple, fit),
+        *(_small_refutations(examined, accuracy) if fit.free_gains else []),
+        *examined.untested,
+    ]
+    gains = dict(zip(joints, decide(joints, against, GOOD if fit.free_gains else GIVEN), strict=True))
+    return Diagnosis(gains, tuple(delays), payloads, tuple(map(note, beside)), accuracy, sensors)
 
 
-def _given_verdicts(fit: Fit, findings: Findings) -> tuple[Verdict, ...]:
-    """Judge gains that are given, or 1 for torques: contradictory where the model does not explain the joint."""
-    misfit = (fit.solution.sigma / fit.system.problem.balance(fit.solution.theta))[: len(fit.gains)]
-    kind = fit.dataset.runs[0].kind
-    found = [GIVEN] * len(misfit)
-    for j, share in enumerate(misfit):
-        swapped = [each for each in findings.swapped if j in each.joints]
-        if swapped:
-            found[j] = Verdict(Outcome.CONTRADICTORY, swapped[0].why, swapped[0].advice)
-        elif share > MISFIT_GIVEN:
-            found[j] = Verdict(
-                Outcome.CONTRADICTORY,
-                f"the model leaves {100 * share:.0f} % of this joint's {kind} unexplained",
-                f"check its position and {kind} columns, their signs and units, the clock of the log and its "
-                "'preparation'",
-            )
-    return tuple(found)
-
-
-def _small_refutations(fit: Fit, findings: Findings, accuracy: float) -> list[Note]:
+def _small_refutations(examined: Examination, accuracy: float) -> list[Finding]:
     """List what the data refute of the description where no gain moves by more than the accuracy."""
-    if not fit.free_gains:
-        return []
+    moves = [(each, float(np.abs(each.moves).max())) for each in examined.refuted]
     return [
-        Note(
-            Kind.MODEL,
-            f"{each.subject} would explain {100 * each.share:.0f} % of the residual variance and move no gain by more "
-            f"than {100 * float(np.abs(each.moves).max()):.2g} %",
-            each.advice,
-        )
-        for each in findings.refuted
-        if np.abs(each.moves).max() <= accuracy
+        Finding(F.SMALL_REFUTATION, values={"share": each.share, "move": move}, causes=each.causes)
+        for each, move in moves
+        if move <= accuracy
     ]

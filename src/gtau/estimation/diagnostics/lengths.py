@@ -16,6 +16,8 @@ from typing import TypeVar
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
     central_windows,
     known_rows,
@@ -43,7 +45,7 @@ class OtherLength:
     ``moves`` (n,) is by what share of itself each gain moves.
     """
 
-    what: str
+    cause: Finding
     change: float
     share: float
     moves: np.ndarray
@@ -61,7 +63,7 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
     robot = fit.dataset.robot
     before, _ = _left(fit, fit.dataset.model)
     lengths = list(zip(_longer(robot, STEP), _longer(robot, -STEP), strict=True))
-    for k, ((what, longer), (_, shorter)) in enumerate(lengths):
+    for k, ((cause, longer), (_, shorter)) in enumerate(lengths):
         progress("other lengths", k, len(lengths))
         try:
             (above, gains_above), (below, gains_below) = (
@@ -74,7 +76,7 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
             continue
         change = -STEP * slope / (2 * curvature)
         moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
-        yield OtherLength(what, change, slope**2 / (4 * curvature * before), moves)
+        yield OtherLength(cause, change, slope**2 / (4 * curvature * before), moves)
     progress("other lengths", len(lengths), len(lengths))
 
 
@@ -89,7 +91,7 @@ def _left(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
     return float(np.sum((e + J @ step) ** 2)), gains - gains**2 * change
 
 
-def _longer(robot: Robot, step: float) -> Iterator[tuple[str, Robot]]:
+def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
     """Lengthen each length of the robot by a share ``step``, those that are equal together."""
     places = [(joint.name, joint.placement) for joint in robot.joints]
     sides = [(end.body, end.placement) for end in robot.ends]
@@ -103,9 +105,8 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[str, Robot]]:
     for length in longest:
         joints = tuple(replace(joint, placement=_scaled(joint.placement, length, step)) for joint in robot.joints)
         closures, springs = _moved(robot.closures, length, step), _moved(robot.springs, length, step)
-        names = ", ".join(f"'{name}'" for name in lengths[length])
         longer = replace(robot, joints=joints, closures=closures, springs=springs)
-        yield f"the length of {1e3 * length:.4g} mm at {names}", longer
+        yield Finding(F.LENGTH, values={"length": length, "bodies": lengths[length]}), longer
 
 
 def _lengths(placement: Placement) -> list[float]:

@@ -10,24 +10,22 @@ Units of positions are checked against the robot's size before (:mod:`gtau.estim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step
-from gtau.estimation.diagnostics.verdict import Refutation
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
-from gtau.estimation.regression.motion_limits import clock_advice
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import SWAPPED, UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import DELAY_MOTION, LAG_LEAST, LAG_LOSS, LAG_SAMPLES, LAG_STD
-from gtau.signals.notes import Kind, Note
-from gtau.signals.run import Run
 
 
 def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -52,8 +50,8 @@ def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     return lag, error
 
 
-def lag_notes(dataset: Dataset, system: System) -> list[Note]:
-    """Note joints whose commands lag behind the motion in all runs; ``system`` is that of all runs."""
+def command_lag(dataset: Dataset, system: System) -> list[Finding]:
+    """Find commands that lag behind the motion in all runs; ``system`` is that of all runs."""
     kind, bandwidth = dataset.runs[0].kind, dataset.preparation.bandwidth
     rate = min(run.rate for run in dataset.runs)
     lags, errors = command_lags(system.problem)
@@ -66,15 +64,9 @@ def lag_notes(dataset: Dataset, system: System) -> list[Note]:
     std = float(np.sqrt(max(scatter, 1.0) / weights.sum()))
     if lag < max(LAG_LEAST, LAG_SAMPLES / rate) or lag < LAG_STD * std:
         return []
-    phase = 2 * np.pi * bandwidth * lag
-    size = f"by {1e3 * lag:.2g} ms (+-{1e3 * std:.2g} ms)" if phase < 1 else f"by more than {1e3 * lag / phase:.2g} ms"
-    loss = 100 * (1 - 1 / np.sqrt(1 + phase**2))
-    what = (
-        f"the {kind}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass of that "
-        f"time constant attenuates them by {loss:.2g} % at the bandwidth of the motion, {bandwidth:.3g} Hz"
-    )
-    action = f"log the {kind}s before any filter and with the time stamps of the positions"
-    return [Note(Kind.FILTERED if loss > 100 * LAG_LOSS else Kind.READING, what, action)]
+    loss = 1 - 1 / np.sqrt(1 + (2 * np.pi * bandwidth * lag) ** 2)
+    values = {"kind": kind, "lag": lag, "std": std, "bandwidth": float(bandwidth)}
+    return [Finding(F.COMMAND_LAG if loss > LAG_LOSS else F.SLIGHT_COMMAND_LAG, values=values)]
 
 
 def unexplained(dataset: Dataset) -> np.ndarray:
@@ -102,35 +94,15 @@ def unexplained(dataset: Dataset) -> np.ndarray:
     return left
 
 
-def swapped_channels(dataset: Dataset) -> tuple[Refutation, ...]:
+def swapped_channels(dataset: Dataset) -> tuple[Finding, ...]:
     """Find the pairs of joints whose currents (or torques) look swapped."""
-    left, joints = unexplained(dataset), dataset.model.actuated
-    columns = "torques" if dataset.runs[0].kind == "torque" else "currents"
-    return tuple(
-        Refutation(
-            (j, k),
-            f"the {columns} of '{joints[j]}' and '{joints[k]}' look swapped: "
-            f"{100 * max(left[j, k], left[k, j]):.2g} % of them would stay unexplained if they were exchanged, "
-            f"{100 * min(left[j, j], left[k, k]):.2g} % as they are",
-            f"check that position and {columns[:-1]} columns belong together, in all runs",
-        )
-        for j, k in combinations(range(len(joints)), 2)
-        if left[j, k] < SWAPPED * left[j, j] and left[k, j] < SWAPPED * left[k, k]
-    )
-
-
-def other_clock(gravity: float, runs: Sequence[Run]) -> tuple[str, str]:
-    """Explain, with advice, residuals that ask for gravity of the same direction, ``gravity`` times as large.
-
-    Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
-    torques against those of gravity, whose length on Earth is known to 0.3 %.
-    """
-    size, accelerations, rate = ("larger", "large", "high") if gravity > 1 else ("smaller", "small", "low")
-    return (
-        f"gravity would have to be {size}, as accelerations are too {accelerations}: the sampling rate is too {rate} "
-        "(or all lengths of the robot are wrong)",
-        f"{clock_advice(runs[0])}; then check the robot's lengths",
-    )
+    left, joints, found = unexplained(dataset), dataset.model.actuated, []
+    for j, k in combinations(range(len(joints)), 2):
+        if left[j, k] < SWAPPED * left[j, j] and left[k, j] < SWAPPED * left[k, k]:
+            exchanged, as_logged = float(max(left[j, k], left[k, j])), float(min(left[j, j], left[k, k]))
+            values = {"kind": dataset.runs[0].kind, "exchanged": exchanged, "as_logged": as_logged}
+            found.append(Finding(F.SWAPPED, (joints[j], joints[k]), values=values, severity=1 - exchanged / as_logged))
+    return tuple(found)
 
 
 def require_felt_payload(system: System) -> None:
@@ -168,3 +140,13 @@ def _residual(problem: Problem, joint: int, columns: list[int]) -> float:
     R, v = problem.triangles[joint], SIGNAL
     solved = np.linalg.lstsq(R[:, columns], R[:, v], rcond=1e-10)[0]
     return float(np.linalg.norm(R[:, v] - R[:, columns] @ solved) / np.linalg.norm(R[:, v]))
+
+
+def lack_of_fit(problem: Problem, solution: Solution) -> float:
+    """Divide standard deviations by the jackknife by those for independent residuals; median over the parameters.
+
+    Near 1 where the residuals are white; well above where they are autocorrelated, as the model lacks something.
+    """
+    known = np.diag(solution.covariance)[: problem.n_theta]
+    ratio = np.diag(solution.jackknife)[: problem.n_theta][known > 0] / known[known > 0]
+    return float(np.sqrt(np.median(ratio))) if ratio.size else 1.0

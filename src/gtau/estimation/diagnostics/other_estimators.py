@@ -21,6 +21,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, support
+from gtau.estimation.diagnostics.finding import RELATIVE, Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
     central_windows,
     errors_and_jacobian,
@@ -36,7 +38,6 @@ from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD
 from gtau.signals.filters import below_nyquist
-from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation
 
 WINDOWS = 10  # of a run
@@ -45,9 +46,6 @@ FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
 # accelerations.
 HALF = 0.5
 SPANNED = 1e-6  # of the largest singular value: directions that the instruments do not reach are left as they are
-GROUP = "estimator of "  # and what it estimates: differences in one estimate compete
-INSTRUMENTS = "instrumental variables"
-TWO_STAGE = "two-stage least squares"
 
 Moments = tuple[np.ndarray, np.ndarray]
 """Of a window: ``Z^T J`` (k, k) and ``Z^T e`` (k,) of instruments Z; those of least squares are J."""
@@ -59,18 +57,15 @@ class Difference:
 
     Attributes
     ----------
-    estimator : str
-        Which one.
+    estimator : Finding
+        Which one; of its values it is the first cause of an alternative.
     moves, std : ndarray
         Of (theta, gains, delays), (k,), and their standard deviations, SI units.
-    advice : str
-        What to do where the difference is significant.
     """
 
-    estimator: str
+    estimator: Finding
     moves: np.ndarray
     std: np.ndarray
-    advice: str
 
 
 def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alternative]:
@@ -82,10 +77,10 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
     problem, solution = fit.system.problem, fit.solution
     n_theta = problem.n_theta
     plausible = np.sqrt(np.diag(solution.jackknife))
-    names = [*problem.parameters, *(f"the gain of '{joint}'" for joint in problem.joints)]
+    estimates = [((), name) for name in problem.parameters] + [((joint,), "") for joint in problem.joints]
     found = []
     for each in differences:
-        for k, name in enumerate(names):
+        for k, (joints, parameter) in enumerate(estimates):
             value, size, std = solution.stacked[k], each.moves[k], each.std[k]
             if not (std > 0 and plausible[k] > 0 and value) or (k < n_theta and abs(size) < DIFFERENT_STD * std):
                 continue
@@ -95,43 +90,42 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
             slopes[k] = value
             found.append(
                 Alternative(
-                    hypothesis=each.estimator,
-                    subject=f"{name} that results from {each.estimator}",
+                    hypothesis=each.estimator.kind,
+                    causes=(replace(each.estimator, joints=joints, subject=parameter),),
                     size=found_size[0],
                     std=found_size[1],
-                    unit="of itself",
+                    unit=RELATIVE,
                     plausible=found_size[2],
-                    group=GROUP + name,
+                    group=("estimate", *joints, parameter),
                     log_factor=factor,
                     second_moment=moment,
                     share=0.0,
                     slopes=slopes,
                     moves=slopes[problem.gain_rows] * (size / value) / fit.gains,
-                    advice=each.advice,
                     description=False,
                 )
             )
     return [each for each in compete(found) if each.moves.any() or each.probability > DIFFERENT_PROBABILITY]
 
 
-def noise_note(fit: Fit, alternatives: Sequence[Alternative]) -> list[Note]:
-    """Note the bias from position noise, where Hausman's test against instrumental variables shows it."""
+def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
+    """Find the bias from position noise, where Hausman's test against instrumental variables shows it."""
     biased = [
         each
         for each in alternatives
-        if each.hypothesis == INSTRUMENTS and abs(each.t) > NOISE_STD and abs(each.size) > each.plausible
+        if each.causes[0].kind == F.INSTRUMENTS and abs(each.t) > NOISE_STD and abs(each.size) > each.plausible
     ]
     if not biased:
         return []
     worst = max(biased, key=lambda each: abs(each.size) / each.plausible)
-    estimate = worst.group.removeprefix(GROUP)
-    what = (
-        f"noise of the positions biases {len(biased)} of {len(fit.solution.theta) + len(fit.gains)} estimates by more "
-        f"than their standard deviations: {estimate} by {abs(worst.size) / worst.plausible:.1f} of them (Hausman's "
-        f"test against instrumental variables: {abs(worst.t):.0f} standard deviations of the difference); the "
-        "intervals allow for it"
-    )
-    return [Note(Kind.NOISE, what, NOISE_ADVICE)]
+    estimate = worst.causes[0]
+    values = {
+        "count": len(biased),
+        "all": len(fit.solution.theta) + len(fit.gains),
+        "deviations": abs(worst.size) / worst.plausible,
+        "t": abs(worst.t),
+    }
+    return [Finding(F.POSITION_NOISE, estimate.joints, estimate.subject, values)]
 
 
 def two_stage_difference(fit: Fit) -> Difference:
@@ -146,11 +140,11 @@ def two_stage_difference(fit: Fit) -> Difference:
     std = np.maximum(between, np.sqrt(np.diag(solution.jackknife)))
     moves = np.zeros(len(std))
     moves[problem.gain_rows] = other.gains[: len(problem.joints)] - fit.gains
-    return Difference(TWO_STAGE, moves, std, TWO_STAGE_ADVICE)
+    return Difference(Finding(F.TWO_STAGE), moves, std)
 
 
-def other_estimators(fit: Fit) -> tuple[Difference, ...]:
-    """Find what estimators with other preparations, and instrumental variables, find otherwise.
+def other_estimators(fit: Fit) -> tuple[tuple[Difference, ...], tuple[Finding, ...]]:
+    """Find what estimators with other preparations, and instrumental variables, find otherwise, and which refuse.
 
     Parameters
     ----------
@@ -158,55 +152,53 @@ def other_estimators(fit: Fit) -> tuple[Difference, ...]:
         What was estimated.
     """
     dataset = fit.dataset
-    further = _filtered_further(dataset.preparation)
+    further, preparations = _filtered_further(dataset.preparation), _preparations(dataset.preparation)
     try:
         pairs = _pairs(fit, dataset if further is None else _prepared_as(dataset, further))
-        if not pairs:
-            return ()
-        rows = [J for _, J, _ in pairs]
-        known = known_rows(fit, central_windows(dataset, WINDOWS))[1]
-        back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
-        T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains) @ back
-        usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
-        found = []
-        if further is not None and not fit.noise_free:
-            weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]
-            found.append(Difference(INSTRUMENTS, *_difference(usual, weighed, known, back, T), NOISE_ADVICE))
-        for name, preparation, advice in _preparations(dataset.preparation):
-            other = replace(fit, dataset=_prepared_as(dataset, preparation))
+    except GtauError as refusal:  # the loops do not close along motion that is filtered otherwise
+        return (), (_untested(refusal, Finding(F.INSTRUMENTS), *(changed for changed, _ in preparations)),)
+    if not pairs:
+        return (), ()
+    rows = [J for _, J, _ in pairs]
+    known = known_rows(fit, central_windows(dataset, WINDOWS))[1]
+    back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
+    T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains) @ back
+    usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
+    found, untested = [], []
+    if further is not None and not fit.noise_free:
+        weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]
+        found.append(Difference(Finding(F.INSTRUMENTS), *_difference(usual, weighed, known, back, T)))
+    for changed, preparation in preparations:
+        other = replace(fit, dataset=_prepared_as(dataset, preparation))
+        try:
             windows = linearise(other, None, central_windows(other.dataset, WINDOWS))
-            if len(windows) != len(pairs):
-                continue  # its filters are longer than a window
-            moments = [(each.jacobian.reshape(-1, len(back)), each.errors.ravel()) for each in windows]
-            weighed = [(J.T @ J, J.T @ e) for J, e in moments]
-            found.append(Difference(name, *_difference(usual, weighed, known, back, T), advice))
-    except GtauError:
-        return ()  # the loops do not close along motion that is filtered otherwise
-    return tuple(found)
+        except GtauError as refusal:
+            untested.append(_untested(refusal, changed))
+            continue
+        if len(windows) != len(pairs):
+            continue  # its filters are longer than a window
+        moments = [(each.jacobian.reshape(-1, len(back)), each.errors.ravel()) for each in windows]
+        weighed = [(J.T @ J, J.T @ e) for J, e in moments]
+        found.append(Difference(changed, *_difference(usual, weighed, known, back, T)))
+    return tuple(found), tuple(untested)
 
 
-NOISE_ADVICE = "use --method iv or didim, or encoders with less noise"
-FILTER_ADVICE = "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"
-TWO_STAGE_ADVICE = (
-    "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction that "
-    "grows with the load has the same effect"
-)
-SPEED_ADVICE = "make motions with fewer reversals, or give 'preparation' by hand"
+def _untested(refusal: GtauError, *estimators: Finding) -> Finding:
+    return Finding(F.UNTESTED, values={"refusal": str(refusal).removesuffix(".")}, causes=estimators)
 
 
-def _preparations(chosen: Preparation) -> list[tuple[str, Preparation, str]]:
-    """List the preparations to try, by name, each with what to do where it matters."""
+def _preparations(chosen: Preparation) -> list[tuple[Finding, Preparation]]:
+    """List the preparations to try, each with what it changes."""
     found = []
     for factor in (0.7, 1.4):
         cutoff = None if chosen.cutoff is None else below_nyquist(factor * chosen.cutoff, chosen.rate)
         decimator = replace(chosen.decimator, factor=max(1, round(chosen.decimator.factor / factor)))
         other = replace(chosen, cutoff=cutoff, decimator=decimator)
         if other != chosen:
-            found.append((f"a bandwidth {factor:g} times as large", other, FILTER_ADVICE))
+            found.append((Finding(F.BANDWIDTH, values={"factor": factor}), other))
     for factor in (0.5, 2.0):
         fraction = factor * chosen.speed_fraction
-        name = f"leaving out rows below {100 * fraction:.2g} % of a joint's rms speed"
-        found.append((name, replace(chosen, speed_fraction=fraction), SPEED_ADVICE))
+        found.append((Finding(F.SLOW_ROWS, values={"fraction": fraction}), replace(chosen, speed_fraction=fraction)))
     return found
 
 

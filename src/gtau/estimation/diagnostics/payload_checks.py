@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict, known_verdict
+from gtau.estimation.diagnostics.parameter_checks import known_verdict
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.scale_uncertainty import with_payload
 from gtau.estimation.regression.column_blocks import known_values

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
     LinearisedWindow,
@@ -29,7 +31,6 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.thresholds.estimates import RIPPLE_SHARE
-from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
@@ -131,26 +132,17 @@ def _left(pieces: Sequence[LinearisedWindow], known: tuple[np.ndarray, np.ndarra
     return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))
 
 
-def ripple_notes(found: PositionRipple, fit: Fit) -> list[Note]:
-    """Describe the torque that repeats at the same positions, and what it does to the gains."""
+def ripple_findings(found: PositionRipple, fit: Fit) -> list[Finding]:
+    """Find the torque that repeats at the same positions, and what it does to the gains."""
     if not found.found:
         return []
-    joints = fit.system.problem.joints
-    j = int(np.argmax(found.shares[: len(joints)]))
-    moves = 100 * np.abs(found.moves[fit.system.problem.gain_rows] / fit.gains)
+    problem = fit.system.problem
+    j = int(np.argmax(found.shares[: len(problem.joints)]))
+    moves = np.abs(found.moves[problem.gain_rows] / fit.gains)
     k = int(np.argmax(moves))
-    of_gains = (
-        f" (that of the gain of joint '{joints[k]}' {moves[k]:{'.0f' if moves[k] >= 99.5 else '.2g'}} %)"
-        if moves[k]
-        else ""
-    )
-    base = fit.system.problem.channels[j].kind == "base"  # its rows are no joints of the user
-    where = f"of the base '{fit.dataset.robot.floating}'" if base else f"at joint '{joints[j]}'"
-    ripple = "ripple of the motors, cables or springs, which the model lacks"
-    cause = "a wrench is wrong or missing" if base else ripple
-    what = (
-        f"residuals repeat at the same positions ({100 * found.shares[j]:.0f} % of the variance {where}): {cause}. "
-        "They repeat in every run, so the scatter between blocks does not show them; the standard "
-        f"deviations include how far the estimates move when they are modelled{of_gains}"
-    )
-    return [Note(Kind.MODEL, what, joint="" if base else joints[j])]
+    base = problem.channels[j].kind == "base"  # its rows are no joints of the user
+    moved = {"move": float(moves[k]), "moved": problem.joints[k]}
+    values = {"share": float(found.shares[j]), "base": base, **moved}
+    if base:
+        return [Finding(F.RIPPLE, (), fit.dataset.robot.floating, values)]
+    return [Finding(F.RIPPLE, (problem.joints[j],), "", values)]

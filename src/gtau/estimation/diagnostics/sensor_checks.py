@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, verdict_of
 from gtau.estimation.estimators.estimator import Fit, Iterate, jackknife
 from gtau.estimation.estimators.newton import (
     jacobian,
@@ -36,15 +38,12 @@ class SensorScale:
     std: float
     moves: np.ndarray
 
-    def verdict(self, accuracy: float) -> Verdict:
-        """Judge the scale: contradictory where it differs from 1 significantly and by more than the ``accuracy``."""
-        if abs(self.value - 1) <= max(APART * self.std, accuracy):
-            return GOOD
-        return Verdict(
-            Outcome.CONTRADICTORY,
-            f"all other data put its torques at {self.value:.4g} +- {self.std:.2g} times its reading",
-            "check its calibration, its unit and its joint; a payload's mass or a known parameter may be wrong too",
-        )
+
+def sensor_verdict(scale: SensorScale, accuracy: float) -> Verdict:
+    """Judge a scale: contradictory where it differs from 1 significantly and by more than the ``accuracy``."""
+    if abs(scale.value - 1) <= max(APART * scale.std, accuracy):
+        return GOOD
+    return verdict_of(Finding(F.SENSOR_SCALE, values={"scale": scale.value, "std": scale.std}))
 
 
 def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
@@ -98,13 +97,10 @@ def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.nda
     return np.asarray(rows.reshape(-1, rows.shape[-1]))
 
 
-def check_sensors(verdicts: Sequence[Verdict], found: Sequence[SensorScale], accuracy: float) -> tuple[Verdict, ...]:
-    """Judge the gains that rest on a torque sensor contradicting all else that is known."""
-    wrong = [each for each in found if each.verdict(accuracy).outcome == Outcome.CONTRADICTORY]
-    checked = list(verdicts)
-    for each in sorted(wrong, key=lambda each: -float(np.abs(each.moves).max())):
-        why = f"it rests on the torque sensor of '{each.joint}', which contradicts all other data"
-        for j in np.flatnonzero(np.abs(each.moves) > accuracy):
-            if checked[j].outcome != Outcome.CONTRADICTORY:
-                checked[j] = Verdict(Outcome.CONTRADICTORY, why, each.verdict(accuracy).advice)
-    return tuple(checked)
+def sensor_contradictions(found: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
+    """Find the gains of ``joints`` (n,) that rest on a torque sensor contradicting all else that is known."""
+    for each in found:
+        moves = np.abs(each.moves)
+        moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
+        if sensor_verdict(each, accuracy).outcome == Outcome.CONTRADICTORY and moved:
+            yield Finding(F.SENSOR, moved, each.joint, severity=float(moves.max()))

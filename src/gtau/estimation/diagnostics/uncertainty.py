@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.findings import Findings
+from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
@@ -44,12 +44,12 @@ class Uncertainty:
         return np.asarray(self.freedom * share**2)
 
 
-def uncertainty_of(fit: Fit, findings: Findings, correlated: bool) -> Uncertainty:
+def uncertainty_of(fit: Fit, examined: Examination, correlated: bool) -> Uncertainty:
     """Find the uncertainty of a fit.
 
     Parameters
     ----------
-    fit, findings : Fit, Findings
+    fit, examined : Fit, Examination
         What was estimated, and what the model may lack.
     correlated : bool
         By the block jackknife and with the model part, or by the method's formula alone, as the paper does.
@@ -58,4 +58,4 @@ def uncertainty_of(fit: Fit, findings: Findings, correlated: bool) -> Uncertaint
     if not correlated:
         return Uncertainty(fit.solution.covariance, of_scale, np.zeros_like(of_scale), None)
     freedom = degrees_of_freedom(fit.system.problem, fit.solution, fit.free_gains)
-    return Uncertainty(fit.solution.jackknife, of_scale, findings.covariance, freedom)
+    return Uncertainty(fit.solution.jackknife, of_scale, examined.covariance, freedom)

@@ -1,17 +1,18 @@
-"""Verdicts: whether a number can be believed, why not, and what to do about it."""
+"""Verdicts: whether a number can be believed, and the finding that decides it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import ceil, floor, log10
 
-from gtau.estimation.thresholds.estimates import APART, WEAK_PARAMETER
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.sentences import advice, reason
 
 
 class Outcome(StrEnum):
-    """What can be said of an estimate."""
+    """What can be said of an estimate, the best first."""
 
     GIVEN = "given"
     GOOD = "good"
@@ -22,82 +23,107 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """An outcome, why, and what to do."""
+    """An outcome, and the finding behind it."""
 
     outcome: Outcome
-    why: str = ""
-    advice: str = ""
+    finding: Finding | None = None
+
+    @property
+    def why(self) -> str:
+        """The reason, empty without a finding."""
+        return "" if self.finding is None else reason(self.finding)
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return "" if self.finding is None else advice(self.finding)
 
     @property
     def sentence(self) -> str:
         """The verdict as one sentence, without its subject."""
-        return self.outcome.value + (f": {self.why}; {self.advice}" if self.why else "")
-
-
-@dataclass(frozen=True)
-class Refutation:
-    """What the data refute of the description of robot and logs: for which joints (by number), why, and what to do."""
-
-    joints: tuple[int, ...]
-    why: str
-    advice: str
+        return self.outcome.value + (f": {self.why}; {self.advice}" if self.finding else "")
 
 
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 
+OUTCOMES: Mapping[F, Outcome] = {
+    # what the whole estimation rests on
+    F.NEGATIVE_MASS: Outcome.CONTRADICTORY,
+    F.BASE_UNEXPLAINED: Outcome.CONTRADICTORY,
+    # a gain that is noise: what it seems to contradict is noise too
+    F.TLS_CONFUSED: Outcome.NOT_IDENTIFIABLE,
+    # the data against the description of robot and logs
+    F.ALL_NEGATIVE: Outcome.CONTRADICTORY,
+    F.SWAPPED: Outcome.CONTRADICTORY,
+    F.REFUTED: Outcome.CONTRADICTORY,
+    F.UNEXPLAINED: Outcome.CONTRADICTORY,
+    # stated constants against each other
+    F.PAYLOAD: Outcome.CONTRADICTORY,
+    F.SENSOR: Outcome.CONTRADICTORY,
+    F.WHOLE_MASS: Outcome.CONTRADICTORY,
+    # a gain without a value: what follows would judge that value
+    F.UNSETTLED: Outcome.NOT_IDENTIFIABLE,
+    F.LOST: Outcome.NOT_IDENTIFIABLE,
+    F.SIGN_OPEN: Outcome.NOT_IDENTIFIABLE,
+    F.OTHER_ESTIMATOR: Outcome.CONTRADICTORY,
+    F.PRIOR_GAIN: Outcome.CONTRADICTORY,
+    F.EFFORT: Outcome.CONTRADICTORY,
+    F.WIDE_SCALE: Outcome.WEAK,
+    F.WIDE_RIPPLE: Outcome.WEAK,
+    F.WIDE_CAUSE: Outcome.WEAK,
+    F.WIDE_RANDOM: Outcome.WEAK,
+    F.COUPLED: Outcome.WEAK,
+    F.NEGATIVE_GAIN: Outcome.GOOD,
+    # of delays, parameters, payloads and torque sensors
+    F.DELAY_NOISE: Outcome.NOT_IDENTIFIABLE,
+    F.DELAY_UNCERTAIN: Outcome.WEAK,
+    F.IMPOSSIBLE: Outcome.CONTRADICTORY,
+    F.INSEPARABLE: Outcome.NOT_IDENTIFIABLE,
+    F.NEAR_ZERO: Outcome.NOT_IDENTIFIABLE,
+    F.UNCERTAIN: Outcome.WEAK,
+    F.PAYLOAD_MASS: Outcome.CONTRADICTORY,
+    F.PAYLOAD_PARAMETER: Outcome.CONTRADICTORY,
+    F.SENSOR_SCALE: Outcome.CONTRADICTORY,
+}
+"""The outcome of each kind of finding, in the order in which they count where several are on one estimate."""
 
-def percent_text(share: float, accuracy: float | None = None) -> str:
-    """Write a share (per cent) in two significant digits and at most two decimals, without the sign of per cent.
+RANKS = {kind: rank for rank, kind in enumerate(OUTCOMES)}
 
-    A share that exceeds the ``accuracy`` (per cent) is rounded up where it would be rounded to it or below.
+
+def verdict_of(finding: Finding) -> Verdict:
+    """Judge an estimate by one finding."""
+    return Verdict(OUTCOMES[finding.kind], finding)
+
+
+def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict = GOOD) -> tuple[Verdict, ...]:
+    """Judge the gain of each joint by the highest-ranked finding on it, in whatever order the checks found them.
+
+    Of findings of one kind the most severe counts. No gain is good beside a contradictory one, since all joints share
+    the parameters of one model.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Joints of the robot, (n,).
+    findings : iterable of Finding
+        All findings against gains.
+    otherwise : Verdict
+        Of a gain without a finding.
     """
-    if 0 < share < 0.005:
-        return "<0.01"
-    decimals = min(max(1 - floor(log10(float(f"{share:.2g}"))), 0), 2) if share else 2
-    shown = f"{share:.{decimals}f}"
-    if accuracy is not None and share > accuracy >= float(shown):
-        shown = f"{ceil(share * 10**decimals) / 10**decimals:.{decimals}f}"
-    return shown
+    of_joint: dict[str, Finding] = {}
+    for each in sorted(findings, key=_precedence):
+        for joint in each.joints:
+            of_joint.setdefault(joint, each)
+    found = {joint: verdict_of(of_joint[joint]) if joint in of_joint else otherwise for joint in joints}
+    wrong = next((joint for joint in joints if found[joint].outcome == Outcome.CONTRADICTORY), None)
+    if wrong is not None:
+        coupled = {joint: verdict_of(Finding(F.COUPLED, (joint,), wrong)) for joint in joints}
+        found = {joint: coupled[joint] if each.outcome == Outcome.GOOD else each for joint, each in found.items()}
+    return tuple(found.values())
 
 
-def parameter_verdict(value: float | None, std: float | None) -> Verdict:
-    """Judge a parameter by its value and standard deviation."""
-    if value is None:
-        return Verdict(
-            Outcome.NOT_IDENTIFIABLE,
-            "these motions cannot separate it from the parameters listed before it",
-            "add runs that move the joints in other ways",
-        )
-    if std is None:
-        return GOOD
-    if abs(value) < 2 * std:
-        return Verdict(
-            Outcome.NOT_IDENTIFIABLE,
-            "it is within two standard deviations of zero",
-            "treat it as small, or move its joint faster and further",
-        )
-    if std > WEAK_PARAMETER * abs(value):
-        return Verdict(Outcome.WEAK, f"its standard deviation is {100 * std / abs(value):.0f} %", "add longer runs")
-    return GOOD
-
-
-def known_verdict(kind: str, declared: float, found: float, std: float, block: str) -> Verdict:
-    """Judge a known parameter ``kind`` of a payload by its estimate from all else that is known."""
-    if abs(found - declared) <= APART * std:
-        return GOOD
-    if kind == "m":
-        return Verdict(
-            Outcome.CONTRADICTORY,
-            f"with the drive gains from the other payloads it weighs {found:.4g} +- {std:.2g} kg, not "
-            f"{declared:.4g} kg",
-            "weigh the payloads again; one of the masses is wrong, or a run carries another payload than declared",
-        )
-    return Verdict(
-        Outcome.CONTRADICTORY,
-        f"given its mass and all other data its {kind} is {found:.4g} +- {std:.2g} {block}, not {declared:.4g} {block}",
-        f"check {kind} and the frame it is given in, that of the body that carries the payload, and the mass; or leave "
-        f"{kind} out",
-    )
+def _precedence(finding: Finding) -> tuple[int, float, str]:
+    return RANKS[finding.kind], -finding.severity, repr(finding)
 
 
 def worst(verdicts: Mapping[str, Verdict] | Sequence[Verdict]) -> Outcome:

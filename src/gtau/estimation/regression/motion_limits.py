@@ -83,14 +83,20 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
         if fastest is not None and speeds[fastest] > FASTEST[kind]:
             raise GtauError(
                 f"run '{run.name}': joint '{run.joints[fastest]}' has an rms speed of {speeds[fastest]:.3g} {basic}/s "
-                f"over a motion of {span[fastest]:.3g} {basic}, which no robot has; {clock_advice(run)}."
+                f"over a motion of {span[fastest]:.3g} {basic}, which no robot has; {clock_advice(stated_rate(run))}."
             )
 
 
-def clock_advice(run: Run) -> str:
-    """Advise what to correct where a run has a wrong time."""
-    if run.log is not None and isinstance(run.log.signals.time, SampleRate):
-        return f"correct the sampling rate, 'rate: {run.log.signals.time.rate:g}' under signals.time"
+def stated_rate(run: Run) -> float | None:
+    """Return the sampling rate (Hz) that a log's signals state; None where the log has a time."""
+    stated = run.log is not None and isinstance(run.log.signals.time, SampleRate)
+    return run.log.signals.time.rate if stated else None  # type: ignore[union-attr]
+
+
+def clock_advice(rate: float | None) -> str:
+    """Advise what to correct where a run with this :func:`stated_rate` has a wrong time."""
+    if rate is not None:
+        return f"correct the sampling rate, 'rate: {rate:g}' under signals.time"
     return "correct the unit of the time (units: {time: ...})"
 
 

@@ -8,11 +8,12 @@ import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
-from gtau.estimation.diagnostics.findings import Findings
-from gtau.estimation.diagnostics.physical_plausibility import judge_parameter
+from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
 from gtau.estimation.diagnostics.scale import scale_shares
+from gtau.estimation.diagnostics.sensor_checks import sensor_verdict
 from gtau.estimation.diagnostics.uncertainty import Uncertainty
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict, parameter_verdict
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
@@ -38,7 +39,7 @@ from gtau.robots.units import torque_unit, unit_of
 def build_result(
     fit: Fit,
     estimator: Estimator,
-    findings: Findings,
+    examined: Examination,
     uncertainty: Uncertainty,
     essential: Essential,
     diagnosis: Diagnosis,
@@ -50,7 +51,7 @@ def build_result(
     ----------
     fit, estimator : Fit, Estimator
         The estimates with all base parameters, and what made them.
-    findings : Findings
+    examined : Examination
         What the data say against the model.
     uncertainty : Uncertainty
         Covariances of (theta, gains, delays), and the degrees of freedom behind them.
@@ -111,7 +112,7 @@ def build_result(
                 float(solution.gains[k]),
                 float(gain_std[k]) if gain_std.any() else None,
                 f"{units[k]}/A" if of_current else "1",
-                verdict=diagnosis.gains[k],
+                verdict=diagnosis.gains[joint],
                 freedom=None if freedom is None else float(freedom[n_theta + k]),
                 model_std=float(model_std[n_theta + k]) if gain_std.any() else None,
                 scale={source: float(share[k]) for source, share in scales.items()},
@@ -158,14 +159,14 @@ def build_result(
         statistics={
             **solution.statistics,
             "reduction_loss": essential.loss,
-            "lack_of_fit": findings.lack_of_fit,
+            "lack_of_fit": examined.lack_of_fit,
             "accuracy": float(diagnosis.accuracy),
         },
         temperatures=temperatures,
         runs=tuple(run.name for run in dataset.runs),
         notes=(*dataset.notes, *diagnosis.notes),
         consistency=consistency,
-        alternatives=tuple(_moves(each, robot) for each in findings.alternatives),
+        alternatives=tuple(_moves(each, robot) for each in examined.alternatives),
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
         data=dataset.runs,
@@ -199,7 +200,7 @@ def _known(std: float, verdict: Verdict) -> float | None:
 def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
     return AlternativeMoves(
         each.hypothesis,
-        each.subject,
+        each.causes,
         each.size,
         each.std if np.isfinite(each.std) else None,
         each.unit,
@@ -261,7 +262,7 @@ def _sensors(
         scale = next((each for each in diagnosis.sensors if each.joint == joint), None)
         ratio = None
         if scale is not None:
-            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=scale.verdict(diagnosis.accuracy))
+            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, diagnosis.accuracy))
         sensors.append(SensorEstimate(joint, own, delay, residual, ratio))
     return tuple(sensors)
 

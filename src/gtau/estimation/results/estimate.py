@@ -11,6 +11,8 @@ import numpy as np
 
 from gtau import display
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 
 if TYPE_CHECKING:
@@ -150,20 +152,25 @@ class ReferenceTemperatures:
 
 @dataclass(frozen=True)
 class AlternativeMoves:
-    """The model with one further unknown: what that is, its size, and by how much the gains would move.
+    """The model with one further unknown: its causes, its size, and by how much the gains would move.
 
     ``std`` is that of ``size``, None where the data say nothing of it; ``probability`` that it holds, given the data;
     ``share`` of the residual variance that it explains; ``moves`` of each joint's gain, per cent.
     """
 
     hypothesis: str
-    subject: str
+    causes: tuple[Finding, ...]
     size: float
     std: float | None
     unit: str
     probability: float
     share: float
     moves: Mapping[str, float]
+
+    @property
+    def subject(self) -> str:
+        """The causes by name."""
+        return named(self.causes)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gtau.estimation.diagnostics.verdict import Outcome, percent_text
+from gtau.estimation.diagnostics.sentences import percent_text
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import IdentifiedModel
 
@@ -57,8 +58,10 @@ def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
     if not gains:
         return []
     widths = [(gain.half_width or 0.0, gain) for gain in gains]
-    known = [f"'{gain.name}' to +-{percent_text(width, accuracy)} %" for width, gain in widths]
-    known[0] = known[0].replace(" to ", " is known to ", 1)
+    known = [
+        f"'{gain.name}'{'' if k else ' is known'} to +-{percent_text(width, accuracy)} %"
+        for k, (width, gain) in enumerate(widths)
+    ]
     listed = known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]
     worst = max(widths, key=lambda pair: pair[0])[1]
     return [f"{listed}. Joint '{worst.name}': {worst.verdict.why}; {worst.verdict.advice}."]

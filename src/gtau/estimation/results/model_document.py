@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+from gtau.estimation.diagnostics.finding import finding_document
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.grades import to_document as note_document
 from gtau.estimation.results.estimate import (
+    AlternativeMoves,
     Estimate,
     PayloadEstimate,
     TorqueError,
@@ -58,7 +60,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         },
         "logged_speeds": dict(result.logged_speeds),
         "statistics": dict(result.statistics),
-        "alternatives": [asdict(each) for each in result.alternatives],
+        "alternatives": [_alternative(each) for each in result.alternatives],
         "singularities": [asdict(each) for each in result.singularities],
         "temperatures": result.temperatures and asdict(result.temperatures),
         "geometry": result.geometry and geometry_document(result.geometry),
@@ -124,7 +126,12 @@ def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
-    return {"outcome": verdict.outcome.value, "why": verdict.why, "advice": verdict.advice}
+    finding = None if verdict.finding is None else finding_document(verdict.finding)
+    return {"outcome": verdict.outcome.value, "finding": finding, "why": verdict.why, "advice": verdict.advice}
+
+
+def _alternative(each: AlternativeMoves) -> dict[str, Any]:
+    return asdict(each) | {"subject": each.subject, "causes": list(map(finding_document, each.causes))}
 
 
 def _parameter(estimate: Estimate) -> dict[str, Any]:

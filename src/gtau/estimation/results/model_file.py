@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import read_finding
 from gtau.estimation.diagnostics.geometry_findings import from_document as read_geometry
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
@@ -174,7 +175,7 @@ def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) ->
         temperatures=document.get("temperatures") and ReferenceTemperatures(**document["temperatures"]),
         geometry=document.get("geometry") and read_geometry(document["geometry"]),
         consistency=None if document["standard"] is None else _read_standard(document["standard"]),
-        alternatives=tuple(AlternativeMoves(**each) for each in document["alternatives"]),
+        alternatives=tuple(map(_read_alternative, document["alternatives"])),
         singularities=tuple(NearestPose(**each) for each in document["singularities"]),
     )
 
@@ -205,4 +206,10 @@ def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
 
 
 def _read_verdict(entry: Mapping[str, Any]) -> Verdict:
-    return Verdict(Outcome(entry["outcome"]), entry["why"], entry["advice"])
+    finding = None if entry["finding"] is None else read_finding(entry["finding"])
+    return Verdict(Outcome(entry["outcome"]), finding)
+
+
+def _read_alternative(entry: Mapping[str, Any]) -> AlternativeMoves:
+    others = {key: value for key, value in entry.items() if key not in ("subject", "causes")}
+    return AlternativeMoves(causes=tuple(map(read_finding, entry["causes"])), **others)

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict
+from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from gtau.estimation.results.identified_model import IdentifiedModel
 
 LEAST = 0.01  # share of a source that is mentioned
-SENSOR = "torque sensor of "
 
 
-def scale_words(scale: Mapping[str, float]) -> str:
-    """Name the source of the scale, as ``payload 'steel'``, or several with their shares, the largest first."""
-    listed = sorted((each for each in scale.items() if abs(each[1]) >= LEAST), key=lambda each: -each[1])
-    if len(listed) == 1:
-        return _named(listed[0][0])
-    return ", ".join(f"{_named(source)} ({100 * share:.0f} %)" for source, share in listed)
+def scale_lines(result: IdentifiedModel, masses: bool = False) -> list[str]:
+    """Describe what the scale of all gains rests on, or of each where they differ; empty where they were given.
 
-
-def scale_lines(result: IdentifiedModel) -> list[str]:
-    """Describe what the scale of all gains rests on, or of each where they differ; empty where they were given."""
-    words = {joint: scale_words(gain.scale) for joint, gain in result.drive_gains.items() if gain.scale}
+    With ``masses``, payloads are named with theirs.
+    """
+    names = _sensors(result)
+    if masses:
+        known = {each.name: each.parameters["m"].value for each in result.payloads if "m" in each.known}
+        names |= {f"payload '{name}'": f"payload '{name}' ({mass:g} kg)" for name, mass in known.items()}
+    words = {joint: _words(gain.scale, names) for joint, gain in result.drive_gains.items() if gain.scale}
     if not words:
         return []
     if len(set(words.values())) == 1:
@@ -34,15 +32,23 @@ def all_sources(result: IdentifiedModel) -> str:
     for gain in result.drive_gains.values():
         for source, share in gain.scale.items():
             totals[source] = totals.get(source, 0.0) + abs(share) / len(result.drive_gains)
-    found: Sequence[str] = [
-        source for source, each in sorted(totals.items(), key=lambda each: -each[1]) if each >= LEAST
-    ]
-    sensors = [f"'{joint}'" for joint in result.robot.actuated if f"{SENSOR}'{joint}'" in found]
-    if len(sensors) > 1:
-        others = [each for each in found if not each.startswith(SENSOR)]
-        found = [f"torque sensors of {', '.join(sensors)}", *others]
-    return " and ".join(map(_named, found))
+    found = [source for source, each in sorted(totals.items(), key=lambda each: -each[1]) if each >= LEAST]
+    names = _sensors(result)
+    sensors = [f"'{joint}'" for joint, source in zip(result.robot.actuated, names, strict=True) if source in found]
+    if len(sensors) < 2:
+        return " and ".join(names.get(source, source) for source in found)
+    others = [source for source in found if source not in names]
+    return " and ".join([f"the torque sensors of {', '.join(sensors)}", *others])
 
 
-def _named(source: str) -> str:
-    return f"the {source}" if source.startswith("torque") else source
+def _sensors(result: IdentifiedModel) -> dict[str, str]:
+    """Name the torque sensors of all joints, by the source of a scale that each is."""
+    return {f"torque sensor of '{joint}'": f"the torque sensor of '{joint}'" for joint in result.robot.actuated}
+
+
+def _words(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
+    """Name the source of a scale, or several with their shares, the largest first."""
+    listed = sorted((each for each in scale.items() if abs(each[1]) >= LEAST), key=lambda each: -each[1])
+    if len(listed) == 1:
+        return names.get(listed[0][0], listed[0][0])
+    return ", ".join(f"{names.get(source, source)} ({100 * share:.0f} %)" for source, share in listed)

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import Outcome, percent_text
+from gtau.estimation.diagnostics.sentences import percent_text
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.grades import by_grade

@@ -11,10 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis, shifted_motion, window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
-from gtau.estimation.diagnostics.log_checks import other_clock
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.motion_limits import stated_rate
 from gtau.estimation.thresholds.estimates import (
     CLOCK_REVERSED,
     CLOCK_SIZE,
@@ -49,23 +51,14 @@ def _encoder_zeros(fit: Fit) -> Candidates:
         return at_full_rate(window, dataset, columns)
 
     return Candidates(
-        tuple(f"an error in the zero of encoder '{joint}'" for joint in model.actuated),
+        [Finding(F.ENCODER_ZERO, (joint,)) for joint in model.actuated],
         tuple("deg" if turn else "mm" for turn in turns),
         np.full((n, 1), PLAUSIBLE_ZERO),
         offer,
     )
 
 
-ENCODER_ZEROS = Hypothesis(
-    "encoder zeros", True, _encoder_zeros, "check the zeros of the encoders against the robot's own", description=True
-)
-
-
-DEGREE = np.pi / 180
-ADVICE = (
-    "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and on "
-    "which body"
-)
+ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, description=True)
 
 
 def _gravity(fit: Fit) -> Candidates | None:
@@ -87,26 +80,23 @@ def _gravity(fit: Fit) -> Candidates | None:
         torques = [each.torques_along(model.layout, motion, values) - before for each in others]
         return at_full_rate(window, dataset, np.stack(torques))
 
-    names = [f"gravity tilted towards ({tilt[0]:.2g}, {tilt[1]:.2g}, {tilt[2]:.2g})" for tilt in Vt[1:]]
+    tilts = [Finding(F.GRAVITY_TILT, values={"towards": tilt.tolist()}) for tilt in Vt[1:]]
     plausible = np.array([[PLAUSIBLE_TILT], [PLAUSIBLE_TILT], [PLAUSIBLE_GRAVITY]])
 
-    def describe(sizes: np.ndarray, shares: np.ndarray) -> tuple[str, str]:
-        x, y, z = gravity + sizes @ np.array(changes)
+    def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
         factor = 1 + sizes[-1] / 100
         # as where gravity points up
         reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
         if shares[-1] > CLOCK_SIZE and not reversed_:
-            why, advice = other_clock(factor, dataset.runs)
-            return f"another clock: {why}", advice
-        return f"another gravity, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2", ADVICE
+            return Finding(F.CLOCK, values={"factor": float(factor), "rate": stated_rate(dataset.runs[0])})
+        return Finding(F.GRAVITY, values={"gravity": (gravity + sizes @ np.array(changes)).tolist()})
 
-    return Candidates((*names, "gravity of another strength"), ("deg", "deg", "%"), plausible, offer, describe)
+    return Candidates([*tilts, Finding(F.GRAVITY_STRENGTH)], ("deg", "deg", "%"), plausible, offer, describe)
 
 
 GRAVITY = Hypothesis(
     "gravity",
     True,
     _gravity,
-    ADVICE,
     description=True,
 )

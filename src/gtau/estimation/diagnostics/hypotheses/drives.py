@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from gtau.estimation.diagnostics.finding import RELATIVE, Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.hypothesis import (
     Candidates,
     Hypothesis,
@@ -60,7 +62,7 @@ def _friction_shape(fit: Fit) -> Candidates:
 
     plausible = np.array([PLAUSIBLE_CUBIC, PLAUSIBLE_LOAD_FRICTION, PLAUSIBLE_STRIBECK])
     return Candidates(
-        ("cubic friction of {subject}", "load-dependent friction of {subject}", "Stribeck friction of {subject}"),
+        [Finding(F.CUBIC_FRICTION), Finding(F.LOAD_FRICTION), Finding(F.STRIBECK_FRICTION)],
         ("of its friction", "of its load", "of its friction"),
         np.repeat(plausible[:, None], len(joints), axis=1),
         offer,
@@ -71,7 +73,6 @@ FRICTION_SHAPE = Hypothesis(
     "friction shape",
     False,
     _friction_shape,
-    "add runs at other speeds, or with other loads, to separate it from the rest",
 )
 
 
@@ -87,19 +88,14 @@ def _friction_drift(fit: Fit) -> Candidates:
         return at_full_rate(window, fit.dataset, np.stack([(fv * of.qd * along).T, (fs * np.sign(of.qd) * along).T]))
 
     return Candidates(
-        (
-            "viscous friction of {subject} changing along the runs",
-            "Coulomb friction of {subject} changing along the runs",
-        ),
-        ("of itself", "of itself"),
+        [Finding(F.VISCOUS_DRIFT), Finding(F.COULOMB_DRIFT)],
+        (RELATIVE, RELATIVE),
         np.full((2, len(joints)), PLAUSIBLE_FRICTION_DRIFT),
         offer,
     )
 
 
-FRICTION_DRIFT = Hypothesis(
-    "friction drift", False, _friction_drift, "let the robot warm up before the runs, or split long runs"
-)
+FRICTION_DRIFT = Hypothesis("friction drift", False, _friction_drift)
 
 
 LARGE = 2.0  # rms currents: where the fall is stated
@@ -117,8 +113,8 @@ def _saturation(fit: Fit) -> Candidates:
         return columns
 
     return Candidates(
-        ("the torque constant of {subject} falling with its current",),
-        (f"of itself up to {LARGE:g} times the rms current",),
+        [Finding(F.SATURATION)],
+        (f"{RELATIVE} up to {LARGE:g} times the rms current",),
         np.full((1, n), PLAUSIBLE_SATURATION),
         offer,
     )
@@ -138,8 +134,8 @@ def _gain_drift(fit: Fit) -> Candidates:
         return columns
 
     return Candidates(
-        ("the torque constant of {subject} falling along the runs",),
-        ("of itself",),
+        [Finding(F.GAIN_DRIFT)],
+        (RELATIVE,),
         np.full((1, n), PLAUSIBLE_GAIN_DRIFT),
         offer,
     )
@@ -149,10 +145,8 @@ SATURATION = Hypothesis(
     "saturation",
     False,
     _saturation,
-    "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the actual "
-    "current; friction that grows with the load has the same effect",
 )
-GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, "let the robot warm up before the runs", description=True)
+GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, description=True)
 
 
 def _current_lag(fit: Fit) -> Candidates:
@@ -165,11 +159,11 @@ def _current_lag(fit: Fit) -> Candidates:
         return at_full_rate(window, fit.dataset, change.T[None])
 
     return Candidates(
-        ("a low-pass filter of the current of {subject}, or an elastic transmission",),
+        [Finding(F.CURRENT_LAG)],
         ("s2",),
         np.full((1, n), PLAUSIBLE_LAG),
         offer,
     )
 
 
-CURRENT_LAG = Hypothesis("current lag", False, _current_lag, "log the current before any filter, and move more slowly")
+CURRENT_LAG = Hypothesis("current lag", False, _current_lag)

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.linearisation import Offer
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Labels
@@ -22,8 +23,8 @@ class Candidates:
 
     Attributes
     ----------
-    names : sequence of str
-        What each of the m columns is, with ``{subject}`` for the joint in whose equations it is tried.
+    causes : sequence of Finding
+        What each of the m columns is; those that are tried joint by joint are given their joint later.
     units : sequence of str
         Of their sizes.
     plausible : ndarray
@@ -32,15 +33,15 @@ class Candidates:
     offer : callable
         Makes the columns.
     describe : callable, optional
-        Names what sizes (m,) of all columns together mean, and what to do, where they are to be tried together too; its
-        second argument are the shares (m,) of what they explain together that each column explains alone.
+        Finds what sizes (m,) of all columns together mean, where they are to be tried together too; its second argument
+        are the shares (m,) of what they explain together that each column explains alone.
     """
 
-    names: Sequence[str]
+    causes: Sequence[Finding]
     units: Sequence[str]
     plausible: np.ndarray
     offer: Offer
-    describe: Callable[[np.ndarray, np.ndarray], tuple[str, str]] | None = None
+    describe: Callable[[np.ndarray, np.ndarray], Finding] | None = None
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,6 @@ class Hypothesis:
         all is of the links, which torque sensors feel too; what is a joint's own is of its drive.
     candidates : callable
         From a fit to its candidates; None where the hypothesis has nothing to say of this robot.
-    advice : str
-        What to do where the data ask for it.
     description : bool
         Whether it contradicts what the user states of robot and logs; otherwise it is physics that the model lacks,
         which widens the intervals.
@@ -66,7 +65,6 @@ class Hypothesis:
     name: str
     shared: bool
     candidates: Callable[[Fit], Candidates | None]
-    advice: str
     description: bool = False
 
 

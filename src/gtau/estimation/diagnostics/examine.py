@@ -1,4 +1,4 @@
-"""What the data say against a fit: all alternatives tried, and what they refute."""
+"""Examine a fit: all alternatives tried, and what they refute."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, model_covariance, support
+from gtau.estimation.diagnostics.finding import RELATIVE, Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_change import gain_changes
-from gtau.estimation.diagnostics.lack_of_fit import lack_of_fit
 from gtau.estimation.diagnostics.lengths import other_length
-from gtau.estimation.diagnostics.log_checks import swapped_channels
+from gtau.estimation.diagnostics.log_checks import lack_of_fit, swapped_channels
 from gtau.estimation.diagnostics.other_estimators import (
     alternatives_of,
     other_estimators,
     two_stage_difference,
 )
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
-from gtau.estimation.diagnostics.verdict import Refutation
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.estimates import (
     DOMINANT,
@@ -32,7 +32,7 @@ from gtau.progress import Progress, silent
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class Examination:
     """What the data say against a fit.
 
     Attributes
@@ -43,14 +43,17 @@ class Findings:
         All that were tried.
     ripple : PositionRipple
         What of the residuals repeats at the same positions.
-    swapped : tuple of Refutation
+    swapped : tuple of Finding
         Pairs of joints whose channels look swapped.
+    untested : tuple of Finding
+        Tests that refused these data, and why.
     """
 
     lack_of_fit: float
     alternatives: tuple[Alternative, ...]
     ripple: PositionRipple
-    swapped: tuple[Refutation, ...]
+    swapped: tuple[Finding, ...]
+    untested: tuple[Finding, ...] = ()
 
     @property
     def covariance(self) -> np.ndarray:
@@ -76,7 +79,7 @@ class Findings:
         return tuple(sorted(found, key=lambda each: -each.share))
 
 
-def examine(fit: Fit, progress: Progress = silent) -> Findings:
+def examine(fit: Fit, progress: Progress = silent) -> Examination:
     """Try all hypotheses on a fit.
 
     Parameters
@@ -89,7 +92,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Findings:
     lack = lack_of_fit(fit.system.problem, fit.solution)
     alternatives = list(find_alternatives(fit))
     scaled = False
-    differences = list(other_estimators(fit))
+    (*differences,), untested = other_estimators(fit)
     if fit.free_gains:
         differences.append(two_stage_difference(fit))
         changes = _of_gain_changes(fit)
@@ -99,33 +102,27 @@ def examine(fit: Fit, progress: Progress = silent) -> Findings:
         alternatives += _of_lengths(fit, progress)
     ripple = PositionRipple.none(fit) if scaled or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
-    return Findings(lack, weighed, ripple, swapped_channels(fit.dataset) if lack > LACKING else ())
+    swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
+    return Examination(lack, weighed, ripple, swapped, untested)
 
 
-RUNS_ADVICE = (
-    "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
-    "loaded and unloaded runs, as a motor's torque constant falls as it warms up"
-)
-
-
-def _certain(fit: Fit, hypothesis: str, subject: str, size: float, std: float, moves: np.ndarray) -> Alternative:
+def _certain(fit: Fit, hypothesis: str, cause: Finding, size: float, std: float, moves: np.ndarray) -> Alternative:
     """Make an alternative that a test of its own found significant; ``moves`` (n,) are those of the gains."""
     slopes = np.zeros(len(fit.solution.stacked))
     slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
     return Alternative(
         hypothesis=hypothesis,
-        subject=subject,
+        causes=(cause,),
         size=size,
         std=std,
-        unit="of itself",
+        unit=RELATIVE,
         plausible=abs(size),
-        group=subject,
+        group=(cause.kind, *cause.joints),
         log_factor=np.inf,
         second_moment=size**2,
         share=0.0,
         slopes=slopes,
         moves=moves,
-        advice="",
         description=True,
     )
 
@@ -134,9 +131,7 @@ def _of_lengths(fit: Fit, progress: Progress) -> list[Alternative]:
     found = other_length(fit, progress)
     if found is None:
         return []
-    subject = f"another length, such as {found.what}"
-    certain = _certain(fit, "lengths", subject, found.change, np.nan, found.moves)
-    return [replace(certain, share=found.share, advice="check the robot's geometry")]
+    return [replace(_certain(fit, "lengths", found.cause, found.change, np.nan, found.moves), share=found.share)]
 
 
 def _of_gain_changes(fit: Fit) -> list[Alternative]:
@@ -146,10 +141,9 @@ def _of_gain_changes(fit: Fit) -> list[Alternative]:
         if not each.t or abs(each.change) > SCALED:
             continue  # reversed, or in another unit: other checks name these better
         std = abs(each.change / each.t)
-        runs, way = " and ".join(f"'{names[k]}'" for k in each.runs), "larger" if each.change > 0 else "smaller"
-        subject = f"the current of '{joint}' being {way} in run {runs} than the other runs say"
+        cause = Finding(F.GAIN_CHANGE, (joint,), "", {"runs": [names[k] for k in each.runs], "change": each.change})
         factor, moment = support(each.change, std, PLAUSIBLE_GAIN_CHANGE)
-        certain = _certain(fit, "gain change", subject, each.change, std, each.moves)
+        certain = _certain(fit, "gain change", cause, each.change, std, each.moves)
         weighed = replace(certain, plausible=PLAUSIBLE_GAIN_CHANGE, log_factor=factor, second_moment=moment)
-        found.append(replace(weighed, share=each.share, advice=RUNS_ADVICE))
+        found.append(replace(weighed, share=each.share))
     return found

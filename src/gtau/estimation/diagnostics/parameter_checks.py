@@ -1,4 +1,4 @@
-"""Whether legs of the same geometry were identified as alike (the paper's check after section 3.1)."""
+"""Verdicts on parameters, friction, delays and payloads, and the comparison of like legs."""
 
 from __future__ import annotations
 
@@ -8,13 +8,108 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict, verdict_of
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.equations import SIGNALS, modelled
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.estimates import LEG_DIFFERENCE, LEG_DIFFERENCE_STD, LEG_PROBABILITY
+from gtau.estimation.thresholds.estimates import (
+    APART,
+    LEG_DIFFERENCE,
+    LEG_DIFFERENCE_STD,
+    LEG_PROBABILITY,
+    NEGATIVE_STD,
+    WEAK_PARAMETER,
+)
+from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 from gtau.model.base_parameters import BaseParameters
 from gtau.robots.geometry import identical_legs
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Kind, Note
+
+NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
+TERM = re.compile(r"([+-])\s*(?:[\d.e+-]+ )?([a-z]+\d?)_")
+
+
+def parameter_verdict(value: float | None, std: float | None) -> Verdict:
+    """Judge a parameter by its value and standard deviation."""
+    if value is None:
+        return verdict_of(Finding(F.INSEPARABLE))
+    if std is None:
+        return GOOD
+    if abs(value) < 2 * std:
+        return verdict_of(Finding(F.NEAR_ZERO))
+    if std > WEAK_PARAMETER * abs(value):
+        return verdict_of(Finding(F.UNCERTAIN, values={"std": std / abs(value)}))
+    return GOOD
+
+
+def judge_parameter(value: float | None, std: float | None, regrouping: str) -> Verdict:
+    """Judge a base parameter from its value, standard deviation, and what it regroups."""
+    if value is None or std is None or not std or value >= -NEGATIVE_STD * std or not cannot_be_negative(regrouping):
+        return parameter_verdict(value, std)
+    friction = regrouping.startswith(("fv", "fs"))
+    return verdict_of(Finding(F.IMPOSSIBLE, values={"t": -value / std, "friction": friction}))
+
+
+def cannot_be_negative(regrouping: str) -> bool:
+    """Decide from its regrouping whether a base parameter is a sum of masses, moments of inertia or friction."""
+    terms = TERM.findall(f"+ {regrouping}")
+    return bool(terms) and all(sign == "+" and kind in NONNEGATIVE for sign, kind in terms)
+
+
+def known_verdict(parameter: str, declared: float, found: float, std: float, unit: str) -> Verdict:
+    """Judge a known ``parameter`` of a payload by its estimate from all else that is known."""
+    if abs(found - declared) <= APART * std:
+        return GOOD
+    values = {"parameter": parameter, "declared": declared, "found": found, "std": std, "unit": unit}
+    kind = F.PAYLOAD_MASS if parameter == "m" else F.PAYLOAD_PARAMETER
+    return verdict_of(Finding(kind, values=values, severity=abs(found - declared) / std))
+
+
+def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the share of motion in the mean square of each channel's rate of change, and its standard error, (c,).
+
+    The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated). The error is
+    that of a ratio, from its scatter over the units.
+    """
+    v, rate, change = np.moveaxis(problem.blocks[..., SIGNALS], -1, 0)  # (U, c, p) each
+    e = v - modelled(problem.blocks, solution.theta) / solution.gains[:, None]
+    whole = np.einsum("ujp,ujp->uj", rate, rate)
+    of_motion = whole + np.einsum("ujp,ujp->uj", e, change)
+    total = np.maximum(whole.sum(axis=0), 1e-300)
+    share = of_motion.sum(axis=0) / total
+    return share, np.linalg.norm(of_motion - share * whole, axis=0) / total
+
+
+def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> tuple[Verdict, ...]:
+    """Judge the delay of every channel: of the joints' currents, and of torque sensors.
+
+    A delay is read off the current's rate of change. Where a joint moves slowly, that is mostly noise, which looks the
+    same at any delay. What the expansion ``v - d v' + d^2/2 v''`` makes of the noise then places the minimum, and gives
+    it a curvature of its own: the standard deviation means nothing.
+
+    Parameters
+    ----------
+    problem, solution : Problem, Solution
+        What was solved.
+    std : ndarray
+        Standard deviations of the delays (c,), s.
+    period : float
+        Of the samples, s; a delay within one is believed whatever its relative standard deviation.
+    """
+    found = []
+    for share, error, delay, deviation in zip(*moving_share(problem, solution), solution.delays, std, strict=True):
+        if share <= DELAY_MOTION * error:
+            found.append(verdict_of(Finding(F.DELAY_NOISE)))
+        elif abs(delay) > period and deviation > DELAY_STD * abs(delay):
+            found.append(verdict_of(Finding(F.DELAY_UNCERTAIN, values={"std": float(deviation)})))
+        else:
+            found.append(GOOD)
+    return tuple(found)
+
 
 FRICTION = ("fv", "fs", "off")  # these always differ, and the table of parameters shows them
 
@@ -134,7 +229,7 @@ def _in_leg(word: str, leg: tuple[str, ...]) -> str:
     return f"{kind}_[{leg.index(joint)}]" if joint in leg else re.sub(r"^(\d+\.\d{3})\d*$", r"\1", word)
 
 
-def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance: np.ndarray) -> list[Note]:
+def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance: np.ndarray) -> list[Finding]:
     """Test whether legs of the same geometry have different parameters (the paper's check after section 3.1).
 
     Their frictions always differ, and the table shows them.
@@ -155,8 +250,4 @@ def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance:
     if not differences:
         return []
     relative, name, each = max(differences, key=lambda difference: difference[0])
-    size = f"{relative:.0f} %" if relative < 1000 else "more than ten times"
-    what = (
-        f"legs of the same geometry differ, most in {name} of leg '{each.leg[0]}' ({size} off the mean of the others)"
-    )
-    return [Note(Kind.MODEL, what, "check that they are built alike")]
+    return [Finding(F.UNLIKE_LEGS, subject=each.leg[0], values={"parameter": name, "share": relative / 100})]

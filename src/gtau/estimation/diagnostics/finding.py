@@ -1,0 +1,123 @@
+"""Findings: what checks report, as data. Verdicts follow from them in one decision, sentences are made last."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+RELATIVE = "of itself"  # unit of a size that is a share of what it changes
+
+
+class FindingKind(StrEnum):
+    """What was found; :mod:`gtau.estimation.diagnostics.sentences` has the words for each."""
+
+    # against drive gains, in the order of their rank
+    NEGATIVE_MASS = "negative mass"
+    BASE_UNEXPLAINED = "unexplained base wrench"
+    TLS_CONFUSED = "payload lost in noise"
+    ALL_NEGATIVE = "all gains negative"
+    SWAPPED = "swapped channels"
+    REFUTED = "description refuted"
+    UNEXPLAINED = "unexplained current"
+    PAYLOAD = "contradictory payload"
+    SENSOR = "contradictory torque sensor"
+    WHOLE_MASS = "contradictory mass"
+    UNSETTLED = "not converged"
+    LOST = "lost in noise"
+    SIGN_OPEN = "sign open"
+    OTHER_ESTIMATOR = "other estimator"
+    PRIOR_GAIN = "prior gain"
+    EFFORT = "effort limit"
+    WIDE_SCALE = "uncertain scale"
+    WIDE_RANDOM = "wide interval"
+    WIDE_RIPPLE = "wide by ripple"
+    WIDE_CAUSE = "wide by an alternative"
+    COUPLED = "coupled joint"
+    NEGATIVE_GAIN = "negative gain"
+    # against delays, parameters, payloads, torque sensors
+    DELAY_NOISE = "delay lost in noise"
+    DELAY_UNCERTAIN = "uncertain delay"
+    INSEPARABLE = "not separable"
+    NEAR_ZERO = "near zero"
+    UNCERTAIN = "uncertain parameter"
+    IMPOSSIBLE = "physically impossible"
+    PAYLOAD_MASS = "payload mass"
+    PAYLOAD_PARAMETER = "payload parameter"
+    SENSOR_SCALE = "sensor scale"
+    # notes
+    UNLIKE_LEGS = "unlike legs"
+    PRIOR = "contradictory prior"
+    POSITION_NOISE = "position noise"
+    RIPPLE = "position ripple"
+    SMALL_REFUTATION = "description refuted, gains unmoved"
+    UNTESTED = "other estimators not tried"
+    COMMAND_LAG = "command lag"
+    SLIGHT_COMMAND_LAG = "slight command lag"
+    # what the model may lack, or the description have wrong
+    CUBIC_FRICTION = "cubic friction"
+    LOAD_FRICTION = "load-dependent friction"
+    STRIBECK_FRICTION = "Stribeck friction"
+    VISCOUS_DRIFT = "drifting viscous friction"
+    COULOMB_DRIFT = "drifting Coulomb friction"
+    SATURATION = "saturation"
+    GAIN_DRIFT = "gain drift"
+    CURRENT_LAG = "current lag"
+    ENCODER_ZERO = "encoder zero"
+    GRAVITY_TILT = "gravity tilt"
+    GRAVITY_STRENGTH = "gravity strength"
+    GRAVITY = "gravity"
+    CLOCK = "clock"
+    LENGTH = "length"
+    GAIN_CHANGE = "gain change"
+    BANDWIDTH = "bandwidth"
+    SLOW_ROWS = "rows at low speed"
+    TWO_STAGE = "two-stage least squares"
+    INSTRUMENTS = "instrumental variables"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding of a check.
+
+    Attributes
+    ----------
+    kind : FindingKind
+        What was found.
+    joints : tuple of str
+        Joints whose gains, delays or drives it is about.
+    subject : str
+        Payload, sensor, parameter, body or leg that it is about, where there is one.
+    values : mapping
+        Numbers, names and switches of the sentence; shares and moves as ratios, SI units.
+    causes : tuple of Finding
+        What explains it; the first counts most, and all have the same effect.
+    severity : float
+        Of two findings of one kind on a joint, the larger counts.
+    """
+
+    kind: FindingKind
+    joints: tuple[str, ...] = ()
+    subject: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    causes: tuple[Finding, ...] = ()
+    severity: float = 0.0
+
+
+def finding_document(finding: Finding) -> dict[str, Any]:
+    """Describe a finding as a JSON document."""
+    return {
+        "kind": finding.kind.value,
+        "joints": list(finding.joints),
+        "subject": finding.subject,
+        "values": dict(finding.values),
+        "causes": [finding_document(each) for each in finding.causes],
+    }
+
+
+def read_finding(document: Mapping[str, Any]) -> Finding:
+    """Restore a finding from the document that :func:`finding_document` made."""
+    causes = tuple(map(read_finding, document["causes"]))
+    kind, joints = FindingKind(document["kind"]), tuple(document["joints"])
+    return Finding(kind, joints, document["subject"], dict(document["values"]), causes)

@@ -1,0 +1,194 @@
+"""Checks of drive gains, as findings: each check stands alone, and :func:`verdict.decide` ranks what they find.
+
+A cross-validated torque says nothing about a wrong gain, as both sides of the equation carry it. What the user must
+know of a gain is how far it may be off: its interval, with a random part and one from what the model may lack. It is
+good where the whole interval lies within the accuracy asked for, and contradictory only where the data refute the
+description of robot and logs and the gain would move by more than that.
+
+An error of a unit scales all gains, or a payload, and is met by the data as well as the truth; only what is known
+beside the data reveals it: gains from data sheets, and the limits of the joints' effort. Gains and parameters also
+absorb part of a wrench of wrong sign, point, body or axes, and lengths or single currents look wrong instead: so
+wherever wrenches are measured, the advice names them first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.uncertainty import Uncertainty
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.flight import whole_mass
+from gtau.estimation.thresholds.estimates import (
+    APART_REFUTED,
+    BASE_MISFIT,
+    EFFORT_FACTOR,
+    LOST_GAIN,
+    MISFIT,
+    MISFIT_GIVEN,
+    NAMED_SHARE,
+    NEGATIVE_STD,
+    PRIOR_FACTOR,
+)
+from gtau.robots.units import torque_unit
+
+NORMAL = 1.96  # standard deviations in half a 95 % interval
+
+
+def estimated_gains(
+    fit: Fit, examined: Examination, uncertainty: Uncertainty, accuracy: float, prior_gains: Mapping[str, float]
+) -> Iterator[Finding]:
+    """Check drive gains that were estimated by their own equations.
+
+    Parameters
+    ----------
+    fit, examined, uncertainty : Fit, Examination, Uncertainty
+        What was estimated, what the data say against it, and how well it is known.
+    accuracy : float
+        Half the relative width of the 95 % interval up to which a gain is good.
+    prior_gains : mapping
+        Gains expected, by joint; where one is negative, a motor turns against its joint, and all may.
+    """
+    problem, solution, gains = fit.system.problem, fit.solution, fit.gains
+    stds = np.sqrt(np.diag(uncertainty.random))[problem.gain_rows] / np.abs(gains)
+    halves = half_widths(fit, uncertainty)
+    misfits = solution.sigma / problem.balance(solution.theta)
+    wrenches, payload = {"wrenches": measured_wrenches(fit)}, {"payload": bool(fit.system.payloads)}
+    yield from (replace(each, values={**each.values, **wrenches}) for each in examined.swapped)
+    if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[problem.free[: len(gains)]] < 0):
+        yield Finding(F.ALL_NEGATIVE, motors(fit), values=wrenches)
+    if not solution.settled:
+        yield Finding(F.UNSETTLED, motors(fit))
+    for j, joint in enumerate(problem.joints):
+        if problem.channels[j].kind == "base":
+            continue  # the six rows of a base are judged together
+        std, half, mine = float(stds[j]), float(halves[j]), (joint,)
+        if std > LOST_GAIN:
+            yield Finding(F.LOST, mine, values={"std": std, **payload})
+            if "singular_ratio" in solution.statistics:
+                yield Finding(F.TLS_CONFUSED, mine)
+        for each in examined.refuted:
+            if abs(each.moves[j]) > accuracy:
+                values = {"size": each.size, "unit": each.unit, "share": each.share, "move": float(each.moves[j])}
+                yield Finding(F.REFUTED, mine, values={**values, **wrenches}, causes=each.causes, severity=each.share)
+        if misfits[j] > MISFIT:
+            values = {"share": float(misfits[j]), "kind": "current", "given": False}
+            yield Finding(F.UNEXPLAINED, mine, values={**values, **wrenches})
+        if half >= 1:  # an interval that includes zero leaves not even the sign
+            yield Finding(F.SIGN_OPEN, mine, values=payload)
+        for each in examined.alternatives:
+            if each.causes[0].kind == F.TWO_STAGE and abs(each.moves[j]) > accuracy and abs(each.t) > APART_REFUTED:
+                values = {"move": float(each.moves[j]), "t": each.t, **wrenches}
+                yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, severity=abs(each.t))
+        if half > accuracy:
+            values = {"half": half, "accuracy": accuracy, "random": bool(NORMAL * std > accuracy), **payload}
+            kind, causes = _widest(examined, uncertainty, problem.n_theta + j)
+            yield Finding(kind, mine, values=values, causes=causes)
+        if gains[j] < 0:
+            yield Finding(F.NEGATIVE_GAIN, mine)
+
+
+def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
+    """Compute half the relative widths of the gains' 95 % intervals, (n,)."""
+    from scipy.special import ndtri, stdtrit
+
+    gains = fit.system.problem.gain_rows
+    std = np.sqrt(np.diag(uncertainty.covariance)[gains]) / np.abs(fit.gains)
+    freedom = uncertainty.effective_freedom
+    return np.asarray(std * (ndtri(0.975) if freedom is None else stdtrit(freedom[gains], 0.975)))
+
+
+def _widest(examined: Examination, uncertainty: Uncertainty, row: int) -> tuple[F, tuple[Finding, ...]]:
+    """Find what contributes most to the interval of an estimate."""
+    random, model = uncertainty.random[row, row], uncertainty.model[row, row]
+    if uncertainty.scale[row, row] > NAMED_SHARE * (random + model):
+        return F.WIDE_SCALE, ()
+    if model < NAMED_SHARE * (random + model):
+        return F.WIDE_RANDOM, ()
+    most = max(examined.alternatives, key=lambda each: each.mean_square * each.slopes[row] ** 2, default=None)
+    if most is None or examined.ripple.moves[row] ** 2 > most.mean_square * most.slopes[row] ** 2:
+        return F.WIDE_RIPPLE, ()
+    return F.WIDE_CAUSE, most.causes
+
+
+def given_gains(fit: Fit, examined: Examination) -> Iterator[Finding]:
+    """Check gains that are given, or 1 for torques: the model has to explain each joint."""
+    misfit = (fit.solution.sigma / fit.system.problem.balance(fit.solution.theta))[: len(fit.gains)]
+    wrenches = {"wrenches": measured_wrenches(fit)}
+    yield from (replace(each, values={**each.values, **wrenches}) for each in examined.swapped)
+    for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
+        if share > MISFIT_GIVEN:
+            values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": True, **wrenches}
+            yield Finding(F.UNEXPLAINED, (joint,), values=values)
+
+
+def prior_gains_off(fit: Fit, priors: Mapping[str, float]) -> Iterator[Finding]:
+    """Find gains with a prior (by joint, N m/A or N/A) that are more than a factor of two off it."""
+    robot = fit.dataset.robot
+    for joint, gain in zip(fit.system.problem.joints, fit.gains, strict=True):
+        ratio = abs(gain / priors[joint]) if joint in priors else 1.0
+        if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
+            values = {"ratio": float(ratio), "prior": priors[joint], "unit": torque_unit(robot, joint)}
+            yield Finding(F.PRIOR_GAIN, (joint,), values=values)
+
+
+def efforts_exceeded(fit: Fit) -> Iterator[Finding]:
+    """Find joints whose torque, rms in N m or N, is more than twice their effort limit."""
+    robot, problem = fit.dataset.robot, fit.system.problem
+    torques = np.abs(fit.solution.gains) * problem.signal
+    for joint, torque in zip(problem.joints, torques[: len(problem.joints)], strict=True):
+        limit = robot.joint(joint).limits.effort
+        if limit is not None and torque > EFFORT_FACTOR * limit:
+            values = {"torque": float(torque), "limit": float(limit), "ratio": float(torque / limit)}
+            yield Finding(F.EFFORT, (joint,), values={**values, "unit": torque_unit(robot, joint)})
+
+
+def motors(fit: Fit) -> tuple[str, ...]:
+    """List the joints whose gains are judged: all but those of a floating base."""
+    return tuple(each.joint for each in fit.system.problem.channels if each.kind == "motor")
+
+
+def measured_wrenches(fit: Fit) -> bool:
+    """Whether wrenches are measured, on a body or on a floating base."""
+    problem = fit.system.problem
+    return bool(problem.wrenches) or not problem.silent[problem.of("base")].all()
+
+
+def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
+    """Find what contradicts measured wrenches: a negative mass of the robot, unexplained forces or moments on its base.
+
+    Both are against all gains.
+    """
+    floating, problem = fit.dataset.robot.floating, fit.system.problem
+    name = whole_mass(fit.system.base, fit.dataset.model.parameter_names) if floating else ""
+    if name in problem.parameters:
+        k = problem.parameters.index(name)
+        mass, std = float(fit.solution.theta[k]), float(np.sqrt(fit.solution.covariance[k, k]))
+        if mass < -NEGATIVE_STD * std:
+            yield Finding(F.NEGATIVE_MASS, motors(fit), name, {"mass": mass})
+    for part, share in base_misfit(fit).items():
+        if share > BASE_MISFIT:
+            yield Finding(F.BASE_UNEXPLAINED, motors(fit), floating, {"share": share, "part": part}, severity=share)
+
+
+def base_misfit(fit: Fit) -> dict[str, float]:
+    """Compute the unexplained shares (rms) of the forces and moments on a floating base, empty for a fixed one.
+
+    They are shares of all that is measured together, of wrenches on bodies too; of forces and moments in three
+    directions each, as what acts in one of them may be small. Where all of it is, of a third of the model's terms.
+    """
+    problem, theta = fit.system.problem, fit.solution.theta
+    rows = problem.of("base")
+    left, whole = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
+    terms = problem.largest_terms(theta)[rows] ** 2
+    parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}
+    # a base that hangs still at its centre of mass has hardly a moment but noise
+    return {
+        what: float(np.sqrt(left[of].sum() / max(whole[of].sum(), terms[of].sum() / 9, 1e-300)))
+        for what, of in parts.items()
+    }

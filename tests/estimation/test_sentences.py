@@ -1,0 +1,304 @@
+"""The words of every kind of finding, each asserted once: tests elsewhere assert kinds, joints and values."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from gtau.estimation.diagnostics.finding import Finding, finding_document, read_finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.sentences import WRENCHES, advice, named, note, reason
+from gtau.signals.notes import Kind
+
+# fmt: off
+SENTENCES = [  # finding, reason, advice
+    (Finding(F.NEGATIVE_MASS, (), "m_trunkR", values={"mass": -41.23}),
+     "the wrenches give the robot a mass of -41.2 kg",
+     "log the forces on the body, or reverse their signs"),
+    (Finding(F.BASE_UNEXPLAINED, (), "trunk", values={"share": 0.42, "part": "moments"}),
+     "the model leaves 42 % of the moments on the base 'trunk' unexplained",
+     "check the signs, axes, point ('at') and body of each wrench, that none is missing, and that they share the "
+     "positions' clock"),
+    (Finding(F.TLS_CONFUSED),
+     "total least squares cannot separate the payload from the noise (standard deviation over 50 %)",
+     "use --method ml, or a heavier payload and longer runs with less noise"),
+    (Finding(F.ALL_NEGATIVE),
+     "all drive gains are negative",
+     "check the sign of the currents and positions, gravity, which runs carry the payload, and on which body"),
+    (Finding(F.SWAPPED, ("a", "b"), values={"kind": "current", "exchanged": 0.021, "as_logged": 0.84}),
+     "the currents of 'a' and 'b' look swapped: exchanged, 2.1 % of them is unexplained, as logged 84 %",
+     "check that position and current columns belong together, in all runs"),
+    (Finding(F.REFUTED, ("left",),
+     values={"size": 1.2, "unit": "deg", "share": 0.31, "move": -0.045},
+     causes=(Finding(F.ENCODER_ZERO, ("left",)),)),
+     "an error in the zero of encoder 'left' (1.2 deg) would explain 31 % of the residual variance and move this "
+     "gain by -4.5 %",
+     "check the zeros of the encoders against the robot's own"),
+    (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False}),
+     "the model leaves 31 % of this joint's current unexplained",
+     "check that its position and current columns belong together, in all runs, and their signs and units"),
+    (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.61, "kind": "torque", "given": True}),
+     "the model leaves 61 % of this joint's torque unexplained",
+     "check its position and torque columns, their signs and units, the clock of the log and its 'preparation'"),
+    (Finding(F.PAYLOAD, ("left",), "steel"),
+     "it rests on payload 'steel', which contradicts the data",
+     "correct the payload"),
+    (Finding(F.SENSOR, ("left",), "right"),
+     "it rests on the torque sensor of 'right', which contradicts all other data",
+     "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"),
+    (Finding(F.WHOLE_MASS, ("left",), "m_trunkR",
+     values={"found": 41.2, "std": 0.3, "prior": 40.0, "prior_std": 0.1}),
+     "the mass of the robot, m_trunkR, is 41.2 +- 0.3 from the data, but 40 +- 0.1 from its prior",
+     "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"),
+    (Finding(F.UNSETTLED),
+     "the iteration did not converge, so the data do not determine it",
+     "resolve the contradictory joints first"),
+    (Finding(F.LOST, values={"std": 0.8, "payload": True}),
+     "its relative standard deviation is 80 %",
+     "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
+     "gravity, which runs carry the payload, and on which body"),
+    (Finding(F.SIGN_OPEN, values={"payload": False}),
+     "the 95 % interval includes zero",
+     "use longer runs, motions in which this joint lifts or accelerates more, or also a payload of known mass; "
+     "check the direction of gravity"),
+    (Finding(F.OTHER_ESTIMATOR, ("left",),
+     values={"move": 0.032, "t": -14.2}, causes=(Finding(F.TWO_STAGE, ("left",)),)),
+     "2SLS on the same data gives a gain 3.2 % larger, a difference of 14 standard deviations",
+     "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction "
+     "that grows with the load has the same effect"),
+    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 1003.0, "prior": 2.0, "unit": "N m"}),
+     "it is 1003 times its prior of 2 N m/A",
+     "check the payload's mass, which looks like g taken for kg, and the unit of the currents, A taken for mA"),
+    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 0.001, "prior": 2.0, "unit": "N m"}),
+     "it is 0.001 times its prior of 2 N m/A",
+     "check the unit of the currents, which looks like mA taken for A, and the payload's mass in kg"),
+    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 3.0, "prior": 2.0, "unit": "N m"}),
+     "it is 3 times its prior of 2 N m/A",
+     "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"),
+    (Finding(F.EFFORT, ("left",), values={"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m"}),
+     "at this gain the torque is 250 N m (rms), 2.5 times the joint's limit of 100 N m",
+     "check the payload's mass (kg), the unit of the currents, and 'limits: effort' in the robot file"),
+    (Finding(F.WIDE_SCALE, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
+     "its 95 % interval is +-5.1 %, limited by the uncertainty of its scale reference",
+     "calibrate the sensors, or weigh the payload, more accurately"),
+    (Finding(F.WIDE_RANDOM, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
+     "its 95 % interval is +-5.1 %",
+     "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; if other "
+     "joints are weak too, check which runs carry the payload, on which body, and gravity"),
+    (Finding(F.WIDE_RANDOM, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": False}),
+     "its 95 % interval is +-5.1 %",
+     "use longer runs, motions in which this joint lifts or accelerates more, or also a payload of known mass; "
+     "check the direction of gravity"),
+    (Finding(F.WIDE_RIPPLE, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
+     "its 95 % interval is +-5.1 %, as residuals repeat at the same positions (ripple of the motors, cables or "
+     "springs)",
+     "use other paths in the loaded and unloaded runs; use a heavier payload and longer runs, too"),
+    (Finding(F.WIDE_CAUSE, ("left",),
+     values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": False},
+     causes=(Finding(F.CURRENT_LAG, ("left",)),)),
+     "its 95 % interval is +-5.1 %, as the data cannot exclude a low-pass filter of the current of 'left', or an "
+     "elastic transmission",
+     "log the current before any filter, and move more slowly; use longer runs, too"),
+    (Finding(F.WIDE_CAUSE, ("left",),
+     values={"half": 0.051, "accuracy": 0.03, "random": False, "payload": True},
+     causes=(Finding(F.SATURATION, ("left",)),)),
+     "its 95 % interval is +-5.1 %, as the data cannot exclude the torque constant of 'left' falling with its "
+     "current",
+     "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the actual "
+     "current; friction that grows with the load has the same effect"),
+    (Finding(F.COUPLED, ("left",), "right"),
+     "joint 'right' contradicts the model, whose parameters all joints share",
+     "resolve that joint first"),
+    (Finding(F.NEGATIVE_GAIN, ("left",)),
+     "negative gain, as positive current drives the joint backwards",
+     "reverse the sign of current or position if that is not intended"),
+    (Finding(F.DELAY_NOISE),
+     "the current's rate of change may be nothing but noise",
+     "treat it as unknown, or move this joint faster; the drive gain does not depend on it"),
+    (Finding(F.DELAY_UNCERTAIN, values={"std": 0.012}),
+     "its standard deviation is 12 ms",
+     "treat it as a nuisance parameter, or move this joint faster"),
+    (Finding(F.INSEPARABLE),
+     "these motions cannot separate it from the parameters listed before it",
+     "add runs that move the joints in other ways"),
+    (Finding(F.NEAR_ZERO),
+     "it is within two standard deviations of zero",
+     "treat it as small, or move its joint faster and further"),
+    (Finding(F.UNCERTAIN, values={"std": 0.3}),
+     "its standard deviation is 30 %",
+     "add longer runs"),
+    (Finding(F.IMPOSSIBLE, values={"t": 11.0, "friction": True}),
+     "it is negative by 11 standard deviations: friction that drives the joint",
+     "check the signs of positions and currents, the sampling rate, the units and 'preparation'"),
+    (Finding(F.IMPOSSIBLE, values={"t": 11.0, "friction": False}),
+     "it is negative by 11 standard deviations: a negative inertia",
+     "check the signs of positions and currents, the sampling rate, the units and 'preparation'"),
+    (Finding(F.PAYLOAD_MASS, values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg"}),
+     "by all other data it weighs 2.05 +- 0.01 kg, not 2 kg",
+     "weigh the payloads again; one of the masses is wrong, or a run carries another payload than declared"),
+    (Finding(F.PAYLOAD_PARAMETER,
+     values={"parameter": "mx", "declared": 0.3, "found": 0.2, "std": 0.01, "unit": "kg m"}),
+     "given its mass and all other data its mx is 0.2 +- 0.01 kg m, not 0.3 kg m",
+     "check mx and the frame it is given in, that of the body that carries the payload, and the mass; or leave mx "
+     "out"),
+    (Finding(F.SENSOR_SCALE, values={"scale": 1.051, "std": 0.004}),
+     "all other data give torques 1.051 +- 0.004 times its reading",
+     "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"),
+    (Finding(F.UNLIKE_LEGS, (), "11", values={"parameter": "mx_12R", "share": 0.4}),
+     "legs of the same geometry differ, most in mx_12R of leg '11' (40 % from the mean of the others)",
+     "check that they are built alike"),
+    (Finding(F.UNLIKE_LEGS, (), "11", values={"parameter": "mx_12R", "share": 40.0}),
+     "legs of the same geometry differ, most in mx_12R of leg '11' (more than 1000 % from the mean of the others)",
+     "check that they are built alike"),
+    (Finding(F.PRIOR, (), "mx_3", values={"found": 41.2, "std": 0.3, "prior": 40.0, "prior_std": 0.1}),
+     "the known parameter mx_3 is 41.2 +- 0.3 from the data, but 40 +- 0.1 from its prior",
+     "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"),
+    (Finding(F.POSITION_NOISE, (), "my_L2", values={"count": 3, "all": 20, "deviations": 2.13, "t": 5.2}),
+     "position noise biases 3 of 20 estimates by more than their standard deviations: my_L2 by 2.1 of them "
+     "(Hausman's test against instrumental variables: 5 standard deviations of the difference); the intervals "
+     "include it",
+     "use --method iv or didim, or encoders with less noise"),
+    (Finding(F.POSITION_NOISE, ("left",), values={"count": 3, "all": 20, "deviations": 2.13, "t": 5.2}),
+     "position noise biases 3 of 20 estimates by more than their standard deviations: the gain of 'left' by 2.1 of "
+     "them (Hausman's test against instrumental variables: 5 standard deviations of the difference); the intervals "
+     "include it",
+     "use --method iv or didim, or encoders with less noise"),
+    (Finding(F.RIPPLE, ("left",), values={"share": 0.44, "move": 0.012, "moved": "right", "base": False}),
+     "residuals repeat at the same positions (44 % of the variance at joint 'left'): ripple of the motors, cables "
+     "or springs, which the model lacks. They repeat in every run, so the scatter between blocks does not show "
+     "them; the standard deviations include how far the estimates move when they are modelled (that of the gain of "
+     "joint 'right' 1.2 %)",
+     ""),
+    (Finding(F.RIPPLE, (), "trunk", values={"share": 0.44, "move": 0.0, "moved": "", "base": True}),
+     "residuals repeat at the same positions (44 % of the variance of the base 'trunk'): a wrench is wrong or "
+     "missing. They repeat in every run, so the scatter between blocks does not show them; the standard deviations "
+     "include how far the estimates move when they are modelled",
+     ""),
+    (Finding(F.SMALL_REFUTATION,
+     values={"share": 0.12, "move": 0.0071}, causes=(Finding(F.GRAVITY, values={"gravity": [0.0, -1.2, 9.7]}),)),
+     "another gravity, about (0.0, -1.2, 9.7) m/s2 would explain 12 % of the residual variance and move no gain by "
+     "more than 0.71 %",
+     "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
+     "on which body"),
+    (Finding(F.UNTESTED,
+     values={"refusal": "the loops do not close at 1.2 s"},
+     causes=(Finding(F.INSTRUMENTS), Finding(F.BANDWIDTH, values={"factor": 0.7}),)),
+     "estimates by instrumental variables or estimates with a bandwidth 0.7 times as large could not be made for "
+     "comparison: the loops do not close at 1.2 s",
+     ""),
+    (Finding(F.COMMAND_LAG, values={"kind": "current", "lag": 0.012, "std": 0.001, "bandwidth": 10.0}),
+     "the currents lag behind the motion by 12 ms (+-1 ms), so they look low-passed, held or logged late; a "
+     "low-pass of that time constant attenuates them by 20 % at the bandwidth of the motion, 10 Hz",
+     "log the currents before any filter and with the time stamps of the positions"),
+    (Finding(F.SLIGHT_COMMAND_LAG, values={"kind": "current", "lag": 0.02, "std": 0.001, "bandwidth": 10.0}),
+     "the currents lag behind the motion by more than 16 ms, so they look low-passed, held or logged late; a "
+     "low-pass of that time constant attenuates them by 38 % at the bandwidth of the motion, 10 Hz",
+     "log the currents before any filter and with the time stamps of the positions"),
+    (Finding(F.CUBIC_FRICTION, ("left",)),
+     "cubic friction of 'left'",
+     "add runs at other speeds, or with other loads, to separate it from the rest"),
+    (Finding(F.LOAD_FRICTION, ("left",)),
+     "load-dependent friction of 'left'",
+     "add runs at other speeds, or with other loads, to separate it from the rest"),
+    (Finding(F.STRIBECK_FRICTION, ("left",)),
+     "Stribeck friction of 'left'",
+     "add runs at other speeds, or with other loads, to separate it from the rest"),
+    (Finding(F.VISCOUS_DRIFT, ("left",)),
+     "viscous friction of 'left' changing along the runs",
+     "let the robot warm up before the runs, or split long runs"),
+    (Finding(F.COULOMB_DRIFT, ("left",)),
+     "Coulomb friction of 'left' changing along the runs",
+     "let the robot warm up before the runs, or split long runs"),
+    (Finding(F.SATURATION, ("left",)),
+     "the torque constant of 'left' falling with its current",
+     "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the actual "
+     "current; friction that grows with the load has the same effect"),
+    (Finding(F.GAIN_DRIFT, ("left",)),
+     "the torque constant of 'left' falling along the runs",
+     "let the robot warm up before the runs"),
+    (Finding(F.CURRENT_LAG, ("left",)),
+     "a low-pass filter of the current of 'left', or an elastic transmission",
+     "log the current before any filter, and move more slowly"),
+    (Finding(F.ENCODER_ZERO, ("left",)),
+     "an error in the zero of encoder 'left'",
+     "check the zeros of the encoders against the robot's own"),
+    (Finding(F.GRAVITY_TILT, values={"towards": [1.0, 0.0, 0.0]}),
+     "gravity tilted towards (1, 0, 0)",
+     "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
+     "on which body"),
+    (Finding(F.GRAVITY_STRENGTH),
+     "gravity of another strength",
+     "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
+     "on which body"),
+    (Finding(F.GRAVITY, values={"gravity": [0.0, -1.2, 9.7]}),
+     "another gravity, about (0.0, -1.2, 9.7) m/s2",
+     "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
+     "on which body"),
+    (Finding(F.CLOCK, values={"factor": 1.4, "rate": 125.0}),
+     "a sampling rate that is too high, as accelerations are too large against gravity (or wrong lengths throughout"
+     " the robot)",
+     "correct the sampling rate, 'rate: 125' under signals.time; then check the robot's lengths"),
+    (Finding(F.CLOCK, values={"factor": 0.6, "rate": None}),
+     "a sampling rate that is too low, as accelerations are too small against gravity (or wrong lengths throughout "
+     "the robot)",
+     "correct the unit of the time (units: {time: ...}); then check the robot's lengths"),
+    (Finding(F.LENGTH, values={"length": 0.3162, "bodies": ["41", "42"]}),
+     "a wrong length, such as the 316.2 mm at '41', '42'",
+     "check the robot's geometry"),
+    (Finding(F.GAIN_CHANGE, ("left",), values={"runs": ["a", "b"], "change": 0.02}),
+     "a current of 'left' that is larger in runs 'a' and 'b' than in the others",
+     "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
+     "loaded and unloaded runs, as a motor's torque constant falls as it warms up"),
+    (Finding(F.GAIN_CHANGE, ("left",), values={"runs": ["a"], "change": -0.02}),
+     "a current of 'left' that is smaller in run 'a' than in the others",
+     "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
+     "loaded and unloaded runs, as a motor's torque constant falls as it warms up"),
+    (Finding(F.BANDWIDTH, ("left",), values={"factor": 0.7}),
+     "the gain of 'left' with a bandwidth 0.7 times as large",
+     "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"),
+    (Finding(F.SLOW_ROWS, (), "mx_3", values={"fraction": 0.1}),
+     "mx_3 without rows below 10 % of a joint's rms speed",
+     "make motions with fewer reversals, or give 'preparation' by hand"),
+    (Finding(F.TWO_STAGE, ("left",)),
+     "the gain of 'left' by two-stage least squares",
+     "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction "
+     "that grows with the load has the same effect"),
+    (Finding(F.INSTRUMENTS, (), "mx_3"),
+     "mx_3 by instrumental variables",
+     "use --method iv or didim, or encoders with less noise"),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("finding", "why", "to_do"), SENTENCES, ids=[each[0].kind.name for each in SENTENCES])
+def test_the_sentence_of_a_finding(finding: Finding, why: str, to_do: str) -> None:
+    assert reason(finding) == why
+    assert advice(finding) == to_do
+
+
+def test_every_kind_has_a_sentence() -> None:
+    assert {finding.kind for finding, _, _ in SENTENCES} == set(F)
+
+
+@pytest.mark.parametrize("finding", [each[0] for each in SENTENCES], ids=lambda finding: finding.kind.name)
+def test_findings_are_documents(finding: Finding) -> None:
+    assert read_finding(json.loads(json.dumps(finding_document(finding), allow_nan=False))) == finding
+
+
+def test_measured_wrenches_come_first_in_the_advice() -> None:
+    values = {"share": 0.3, "kind": "current", "given": False}
+    alone = Finding(F.UNEXPLAINED, ("left",), values=values)
+    beside = Finding(F.UNEXPLAINED, ("left",), values={**values, "wrenches": True})
+    assert advice(beside) == f"{WRENCHES}; otherwise {advice(alone)}"
+
+
+def test_causes_of_one_effect_are_named_together() -> None:
+    zero, tilt = Finding(F.ENCODER_ZERO, ("left",)), Finding(F.GRAVITY_TILT, values={"towards": (0.0, 1.0, 0.0)})
+    assert named((zero, tilt)) == f"{reason(zero)} or {reason(tilt)}"
+
+
+def test_a_note_has_the_kind_of_its_finding() -> None:
+    noise = Finding(F.POSITION_NOISE, ("left",), values={"count": 1, "all": 9, "deviations": 2.0, "t": 5.0})
+    assert (note(noise).kind, note(noise).finding, note(noise).joint) == (Kind.NOISE, F.POSITION_NOISE, "left")
+    assert str(note(noise)) == f"{reason(noise)}; {advice(noise)}"
