@@ -86,8 +86,9 @@ def test_mjcf_swings_down(speed: float, tmp_path: Path) -> None:
     assert "up to 1.3 rad/s" in exported.files[0].read_text()
 
 
-def test_a_polynomial_that_propels_makes_mujoco_diverge(tmp_path: Path) -> None:
+def test_a_polynomial_that_propels_makes_mujoco_diverge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is held: the same file with the identified polynomial gains energy."""
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
     (path,) = export_mjcf(propelling(tree()), tmp_path).files
     root = ElementTree.parse(path)
     for joint in root.iter("joint"):
