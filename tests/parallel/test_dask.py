@@ -17,7 +17,7 @@ from shard_functions import away, fragile, refusing, slow_square
 from gtau.errors import GtauError
 from gtau.parallel import dask_executor
 from gtau.parallel.dask_executor import connected, dask_map
-from gtau.parallel.process_executor import LIMITS, ignore_sigint
+from gtau.parallel.process_executor import LIMITS, shielded_from_terminal
 
 distributed = pytest.importorskip("distributed")
 
@@ -27,7 +27,10 @@ def client() -> Iterator:
     """A client of two worker processes."""
     import dask
 
-    with ignore_sigint(), dask.config.set({"distributed.scheduler.allowed-failures": 1}):  # worker starts take time
+    with (
+        shielded_from_terminal(),
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+    ):  # worker starts take time
         cluster = distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
@@ -63,7 +66,7 @@ def test_an_error_that_stays_is_reported(client, tmp_path: Path) -> None:
 
 
 def test_workers_that_do_not_come_back() -> None:
-    with ignore_sigint():
+    with shielded_from_terminal():
         cluster = distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
@@ -89,7 +92,7 @@ def test_what_is_not_wanted_any_more_is_cancelled(client) -> None:
 
 
 def test_a_scheduler_that_stops() -> None:
-    with ignore_sigint():
+    with shielded_from_terminal():
         cluster = distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )

@@ -19,38 +19,26 @@ def serial_map(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator
     return enumerate(map(function, items))
 
 
-def submit_all(
-    executor: Executor,
-    function: Callable[[Any], Any],
-    items: Mapping[int, Any],
-    check: Callable[[], None] = lambda: None,
-) -> Iterator[tuple[int, Future[Any]]]:
-    """Submit every item now; yield the index of each with its future once that is done.
+def submit_all(executor: Executor, function: Callable[[Any], Any], items: Mapping[int, Any]) -> dict[Future[Any], int]:
+    """Submit every item now; return the index of each by its future, for :func:`completed`."""
+    return {executor.submit(function, item): k for k, item in items.items()}
 
-    Closing the iterator cancels the futures that are left.
+
+def completed(
+    futures: dict[Future[Any], int], check: Callable[[], None] = lambda: None
+) -> Iterator[tuple[int, Future[Any]]]:
+    """Yield the index of each item with its future once that is done, and remove it from ``futures``.
 
     Parameters
     ----------
-    executor : Executor
-        Where to work.
-    function : callable
-        Of one item.
-    items : mapping
-        From index to item.
+    futures : dict
+        From :func:`submit_all`.
     check : callable
         Called about once a second while nothing finishes; may raise.
     """
-    return _completed({executor.submit(function, item): k for k, item in items.items()}, check)
-
-
-def _completed(futures: dict[Future[Any], int], check: Callable[[], None]) -> Iterator[tuple[int, Future[Any]]]:
-    try:
-        while futures:
-            done = wait(futures, timeout=1.0, return_when=FIRST_COMPLETED).done
-            if not done:
-                check()
-            for future in done:
-                yield futures.pop(future), future
-    finally:
-        for future in futures:
-            future.cancel()
+    while futures:
+        done = wait(futures, timeout=1.0, return_when=FIRST_COMPLETED).done
+        if not done:
+            check()
+        for future in done:
+            yield futures.pop(future), future

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from typing import TypeVar
 
 from gtau.errors import GtauError
-from gtau.parallel.executor import serial_map, submit_all
+from gtau.parallel.executor import completed, serial_map, submit_all
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -53,23 +57,40 @@ def _until_death(
     from loky import BrokenProcessPool, ProcessPoolExecutor
 
     items = {k: left[k] for k in indices}
-    executor = ProcessPoolExecutor(min(jobs, len(items)), env=LIMITS)
-    try:
-        with ignore_sigint():
-            finished = submit_all(executor, function, items)
-        for k, future in finished:
-            if not isinstance(future.exception(), BrokenProcessPool):
-                del left[k]
-                yield k, future.result()
-    except BaseException:
-        executor.shutdown(wait=False, kill_workers=True)
-        raise
-    executor.shutdown()
+    watched, held = Pipe(duplex=False)
+    with watched, held:
+        with shielded_from_terminal():  # its locks begin a process that looks after them
+            executor = ProcessPoolExecutor(min(jobs, len(items)), initializer=end_with, initargs=(watched,), env=LIMITS)
+        try:
+            with shielded_from_terminal():
+                futures = submit_all(executor, function, items)
+            for k, future in completed(futures):
+                if not isinstance(future.exception(), BrokenProcessPool):
+                    del left[k]
+                    yield k, future.result()
+        except BaseException:
+            executor.shutdown(wait=False, kill_workers=True)  # cancels what is left: loky fails on what we cancel
+            raise
+        executor.shutdown()
+
+
+def end_with(parent: Connection) -> None:
+    """End this worker process once the other end of the pipe closes: when its parent ends, however that ends."""
+
+    def watch() -> None:
+        with suppress(EOFError, OSError):
+            parent.recv_bytes()  # nobody writes
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
-def ignore_sigint() -> Iterator[None]:
-    """Shield processes and threads begun within from Ctrl-C; whoever began them ends them, if need be afterwards."""
+def shielded_from_terminal() -> Iterator[None]:
+    """Shield processes and threads begun within from Ctrl-C and from SIGHUP; they end with the process that began them.
+
+    A terminal signals them too, and those that die before this process reports it would be taken for failures.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -77,10 +98,11 @@ def ignore_sigint() -> Iterator[None]:
 
     from loky.backend.resource_tracker import ensure_running as ensure_loky_running
 
-    ensure_running()  # now: where it begins, it unblocks signals
-    ensure_loky_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     try:
+        ensure_running()  # now: where it begins, it unblocks SIGINT
+        ensure_loky_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
