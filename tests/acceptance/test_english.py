@@ -42,10 +42,7 @@ PLACES = {
     "all": (
         EVERYWHERE + REWRITTEN,
         [
-            *(
-                f"src/gtau/{folder}"
-                for folder in ("cli", "documents", "export", "fleet", "model", "parallel", "robots")
-            ),
+            *(f"src/gtau/{folder}" for folder in ("cli", "documents", "export", "fleet", "model", "robots")),
             *(f"docs/{page}.md" for page in PAGES),
         ],
     ),

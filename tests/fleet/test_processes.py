@@ -7,10 +7,10 @@ import signal
 from pathlib import Path
 
 import pytest
+from process_functions import fragile, limits, square
 from programs import start_python, wait_until
-from shard_functions import fragile, limits, square
 
-from gtau.parallel.process_executor import process_map
+from gtau.fleet.processes import process_map
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -31,8 +31,8 @@ def test_a_process_has_one_thread() -> None:
 def test_ctrl_c_ends_all_processes_at_once_and_without_a_word(tmp_path: Path) -> None:
     code = """
 import sys, pathlib
-from gtau.parallel.process_executor import process_map
-from shard_functions import slow
+from gtau.fleet.processes import process_map
+from process_functions import slow
 if __name__ == "__main__":
     try:
         list(process_map(slow, [pathlib.Path(sys.argv[1]) / str(k) for k in range(4)], 2))

@@ -14,8 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gtau.errors import GtauError, missing_extra
-from gtau.parallel.executor import completed, submit_all
-from gtau.parallel.process_executor import LIMITS, shielded_from_terminal
+from gtau.fleet.processes import LIMITS, completed, shielded_from_terminal, submit_all
 
 if TYPE_CHECKING:
     from distributed import Client
