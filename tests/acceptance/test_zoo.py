@@ -17,6 +17,14 @@ PUBLISHED = {
     "tx40": (6.7, 6.4, 10.8, 9.4, 30.0, 22.0),  # weighted least squares of the log's source
     "panda": (8.7, 1.4, 3.7, 1.2, 6.8, 3.4, 19.6),  # weighted least squares behind a 10 Hz filter
 }
+# The same of docs/zoo.md, where nothing is published, or the fit itself: those of UPV are published as 12.1, 13.4, 16.2
+# and 11.3 %.
+MEASURED = {
+    "xmate7p": (9.8, 3.6, 4.3, 3.3, 15, 11, 15),
+    "kuka_med7": (46, 2.3, 19, 3.6, 13, 7, 20),
+    "upv": (12, 13, 16, 11),
+    "rokae_sensor": (54, 12, 34, 5.2, 26, 7.5, 24),
+}
 
 
 @pytest.fixture
@@ -49,11 +57,11 @@ def test_masses_on_a_da_vinci_arm(zoo: object, shared: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["xmate7p", "kuka_med7", "upv", "rokae_sensor"])
-def test_logs_once_refused_give_usable_rows(name: str, zoo: object, shared: Path, tmp_path: Path) -> None:
-    """Every joint is identified, and its torques are explained better than by nothing."""
+@pytest.mark.parametrize("name", MEASURED)
+def test_errors_are_those_of_the_page(name: str, zoo: object, shared: Path, tmp_path: Path) -> None:
+    """Logs that were refused once: short, of joints about vertical axes, or with few usable rows."""
     (entry,) = (each for each in zoo.ENTRIES if each.name == name)  # type: ignore[attr-defined]
     (tmp_path / "e.yaml").write_text(entry.write(shared, tmp_path))
-    found, _, _ = zoo.run(read_experiment(tmp_path / "e.yaml"))  # type: ignore[attr-defined]
-    assert len(found.residuals) == len(found.robot.actuated)
-    assert max(each.relative for each in found.residuals) < 60
+    _, errors, _ = zoo.run(read_experiment(tmp_path / "e.yaml"))  # type: ignore[attr-defined]
+    found = [float(each) for each in errors.removeprefix("fit: ").split(", ")]
+    assert found == pytest.approx(MEASURED[name], rel=0.1)

@@ -26,8 +26,8 @@ from gtau.report.check import check_page
 from gtau.report.render.html import html
 from gtau.report.render.terminal import plain
 from gtau.robots.robot import Mdh, Robot
+from gtau.signals.body_columns import PoseColumns
 from gtau.signals.columns import as_signals, as_units
-from gtau.signals.pose_columns import PoseColumns
 from gtau.signals.side_signals import LoggedPoses, read_poses
 
 NOISE = 1e-4  # m and rad
@@ -240,7 +240,7 @@ def test_refused_columns() -> None:
     ):
         with pytest.raises(GtauError, match=words):
             as_signals(signals | {"pose": pose})
-    with pytest.raises(GtauError, match="no unit of a length"):
+    with pytest.raises(GtauError, match="not a unit of length"):
         as_units({"pose": {"length": "deg"}})
 
 

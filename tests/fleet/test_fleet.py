@@ -18,7 +18,7 @@ from gtau.estimation.results.result import Result
 from gtau.fleet import fleet
 from gtau.fleet.fleet import Member, Report, identify_fleet, read_fleet
 from gtau.fleet.gains import fleet_table
-from gtau.parallel.executor import serial_map
+from gtau.fleet.processes import serial_map
 from gtau.report.fleet_page import fleet_page
 
 ONE = EXPERIMENT.split("validation")[0]

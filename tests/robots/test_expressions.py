@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gtau.robots.readers import expressions
 from gtau.robots.readers.expressions import MAX_LENGTH, evaluate, linear
 
 CONSTANTS = {"a": 0.34, "d4": 0.31, "l_1": 2.0}
@@ -106,8 +107,16 @@ def test_coordinate_only_where_a_joint_moves() -> None:
 
 
 @pytest.mark.parametrize("text", ["(" * 99 + "1" + ")" * 99, "-" * 199 + "1", "+".join("1" * 100), "2**" * 66 + "2"])
-def test_the_longest_expressions_end_at_once(text: str) -> None:
-    start = time.perf_counter()
+def test_the_longest_expressions_take_a_step_a_character_at_most(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of numbers of a fixed size: powers of whole numbers would fill the memory."""
+    step, steps = expressions._value, []
+
+    def counted(*arguments: Any) -> tuple[float, float]:
+        steps.append(step(*arguments))
+        assert all(type(number) is float for number in steps[-1])
+        return steps[-1]
+
+    monkeypatch.setattr(expressions, "_value", counted)
     with contextlib.suppress(ValueError):
         evaluate(text)
-    assert time.perf_counter() - start < 0.1
+    assert 1 <= len(steps) <= MAX_LENGTH

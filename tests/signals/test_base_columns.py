@@ -8,7 +8,7 @@ from free_flyer import free_state
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.signals.base_columns import BaseColumns, BaseUnits
+from gtau.signals.body_columns import BaseColumns, BaseUnits
 
 AT = (0.3, -0.2, 0.5)
 

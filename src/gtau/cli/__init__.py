@@ -10,19 +10,21 @@ import sys
 def main() -> None:
     """Run the command line; what it refuses, wrong options too, is one sentence on stderr and exit code 2.
 
-    The other exit codes: 0 done, 1 a fault of gtau itself, 3 done but no drive gain can be believed, 130 interrupted.
+    The other exit codes: 0 done, 1 a fault of gtau itself, 3 done but no drive gain can be believed, 128 + signal where
+    Ctrl-C (130), SIGHUP (129) or SIGTERM (143) ended it.
     """
     try:
-        from gtau.cli.interruption import CODE, UNFINISHED, listen, report
+        from gtau.cli.interruption import UNFINISHED, exit_code, interrupted, listen, report
 
         listen()
         try:
             code = _run()
         except KeyboardInterrupt as interruption:
             report(str(interruption) or UNFINISHED)
-            code = CODE
-        if code == CODE:  # typer makes this of an interruption outside of the commands
+            code = exit_code()
+        if code == 130 and interrupted():  # typer makes this of an interruption outside of the commands
             report(UNFINISHED)
+            code = exit_code()
     except KeyboardInterrupt:  # while the lines above are still being imported
         print("gtau: interrupted; unfinished files were not written.", file=sys.stderr)
         code = 130
@@ -34,7 +36,7 @@ def _run() -> int:
 
     from gtau.cli.commands import app
     from gtau.cli.console import refused
-    from gtau.cli.interruption import pressed
+    from gtau.cli.interruption import interrupted
 
     if len(sys.argv) < 2:
         app()
@@ -50,7 +52,7 @@ def _run() -> int:
         command = "gtau" if context is None else context.command_path
         return refused(f"{message}{stop} See '{command} --help'.", "--json" in sys.argv).exit_code
     except Exception as error:
-        if pressed():
+        if interrupted():
             raise KeyboardInterrupt from None
         if "GTAU_DEBUG" in os.environ:
             raise

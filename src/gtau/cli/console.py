@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gtau.cli.interruption import CODE as INTERRUPTED
-from gtau.cli.interruption import UNFINISHED, begin, pressed
+from gtau.cli.interruption import UNFINISHED, begin, exit_code, interrupted
 from gtau.cli.interruption import report as report_interruption
 from gtau.cli.progress_display import progress_bar
 from gtau.errors import GtauError
@@ -76,12 +75,12 @@ def refusals(as_json: bool) -> Iterator[None]:
     try:
         yield
     except GtauError as error:
-        if pressed():
+        if interrupted():
             raise KeyboardInterrupt from None
         raise refused(str(error), as_json) from None
     except KeyboardInterrupt as interruption:
         report_interruption(str(interruption) or UNFINISHED)
-        raise typer.Exit(INTERRUPTED) from None
+        raise typer.Exit(exit_code()) from None
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(0) from None

@@ -45,10 +45,10 @@ def fleet(
         start = perf_counter()
         from gtau.estimation.estimators.estimator import Gains
         from gtau.estimation.estimators.registry import estimator_of
+        from gtau.fleet.dask_workers import connected, dask_map
         from gtau.fleet.fleet import identify_fleet, read_fleet
         from gtau.fleet.gains import fleet_table
-        from gtau.parallel.dask_executor import connected, dask_map
-        from gtau.parallel.process_executor import process_map
+        from gtau.fleet.processes import process_map
         from gtau.report.fleet_page import fleet_document, fleet_page, write_fleet
         from gtau.report.write_reports import write_fleet_report
 

@@ -1,8 +1,8 @@
-"""Ctrl-C, in one way for all commands: one sentence and exit code 130, within two seconds, wherever it arrives.
+"""Ctrl-C, SIGTERM and SIGHUP, in one way for all commands: one sentence and exit code 128 + signal, within two seconds.
 
 The first one raises KeyboardInterrupt, so that unfinished files are removed and child processes ended. Compilers and
 solvers that call back into Python swallow that exception, or report it as a traceback; so a thread ends the program
-where it still runs after :data:`GRACE`, and so does a second Ctrl-C.
+where it still runs after :data:`GRACE`, and so does a second Ctrl-C. Worker processes notice the end by themselves.
 """
 
 from __future__ import annotations
@@ -13,36 +13,48 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
 GRACE = 1.5  # s to clean up; removing an unfinished file takes milliseconds, ending eight worker processes 0.3 s
-CODE = 130  # 128 + SIGINT, as shells have it
 UNFINISHED = "unfinished files were not written"
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # not on Windows
 
 _said = threading.Lock()  # held by whoever reports the interruption
-_pressed = threading.Event()
+_received: list[int] = []  # the signal that interrupts the program
 
 
-def pressed() -> bool:
-    """Return whether Ctrl-C has been pressed; what fails afterwards fails because of it."""
-    return _pressed.is_set()
+def interrupted() -> bool:
+    """Return whether a signal has interrupted the program; what fails afterwards fails because of it."""
+    return bool(_received)
+
+
+def exit_code() -> int:
+    """Return the exit code of the interrupted program, as shells have it: 128 + signal, 130 for Ctrl-C."""
+    return 128 + (_received or [signal.SIGINT])[0]
 
 
 def listen() -> None:
-    """Let Ctrl-C end this program as described above."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background by a shell
-        return
-    signal.signal(signal.SIGINT, _interrupt)
+    """Let Ctrl-C, SIGTERM and SIGHUP end this program as described above."""
+    for number in SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a shell, and under nohup
+            signal.signal(number, _interrupt)
     sys.unraisablehook = _without_interruptions
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    _pressed.set()
-    signal.signal(signal.SIGINT, lambda number, frame: _end())
-    threading.Thread(target=_insist, daemon=True).start()
+    if interrupted():
+        if number == signal.SIGINT:
+            _end()
+        return  # a terminal that closes sends SIGHUP twice, once by its shell
+    _note(number)
     raise KeyboardInterrupt
+
+
+def _note(number: int) -> None:
+    _received.append(number)
+    threading.Thread(target=_insist, daemon=True).start()
 
 
 def _insist() -> None:
@@ -51,19 +63,14 @@ def _insist() -> None:
 
 
 def _end() -> None:
-    """End the program at once, and the processes that it started."""
+    """End the program at once."""
     report(UNFINISHED)
-    if "multiprocessing" in sys.modules:
-        from multiprocessing import active_children
-
-        for child in active_children():
-            child.terminate()
-    os._exit(CODE)
+    os._exit(exit_code())
 
 
 def begin() -> None:
     """Forget earlier interruptions: one process may run several commands, as notebooks and tests do."""
-    _pressed.clear()
+    _received.clear()
     if _said.locked():
         _said.release()
 
@@ -73,13 +80,14 @@ def report(finished: str) -> None:
     if not _said.acquire(blocking=False):
         return
     sentence = f"interrupted; {finished}."
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[2K\x1b[?25h")  # an unfinished progress bar, and the cursor that it hides
-    print(f"gtau: {sentence}", file=sys.stderr, flush=True)
-    if "--json" in sys.argv:
-        import json
+    with suppress(OSError):  # the terminal may be gone: SIGHUP
+        if sys.stderr.isatty():
+            sys.stderr.write("\r\x1b[2K\x1b[?25h")  # an unfinished progress bar, and the cursor that it hides
+        print(f"gtau: {sentence}", file=sys.stderr, flush=True)
+        if "--json" in sys.argv:
+            import json
 
-        print(json.dumps({"error": sentence}, indent=1), flush=True)
+            print(json.dumps({"error": sentence}, indent=1), flush=True)
 
 
 def _without_interruptions(unraisable: Any) -> None:
@@ -92,19 +100,27 @@ def _without_interruptions(unraisable: Any) -> None:
 def stop_request(hint: str) -> Iterator[Callable[[], bool]]:
     """Print ``hint`` at the first Ctrl-C, a request that the yielded function reports; the second ends the program.
 
-    For a search that has something to show for what it has done so far.
+    For a search that has something to show for what it has done so far. SIGTERM and SIGHUP are such requests without a
+    hint, after which the program ends: an exception would be lost in the solver, which reports it and goes on.
     """
-    before = signal.getsignal(signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in SIGNALS}
     pressed = threading.Event()
 
     def request(number: int, frame: FrameType | None) -> None:
         pressed.set()
-        signal.signal(signal.SIGINT, lambda number, frame: _end())
-        print(f"gtau: {hint}", file=sys.stderr, flush=True)
+        if number == signal.SIGINT:
+            signal.signal(signal.SIGINT, lambda number, frame: _end())
+            print(f"gtau: {hint}", file=sys.stderr, flush=True)
+        elif not interrupted():
+            _note(number)
 
-    if before is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, request)
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, request)
     try:
         yield pressed.is_set
+        if interrupted():
+            raise KeyboardInterrupt
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -59,12 +59,13 @@ def simulate(
         refuse_as_folder(out)
         with progress_bar() as progress:
             from gtau.model.home import load_robot
+            from gtau.robots.plausibility import massless
             from gtau.simulation.experiment_files import simulate_experiment
-            from gtau.simulation.simulation_file import massless, read_simulation
+            from gtau.simulation.simulation_file import read_simulation
 
             written = simulate_experiment(simulation, out, progress)
         described = read_simulation(simulation)
-        light = massless(described, load_robot(described.robot))
+        light = massless(load_robot(described.robot), described.parameters)
         if json_:
             print_json({"files": [str(path) for path in written], "massless": light})
         else:

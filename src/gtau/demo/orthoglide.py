@@ -20,7 +20,7 @@ BAR_LENGTH = 0.31  # m
 
 # Table 3: m_1R (foot, rotor, and the bar's share, kg), fv (N s/m), fs (N); and the offset of the axis, N.
 AXES = {"11": (9.40, 85.7, 35.2, 1.8), "12": (8.95, 86.7, 41.7, -1.2), "13": (0.87 + 8.05, 84.0, 24.1, 0.5)}
-FOOT_3 = 0.87  # kg, m_13R: on the vertical axis gravity tells the foot from the rotor
+FOOT_3 = 0.87  # kg, m_13R: on the vertical axis gravity separates the foot from the rotor
 PLATFORM = 0.92  # kg, m_6R: with its share of the bars and their joints
 BARS = {"1": 0.170, "2": 0.174, "3": 0.172}  # kg, both bars of a parallelogram
 # Viscous (N m s/rad) and Coulomb friction (N m) of passive joints 2 to 5.

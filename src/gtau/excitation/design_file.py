@@ -17,13 +17,14 @@ from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.excitation.clearance import Clearance, Shape, capsule, clearance, hull
 from gtau.excitation.gradients import in_platform_space
-from gtau.excitation.prior import given_parameters, massless, noise_of, parameters_of, rough_noise, rough_parameters
+from gtau.excitation.prior import given_parameters, noise_of, parameters_of, rough_noise, rough_parameters
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
+from gtau.robots.plausibility import massless
 from gtau.robots.robot import Pose, Robot
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
@@ -299,7 +300,7 @@ def _prior(
     else:
         if prior.parameters:
             chi = given_parameters(model, base, prior.parameters)
-            light = massless(model, prior.parameters)
+            light = massless(model.robot, prior.parameters)
             if light:
                 assumed["massless"] = (
                     f"no mass and inertia of {', '.join(light)}: 'prior.parameters' names none of theirs"

@@ -35,7 +35,7 @@ class Expected:
 
     @property
     def relative(self) -> float:
-        """Deviation over value, per cent; infinite for a value of zero."""
+        """Standard deviation over value, per cent; infinite for a value of zero."""
         return 100 * self.std / abs(self.value) if self.value else float("inf")
 
 

@@ -26,7 +26,7 @@ from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.payload import Payload
 
-VAGUE = 1e3  # prior deviations of what is estimated, in units of its scale: so wide that they decide nothing
+VAGUE = 1e3  # prior standard deviations of what is estimated, in units of its scale: so wide that they decide nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class DesignUnknowns:
     names : tuple of str
         (P,), ``gain_`` and ``delay_`` before a joint's name.
     scale : ndarray
-        (P,) what a relative deviation refers to.
+        (P,) what a relative standard deviation refers to.
     maps : ndarray
         (runs, n, n_b, P): a row of W times this is a row of the current's Jacobian, without delays.
     load, smooth : ndarray
@@ -211,9 +211,9 @@ def criterion(name: str, unknowns: DesignUnknowns) -> Criterion:
     """Look up the criterion called ``name``.
 
     ``gains``: rms of the relative standard deviations of the drive gains; ``logdet`` (D-optimal): geometric mean of all
-    deviations; ``trace`` (A-optimal): rms of all relative deviations; ``condition``: condition number of the base
+    standard deviations; ``trace`` (A-optimal): rms of all relative ones; ``condition``: condition number of the base
     regressor, as in the paper; or names of unknowns, separated by commas (``gain_11,m_PR``): rms of their relative
-    deviations. A deviation is relative to the prior value, or to a typical one where that is zero.
+    standard deviations. These are relative to the prior value, or to a typical one where that is zero.
 
     Raises
     ------
@@ -271,10 +271,3 @@ def condition(R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     s = np.maximum(s, 1e-300)
     ends = [0, len(s) - 1]
     return float(np.log(s[0] / s[-1])), Vt[ends].T, np.array([0.5, -0.5]) / s[ends] ** 2
-
-
-def relative_deviations(R: np.ndarray, unknowns: DesignUnknowns, names: Sequence[str]) -> np.ndarray:
-    """Compute relative standard deviations of the unknowns ``names`` from the factor of the information."""
-    index = [unknowns.names.index(name) for name in names]
-    deviations = np.linalg.norm(root_covariance(R, unknowns.precision), axis=1)
-    return np.asarray((deviations / unknowns.scale)[index])

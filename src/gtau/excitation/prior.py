@@ -11,7 +11,7 @@ from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import Robot
 
 FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque
 MODERATE = 0.15  # rough rms torque, of the effort limit
@@ -35,12 +35,6 @@ def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: M
             )
     chi = base.matrix @ np.array([parameters.get(name, 0.0) for name in model.parameter_names])
     return np.where(np.abs(chi) > 1e-12 * np.abs(chi).max(initial=0.0), chi, 0.0)
-
-
-def massless(model: InverseDynamics, parameters: Mapping[str, float]) -> tuple[str, ...]:
-    """List links and platforms for which the parameters name no mass, moment or inertia, and which thus have none."""
-    named = {name.split("_", 1)[1] for name in parameters if name.split("_", 1)[0] in INERTIAL}
-    return tuple(body for body in model.robot.bodies if f"m_{body}" in model.parameter_names and body not in named)
 
 
 def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:

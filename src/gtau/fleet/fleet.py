@@ -18,8 +18,8 @@ from gtau.documents.validation import Keys, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import model_text
+from gtau.fleet.processes import Mapper
 from gtau.model.home import load_robot
-from gtau.parallel.executor import Mapper
 from gtau.progress import Progress, silent
 from gtau.robots.readers.native_text import native_text
 from gtau.signals.experiment import Experiment, read_experiment
@@ -166,8 +166,8 @@ def identify_fleet(
     out : Path
         An existing folder.
     mapper : callable
-        Where to work: :func:`gtau.parallel.process_executor.process_map` or
-        :func:`gtau.parallel.dask_executor.dask_map`.
+        Where to work: :func:`gtau.fleet.processes.process_map` or
+        :func:`gtau.fleet.dask_workers.dask_map`.
     method : str
         See :func:`gtau.identify`.
     progress : callable

@@ -17,8 +17,8 @@ from gtau.model.interpreter.threads import share
 from gtau.model.kinematics import Coordinates, coordinates
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate
+from gtau.robots.floating import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot
-from gtau.robots.wrench import WRENCH, WrenchFrame
 
 PATH = 65536  # samples whose loops are closed together, in parallel segments
 BLOCK = 2048  # samples whose motion is computed together: enough to amortise Python, few enough for the cache

@@ -1,23 +1,36 @@
-"""Give a robot a floating base: a free body that carries the rest, written as joints of the one tree.
+"""Floating bases: a free body that carries the rest of a robot, written as joints of the one tree.
 
 The base moves in the world by three slides and three turns without motors, about x, the turned y, and z of the base.
-The last of these six joints bears the name of the base, and its link is the base. Their rows of the model are the six
-base equations: forces along, and moments about, their axes, by what acts on the robot from outside.
+The last of these six joints has the name of the base, and its link is the base. Their rows of the model are the six
+base equations: forces along, and moments about, their axes, of external forces.
+Measured wrenches act on the base, or on other bodies: a foot on a force plate, a flange that carries a force sensor.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 from gtau.errors import GtauError
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Robot, base_rows
+
+WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
+"""Components of a wrench, N m and N."""
+
+
+class WrenchFrame(NamedTuple):
+    """The body on which a wrench acts, and whether its axes and origin are those of the world, or of the body."""
+
+    body: str
+    of_world: bool = False
+
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def base_joints(name: str) -> tuple[Joint, ...]:
-    """Build the six joints of a floating base, on the ground, the last bearing its name; none without a name."""
+    """Build the six joints of a floating base, on the ground, the last with its name; none without a name."""
     chain = base_rows(name)
     kinds = (TRANSLATIONS + ROTATIONS)[: len(chain)]
     return tuple(

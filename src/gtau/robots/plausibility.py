@@ -1,13 +1,13 @@
-"""What is possible but rarely meant in a robot: wrong units, a home out of reach, a payload on a body nobody named."""
+"""Doubtful entries of robot files: wrong units, a home out of reach, a payload on an unnamed body, missing masses."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import pi
 
 import numpy as np
 
-from gtau.robots.robot import Joint, Placement, Robot
+from gtau.robots.robot import INERTIAL, Joint, Placement, Robot
 
 TURNS = 2  # a link that turns further either way has its limits in degrees, perhaps
 FAR = 20.0  # m; a longer link is written in mm, perhaps
@@ -39,6 +39,13 @@ def tool_note(robot: Robot) -> tuple[str, ...]:
         f"a payload is assumed to sit on '{robot.tool}', the last link of the robot's file; if it sits on another, "
         "write 'tool: BODY' in the robot file (gtau robot --save makes one of any robot)",
     )
+
+
+def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
+    """List links and platforms of which ``parameters`` names no mass, moment or inertia, so that they have none."""
+    named = {name.split("_", 1)[1] for name in parameters if name.split("_", 1)[0] in INERTIAL}
+    links = [joint.name for joint in robot.joints if joint.has_mass]
+    return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)
 
 
 def _lengths(robot: Robot) -> Iterator[str]:

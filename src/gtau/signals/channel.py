@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from gtau.robots.floating import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot
-from gtau.robots.wrench import WRENCH, WrenchFrame
 
 ChannelKind = Literal["motor", "sensor", "base", "wrench"]
 

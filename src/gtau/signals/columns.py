@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
-    AfterValidator,
     Discriminator,
     Field,
     FiniteFloat,
@@ -19,11 +18,9 @@ from pydantic import (
 
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import Document
-from gtau.signals.base_columns import BaseColumns, BaseUnits
+from gtau.signals.body_columns import BaseColumns, BaseUnits, BodyWrench, PoseColumns, PoseUnits, WrenchUnits
 from gtau.signals.column_names import expanded, time_unit
-from gtau.signals.pose_columns import PoseColumns, PoseUnits
-from gtau.signals.units import SHARES, Kind, is_angle, si_factor
-from gtau.signals.wrench_columns import BodyWrench, WrenchUnits
+from gtau.signals.units import SHARES, Kind, checked_unit, is_angle, si_factor
 
 
 def text_or_group(value: Any) -> str:
@@ -272,19 +269,10 @@ def _as_written(data: Any) -> Any:
     return str(data) if isinstance(data, (int, np.integer)) and not isinstance(data, bool) else data
 
 
-def _unit(kind: Kind) -> AfterValidator:
-    def checked(text: str) -> str:
-        if text not in SHARES or kind in ("time", "position"):
-            si_factor(text, kind)
-        return text
-
-    return AfterValidator(checked)
-
-
 def _one_or_by_joint(kind: Kind) -> Any:
-    unit = Annotated[str, _unit(kind)]
+    text = Annotated[str, checked_unit(kind, shares=kind in ("current", "torque"))]
     return Annotated[
-        Annotated[unit, Tag("text")] | Annotated[dict[str, unit], Tag("group")], Discriminator(text_or_group)
+        Annotated[text, Tag("text")] | Annotated[dict[str, text], Tag("group")], Discriminator(text_or_group)
     ]
 
 
@@ -295,7 +283,7 @@ class Units(Keys):
     ``%`` and ``‰`` are shares.
     """
 
-    time: Annotated[str, _unit("time")] | None = None
+    time: Annotated[str, checked_unit("time")] | None = None
     position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
     current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
     torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.base_columns import BaseColumns
+from gtau.signals.body_columns import BaseColumns, BodyWrench, at_origins, components
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import Source
 from gtau.signals.storage import block, spans, store
-from gtau.signals.wrench_columns import BodyWrench, at_origins, components
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.wrench import WRENCH, WrenchFrame
+from gtau.robots.floating import WRENCH, WrenchFrame
 from gtau.signals.channel import Channel, sensor_channels, wrench_channels
 from gtau.signals.checks import check
 from gtau.signals.columns import EXACT, Calibration, Signals, Units, as_signals, as_units

@@ -7,6 +7,8 @@ import re
 from functools import lru_cache
 from typing import Any, Literal
 
+from pydantic import AfterValidator
+
 Kind = Literal["time", "position", "current", "torque", "force"]
 
 COMMON: dict[str, dict[str, float]] = {  # what nearly all logs hold, without the half second that pint takes to import
@@ -46,6 +48,22 @@ def si_factor(text: str, kind: Kind) -> float:
 def is_angle(text: str) -> bool:
     """Decide whether a unit of positions is an angle and not a length."""
     return _found(text, "position")[0] == "angle"
+
+
+def checked_unit(
+    kind: Kind, quantity: Literal["angle", "length"] | None = None, shares: bool = False
+) -> AfterValidator:
+    """Make the validator of a unit of a kind, of one ``quantity`` of those of positions; ``shares`` may be allowed."""
+
+    def checked(text: str) -> str:
+        if shares and text in SHARES:
+            return text
+        si_factor(text, kind)
+        if quantity is not None and is_angle(text) != (quantity == "angle"):
+            raise ValueError(f"'{text}' is not a unit of {quantity}; write {' or '.join(COMMON[quantity])}")
+        return text
+
+    return AfterValidator(checked)
 
 
 def _found(text: str, kind: Kind) -> tuple[str, float]:

@@ -12,7 +12,7 @@ from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.robots.robot import DAMPING, INERTIAL, Robot
+from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import Drive, Sensors
@@ -196,13 +196,6 @@ def read_simulation(path: str | Path) -> Simulation:
     """
     refuse_other_kind(path, SIMULATION)
     return validate(Simulation, read_yaml(path), context=Path(path).parent)
-
-
-def massless(simulation: Simulation, robot: Robot) -> tuple[str, ...]:
-    """List links and platforms for which the file names no mass, moment or inertia, and which thus have none."""
-    named = {name.split("_", 1)[1] for name in simulation.parameters if name.split("_", 1)[0] in INERTIAL}
-    links = [joint.name for joint in robot.joints if joint.has_mass]
-    return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)
 
 
 def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:

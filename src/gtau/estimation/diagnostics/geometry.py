@@ -30,7 +30,7 @@ from gtau.model.lengths import Constant
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Robot
-from gtau.signals.pose_columns import PoseColumns
+from gtau.signals.body_columns import PoseColumns
 from gtau.signals.side_signals import LoggedPoses
 
 TRIED = 4  # constants that are fitted beyond the first order at each step; one that is the explanation was the first

@@ -13,7 +13,7 @@ from gtau.estimation.diagnostics.poses import Compared, Frames, compare, compone
 from gtau.estimation.regression.rows import Labels
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import BodyPose, VariableGeometry, variable_geometry
-from gtau.signals.pose_columns import PoseColumns
+from gtau.signals.body_columns import PoseColumns
 from gtau.signals.side_signals import LoggedPoses
 
 SAMPLES = 400  # of all runs together: residuals are smooth, so that more hardly add anything

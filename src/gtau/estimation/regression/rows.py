@@ -10,7 +10,7 @@ import numpy as np
 from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
-from gtau.robots.wrench import WRENCH
+from gtau.robots.floating import WRENCH
 from gtau.signals.decimation import Block, Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 from gtau.signals.run import Run

@@ -19,11 +19,10 @@ from gtau.errors import GtauError
 from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed
 from gtau.robots.readers.idle_joints import without_idle_pins
-from gtau.robots.readers.inertias import mjcf_masses
 from gtau.robots.readers.mjcf_bodies import fixed_tendons, read_bodies, read_ties, site_springs
 from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, name_in
 from gtau.robots.readers.source import Base, BaseChoice
-from gtau.robots.readers.xml_document import read_xml
+from gtau.robots.readers.xml_document import mjcf_masses, read_xml
 from gtau.robots.robot import GROUND, Coupling, Joint, Robot, base_rows
 
 if TYPE_CHECKING:

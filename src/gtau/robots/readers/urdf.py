@@ -16,9 +16,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
-from gtau.robots.readers.inertias import urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
-from gtau.robots.readers.xml_document import attribute, line_of, numbers, read_xml
+from gtau.robots.readers.xml_document import attribute, line_of, numbers, read_xml, urdf_masses
 from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose, Robot
 from gtau.robots.units import in_degrees
 

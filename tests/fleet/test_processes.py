@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
-import shard_functions
-from shard_functions import fragile, limits, square
+from process_functions import fragile, limits, square
+from programs import start_python, wait_until
 
-from gtau.parallel.process_executor import process_map
+from gtau.fleet.processes import process_map
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -31,32 +28,20 @@ def test_a_process_has_one_thread() -> None:
     assert dict(process_map(limits, range(2), 2)) == {0: "1", 1: "1"}
 
 
-def _hear_ctrl_c() -> None:
-    """Begun in the background by a shell, tests ignore Ctrl-C, and so would what they begin."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 def test_ctrl_c_ends_all_processes_at_once_and_without_a_word(tmp_path: Path) -> None:
     code = """
 import sys, pathlib
-sys.path.insert(0, sys.argv[1])
-from gtau.parallel.process_executor import process_map
-from shard_functions import slow
+from gtau.fleet.processes import process_map
+from process_functions import slow
 if __name__ == "__main__":
     try:
-        list(process_map(slow, [pathlib.Path(sys.argv[2]) / str(k) for k in range(4)], 2))
+        list(process_map(slow, [pathlib.Path(sys.argv[1]) / str(k) for k in range(4)], 2))
     except KeyboardInterrupt:
         sys.exit(130)
 """
     (tmp_path / "main.py").write_text(code)
-    command = [sys.executable, "main.py", str(Path(shard_functions.__file__).parent), str(tmp_path)]
-    pipe = subprocess.PIPE
-    process = subprocess.Popen(
-        command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True, start_new_session=True, preexec_fn=_hear_ctrl_c
-    )
-    while len(list(tmp_path.glob("[0-9]"))) < 2:
-        assert process.poll() is None
-        time.sleep(0.02)
+    process = start_python(tmp_path, "main.py", str(tmp_path))
+    wait_until(lambda: len(list(tmp_path.glob("[0-9]"))) == 2, process)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: all of them
     assert process.communicate(timeout=20) == ("", "")
     assert process.returncode == 130

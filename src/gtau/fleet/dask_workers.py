@@ -8,14 +8,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gtau.errors import GtauError, missing_extra
-from gtau.parallel.executor import submit_all
-from gtau.parallel.process_executor import LIMITS, ignore_sigint
+from gtau.fleet.processes import LIMITS, completed, shielded_from_terminal, submit_all
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -51,7 +50,7 @@ def connected(address: str, patience: float = PATIENCE) -> Iterator[Client]:
     except ImportError:
         raise missing_extra("--dask", "distributed", "dask") from None
     if address == "local":
-        with ignore_sigint():
+        with shielded_from_terminal():
             cluster = LocalCluster(
                 n_workers=os.cpu_count(),
                 threads_per_worker=1,
@@ -189,10 +188,14 @@ def _results(
                 "and run the same command again."
             )
 
-    with closing(submit_all(executor, partial(_work, function, installed()), items, check)) as finished:  # type: ignore[type-var]
-        for k, future in finished:
+    futures = submit_all(executor, partial(_work, function, installed()), items)
+    try:
+        for k, future in completed(futures, check):
             seen = time.monotonic()
             yield k, _result(future)
+    finally:
+        for future in futures:
+            future.cancel()
 
 
 def _work(function: Callable[[Item], Made], expected: str, item: Item) -> Made | GtauError:

@@ -12,12 +12,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from shard_functions import away, fragile, refusing, slow_square
+from process_functions import away, fragile, refusing, slow_square
 
 from gtau.errors import GtauError
-from gtau.parallel import dask_executor
-from gtau.parallel.dask_executor import connected, dask_map
-from gtau.parallel.process_executor import LIMITS, ignore_sigint
+from gtau.fleet import dask_workers
+from gtau.fleet.dask_workers import connected, dask_map
+from gtau.fleet.processes import LIMITS, shielded_from_terminal
 
 distributed = pytest.importorskip("distributed")
 
@@ -27,7 +27,10 @@ def client() -> Iterator:
     """A client of two worker processes."""
     import dask
 
-    with ignore_sigint(), dask.config.set({"distributed.scheduler.allowed-failures": 1}):  # worker starts take time
+    with (
+        shielded_from_terminal(),
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+    ):  # worker starts take time
         cluster = distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
@@ -63,7 +66,7 @@ def test_an_error_that_stays_is_reported(client, tmp_path: Path) -> None:
 
 
 def test_workers_that_do_not_come_back() -> None:
-    with ignore_sigint():
+    with shielded_from_terminal():
         cluster = distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
@@ -89,7 +92,7 @@ def test_what_is_not_wanted_any_more_is_cancelled(client) -> None:
 
 
 def test_a_scheduler_that_stops() -> None:
-    with ignore_sigint():
+    with shielded_from_terminal():
         cluster = distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, dashboard_address=None, env=LIMITS, silence_logs="CRITICAL"
         )
@@ -130,7 +133,7 @@ def test_another_version_of_gtau_on_the_workers(client, monkeypatch: pytest.Monk
     address = client.scheduler.address
     with connected(address) as connection:
         assert dict(dask_map(refusing, [1], connection)) == {0: 1}
-    monkeypatch.setattr(dask_executor, "installed", lambda: "9.9.9")
+    monkeypatch.setattr(dask_workers, "installed", lambda: "9.9.9")
     with pytest.raises(GtauError, match=r"has gtau .* and this machine 9.9.9; install the same"), connected(address):
         pass
     late = dict(dask_map(refusing, [1], client))[0]  # what a worker says that came later
@@ -145,7 +148,7 @@ def test_workers_without_gtau() -> None:
         run=lambda function, name, on_error: {"tcp://far:1": PackageNotFoundError("gtau")},
     )
     with pytest.raises(GtauError, match="the Dask worker tcp://far:1 has no gtau; install gtau"):
-        dask_executor._check_workers(cluster, "tcp://far:2", patience=1.0, ours="1.0")
+        dask_workers._check_workers(cluster, "tcp://far:2", patience=1.0, ours="1.0")
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:

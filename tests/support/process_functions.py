@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 from gtau.errors import GtauError
 
@@ -47,3 +48,9 @@ def slow_square(x: int) -> int:
     """Slow enough that a worker is killed in the middle."""
     time.sleep(0.1)
     return x * x
+
+
+def slow_member(method: str, item: tuple[Any, str]) -> None:
+    """Identify a robot of a fleet for longer than any test lasts; its process is noted beside the experiment."""
+    (item[0].experiment.parent / f"{os.getpid()}.begun").touch()
+    time.sleep(600)

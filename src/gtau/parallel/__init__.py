@@ -1,1 +1,0 @@
-"""Where work is done: executors, and the cache of reduced runs."""

@@ -1,0 +1,322 @@
+"""Columns of a log on bodies: wrenches, the motion of a floating base, and a pose that tests the geometry.
+
+The pose of a base and the wrenches on it become positions and forces of the six joints by which it moves (see
+:mod:`gtau.robots.floating`), row by row, so that all that follows treats them as any joint's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, FiniteFloat, field_validator, model_validator
+
+from gtau.documents.validation import Keys
+from gtau.errors import GtauError
+from gtau.robots.floating import WRENCH, WrenchFrame
+from gtau.robots.geometry import turn
+from gtau.robots.robot import base_rows
+from gtau.signals.units import checked_unit, si_factor
+
+VERTICAL = np.array([0.0, 0.0, 1.0])
+
+Vector = tuple[str, str, str]
+Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class WrenchUnits(Keys):
+    """Units of measured wrenches."""
+
+    force: Annotated[str, checked_unit("force")] = "N"
+    moment: Annotated[str, checked_unit("torque")] = "N m"
+
+    def scale(self, wrench: Wrench) -> list[float]:
+        """Return the factors to SI units of a wrench's columns."""
+        return [si_factor(self.force, "force")] * 3 + [si_factor(self.moment, "torque")] * (3 if wrench.moment else 0)
+
+
+class Wrench(Keys):
+    """Columns of a force (N) and a moment (N m) from outside.
+
+    The moment is that about the point ``at`` (m), in the axes of the wrench: the origin of a force plate, or of a
+    sensor on the body. Without columns of the moment it is zero there.
+    """
+
+    force: Vector
+    moment: Vector | None = None
+    at: Point = (0.0, 0.0, 0.0)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the force, then of the moment if there are any, (3,) or (6,)."""
+        return (*self.force, *(self.moment or ()))
+
+
+class BaseWrench(Wrench):
+    """A wrench that acts on a floating base, along the axes of the world or of the base."""
+
+    axes: Literal["world", "base"] = "world"
+
+
+class BodyWrench(Wrench):
+    """A wrench that acts on another ``body``, along the axes of the world or of the body."""
+
+    body: str
+    axes: Literal["world", "body"] = "world"
+
+    @property
+    def frame(self) -> WrenchFrame:
+        """Frame in which it acts."""
+        return WrenchFrame(self.body, self.axes == "world")
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Columns behind the components of the wrench, for messages, (6,)."""
+        return (*(self.moment or (", ".join(self.force),) * 3), *self.force)
+
+
+def at_origins(wrenches: Sequence[BodyWrench], values: np.ndarray, yaw: float = 0.0) -> np.ndarray:
+    """Convert logged columns (M, .) to moments and forces (M, 6 k) about the origins of the wrenches' axes.
+
+    The world is turned by ``yaw`` (rad) about the vertical.
+    """
+    turned, found, start = turn(VERTICAL, yaw), [], 0
+    for each in wrenches:
+        f, m = values[:, start : start + 3], np.cross(each.at, values[:, start : start + 3])
+        if each.moment:
+            m = m + values[:, start + 3 : start + 6]
+        start += len(each.columns)
+        found += [m @ turned.T, f @ turned.T] if each.axes == "world" else [m, f]
+    return np.hstack(found) if found else np.zeros((len(values), 0))
+
+
+def components(wrenches: Sequence[BodyWrench]) -> int:
+    """Count the components of all wrenches together."""
+    return len(WRENCH) * len(wrenches)
+
+
+STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times those of the base
+UNIT = 0.01  # by which the length of a quaternion may differ from 1: logs round to 2 digits and more
+
+
+class BaseUnits(Keys):
+    """Unit of the position of a base."""
+
+    length: Annotated[str, checked_unit("position", "length")] = "m"
+
+
+class BaseColumns(Keys):
+    """Columns of the pose of a floating ``body`` in a world whose z axis points up, and of the wrenches on it.
+
+    ``position`` are x, y and z, ``quaternion`` w, x, y and z of its orientation; left out, it does not move so.
+    ``yaw`` (rad) turns the world about the vertical.
+    """
+
+    body: str = "base"
+    position: Vector | None = None
+    quaternion: tuple[str, str, str, str] | None = None
+    yaw: FiniteFloat = 0.0
+    wrenches: tuple[BaseWrench, ...] = ()
+
+    @model_validator(mode="after")
+    def _each_column_once(self) -> BaseColumns:
+        columns = (*self.pose, *self.forces)
+        for column in columns:
+            if columns.count(column) > 1:
+                raise ValueError(f"the column '{column}' is given twice; give each component its own")
+        if not columns:
+            raise ValueError("it names no columns; give 'position' and 'quaternion', 'wrenches', or both")
+        return self
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the six joints."""
+        return base_rows(self.body)
+
+    @property
+    def pose(self) -> tuple[str, ...]:
+        """Columns of the pose, (p,)."""
+        return (*(self.position or ()), *(self.quaternion or ()))
+
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Columns of the wrenches, (w,)."""
+        return tuple(column for each in self.wrenches for column in each.columns)
+
+    def scale(self, units: BaseUnits) -> list[float]:
+        """Return the factors to SI units of the pose's columns."""
+        lengths = [si_factor(units.length, "position")] * len(self.position or ())
+        return lengths + [1.0] * (len(self.pose) - len(lengths))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Columns behind the positions of the six joints, then those behind their forces, for messages (12,)."""
+        places = self.position or ("no column",) * 3
+        turned = "quaternion" if self.quaternion is None else ", ".join(self.quaternion)
+        acting = ", ".join(self.forces) or "no wrench"
+        return (*places, *(turned,) * 3, *(acting,) * 6)
+
+    def converted(self, pose: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Convert a pose (M, p) and wrenches (M, w) to positions and forces (M, 6) of the six joints.
+
+        Raises
+        ------
+        GtauError
+            Where a quaternion's length is not 1, or the pitch is close to 90 degrees, where the angles of the base are
+            singular.
+        """
+        p = pose[:, :3] if self.position else np.zeros((len(pose), 3))
+        angles = np.zeros((len(pose), 3)) if self.quaternion is None else self._angles(pose[:, -4:])
+        yaw = turn(VERTICAL, self.yaw)
+        p = p @ yaw.T
+        R = _rotations(angles)
+        force, moment = np.zeros((2, len(pose), 3))
+        start = 0
+        for each in self.wrenches:
+            values, start = forces[:, start : start + len(each.columns)], start + len(each.columns)
+            turned = np.broadcast_to(yaw, R.shape) if each.axes == "world" else R
+            f = np.einsum("mij,mj->mi", turned, values[:, :3])
+            arm = np.einsum("mij,j->mi", turned, each.at) - (p if each.axes == "world" else 0.0)
+            force += f
+            moment += np.cross(arm, f)
+            if each.moment:
+                moment += np.einsum("mij,mj->mi", turned, values[:, 3:])
+        # axes of the turns in the world: x, the turned y, and z of the base
+        a, zero = angles[:, 0], np.zeros(len(angles))
+        second = np.stack([zero, np.cos(a), np.sin(a)], axis=1)
+        turns = [moment[:, 0], np.sum(second * moment, axis=1), np.sum(R[:, :, 2] * moment, axis=1)]
+        return np.hstack([p, angles]), np.hstack([force, np.stack(turns, axis=1)])
+
+    def _angles(self, quaternion: np.ndarray) -> np.ndarray:
+        """Convert quaternions to angles (M, 3) about x, the rotated y and the twice rotated z; NaN stays NaN."""
+        norms = np.linalg.norm(quaternion, axis=1)
+        known = np.isfinite(norms)
+        if (wrong := known & (np.abs(norms - 1.0) > UNIT)).any():
+            raise GtauError(
+                f"the quaternion {', '.join(self.quaternion or ())} has the length {norms[wrong][0]:.3g} in "
+                f"{int(wrong.sum())} rows; give the columns of w, x, y and z of an orientation, in this order."
+            )
+        w, x, y, z = (quaternion / np.where(known, norms, 1.0)[:, None]).T
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        columns = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        R = np.einsum("ij,jkm->ikm", [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], columns)
+        pitch = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
+        if known.any() and (steep := np.nanmax(np.abs(pitch))) > STEEPEST:
+            raise GtauError(
+                f"the z axis of the base comes within {90 - np.degrees(steep):.0f} degrees of the x axis of the world, "
+                "where the angles of the base are singular; turn the world about the vertical, by 'yaw: 1.57' under "
+                "'base', or leave out the part of the log in which the base turns over ('from', 'to')."
+            )
+        return np.stack([np.arctan2(-R[1, 2], R[2, 2]), pitch, np.arctan2(-R[0, 1], R[0, 0])], axis=1)
+
+
+def _rotations(angles: np.ndarray) -> np.ndarray:
+    """Compute the orientations (M, 3, 3) of a base rotated by the angles (M, 3) of its joints."""
+    (ca, cb, cc), (sa, sb, sc) = np.cos(angles).T, np.sin(angles).T
+    rows = [
+        [cb * cc, -cb * sc, sb],
+        [ca * sc + sa * sb * cc, ca * cc - sa * sb * sc, -sa * cb],
+        [sa * sc - ca * sb * cc, sa * cc + ca * sb * sc, ca * cb],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+AXES = "xyz"
+
+
+class Angles(Keys):
+    """Columns of angles about the axes of a ``sequence``, one for each.
+
+    Capitals turn about axes that turn with the body (``YZ`` is Ry(first) Rz(second)), small letters about fixed ones
+    (``xyz`` is roll, pitch and yaw). Of fewer than three the further ones are not logged.
+    """
+
+    sequence: str = Field(pattern="^([XYZ]{1,3}|[xyz]{1,3})$")
+    columns: tuple[str, ...]
+
+    @model_validator(mode="after")
+    def _column_for_each(self) -> Angles:
+        if len(self.columns) != len(self.sequence):
+            raise ValueError(
+                f"the sequence '{self.sequence}' has {len(self.sequence)} angles, but {len(self.columns)} columns are "
+                "given; give one for each"
+            )
+        if any(a == b for a, b in zip(self.sequence, self.sequence[1:], strict=False)):
+            raise ValueError(f"the sequence '{self.sequence}' turns twice about one axis; write another axis between")
+        return self
+
+    @property
+    def turning(self) -> tuple[str, tuple[str, ...]]:
+        """Three axes that turn with the body, and the columns of the first of them."""
+        fixed = self.sequence.islower()
+        sequence = self.sequence[::-1].upper() if fixed else self.sequence
+        for axis in "ZYX":
+            if len(sequence) < 3 and axis not in sequence:
+                sequence += axis
+        return sequence, self.columns[::-1] if fixed else self.columns
+
+
+class PoseColumns(Keys):
+    """The pose of a ``body`` (the tool, if left out), as far as it is logged.
+
+    ``source`` says whose pose it is: of the body in the base (``controller``), of a tool whose place on the body is
+    not known in the base (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), which both
+    stand where nobody measured.
+    """
+
+    source: Literal["controller", "tool", "tracker"]
+    body: str | None = None
+    position: dict[Literal["x", "y", "z"], str] = Field(default_factory=dict)
+    angles: Angles | None = None
+    quaternion: dict[Literal["w", "x", "y", "z"], str] | None = None
+    rotation_vector: tuple[str, str, str] | None = None
+
+    @field_validator("quaternion")
+    @classmethod
+    def _whole(cls, quaternion: dict[str, str] | None) -> dict[str, str] | None:
+        if quaternion is not None and len(quaternion) < 4:
+            raise ValueError("a quaternion has four columns; give w, x, y and z")
+        return quaternion
+
+    @model_validator(mode="after")
+    def _something(self) -> PoseColumns:
+        if sum(each is not None for each in (self.angles, self.quaternion, self.rotation_vector)) > 1:
+            raise ValueError("give the orientation once, as 'angles', as a 'quaternion' or as a 'rotation_vector'")
+        if not self.columns:
+            raise ValueError("a pose needs columns; give a 'position', 'angles', a 'quaternion' or a 'rotation_vector'")
+        repeated = [column for column in self.columns if self.columns.count(column) > 1]
+        if repeated:
+            raise ValueError(f"the column '{repeated[0]}' is given twice; give each component its own")
+        return self
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """Numbers of the axes along which the position is logged, in the order of its columns."""
+        return tuple(AXES.index(axis) for axis in self.position)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All columns: the position's, then those of turning angles, of w, x, y and z, or of the vector."""
+        angles = () if self.angles is None else self.angles.turning[1]
+        turned = () if self.quaternion is None else tuple(self.quaternion[axis] for axis in ("w", "x", "y", "z"))
+        return (*self.position.values(), *angles, *turned, *(self.rotation_vector or ()))
+
+
+class PoseUnits(Keys):
+    """Units of the lengths and the angles of a pose."""
+
+    length: Annotated[str, checked_unit("position", "length")] = "m"
+    angle: Annotated[str, checked_unit("position", "angle")] = "rad"
+
+    def scale(self, pose: PoseColumns) -> list[float]:
+        """Return the factors to SI units of the pose's columns."""
+        angles = 3 if pose.rotation_vector else 0 if pose.angles is None else len(pose.angles.columns)
+        length, angle = si_factor(self.length, "position"), si_factor(self.angle, "position")
+        return [length] * len(pose.position) + [angle] * angles + [1.0] * (4 if pose.quaternion else 0)

@@ -1,0 +1,86 @@
+"""Ending the program: Ctrl-C, SIGTERM and SIGHUP leave a sentence, and no signal leaves worker processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+import pytest
+from five_bar_logs import DESIGN
+from programs import has_ended, start, wait_until
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+LIMIT = 10.0  # s to end, on a busy machine; on an idle one less than one
+SLOW = "import gtau.fleet.fleet, process_functions; gtau.fleet.fleet._identify_member = process_functions.slow_member"
+FINISHED = "gtau: interrupted; finished robots stay in out/models, and the same command continues with the others.\n"
+
+
+@contextmanager
+def working_fleet(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen, list[psutil.Process]]]:
+    """Start ``gtau fleet`` on robots that take minutes; the program and its descendants once two are begun."""
+    for name in map(str, range(8)):  # more than two workers are handed at once
+        (folder / name).mkdir()
+        (folder / name / "experiment.yaml").touch()
+    process = start(folder, "fleet", "*/experiment.yaml", "--out", "out", *options, first=SLOW)
+    descendants: list[psutil.Process] = []
+    try:
+        wait_until(lambda: len(list(folder.glob("*/*.begun"))) >= 2, process)
+        descendants = psutil.Process(process.pid).children(recursive=True)
+        workers = {int(sign.stem) for sign in folder.glob("*/*.begun")}
+        assert workers <= {each.pid for each in descendants}
+        yield process, descendants
+    finally:
+        for each in (*descendants, process):
+            if not has_ended(each) if isinstance(each, psutil.Process) else each.poll() is None:
+                each.kill()
+
+
+@pytest.mark.parametrize("whole_group", [False, True], ids=["alone", "group"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
+def test_workers_end_with_the_program(tmp_path: Path, name: str, whole_group: bool) -> None:
+    """A supervisor or a terminal that closes signals the whole group, ``kill`` the program alone."""
+    number = signal.Signals[name]
+    with working_fleet(tmp_path, "--jobs", "2") as (process, descendants):
+        (os.killpg if whole_group else os.kill)(process.pid, number)
+        process.wait(LIMIT)
+        wait_until(lambda: all(map(has_ended, descendants)), limit=LIMIT)
+        stdout, stderr = process.communicate(timeout=LIMIT)
+    killed = name == "SIGKILL"
+    assert process.returncode == (-number if killed else 128 + number)
+    assert killed or (stdout, stderr) == ("", FINISHED)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGKILL"])
+def test_dask_workers_end_with_the_program(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("distributed")
+    number = signal.Signals[name]
+    with working_fleet(tmp_path, "--dask", "local") as (process, descendants):
+        process.send_signal(number)
+        process.wait(LIMIT)
+        wait_until(lambda: all(map(has_ended, descendants)), limit=LIMIT)
+        _, stderr = process.communicate(timeout=LIMIT)
+    killed = name == "SIGKILL"
+    assert process.returncode == (-number if killed else 128 + number)
+    assert killed or stderr.startswith("gtau: interrupted; ")
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_search_ends_without_a_word_of_its_solver(tmp_path: Path, name: str) -> None:
+    """IPOPT reports an exception of its callbacks and goes on with the search."""
+    (tmp_path / "design.yaml").write_text(DESIGN)
+    process = start(tmp_path, "excite", "design.yaml", "--out", "plan", "--starts", "1000")
+    wait_until((tmp_path / "plan" / "trajectory.csv").exists, process)
+    time.sleep(1.0)  # into a search
+    process.send_signal(signal.Signals[name])
+    stdout, stderr = process.communicate(timeout=LIMIT)
+    assert process.returncode == 128 + signal.Signals[name]
+    assert (stdout, stderr) == ("", "gtau: interrupted; unfinished files were not written.\n")
+    assert [path.name for path in (tmp_path / "plan").iterdir()] == ["trajectory.csv"]
