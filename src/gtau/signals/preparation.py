@@ -160,10 +160,15 @@ class PreparedRun:
 
 @dataclass(frozen=True, eq=False)
 class InMemoryRun:
-    """A run ready for the model along a motion that was made, all of it there; to be used as :class:`PreparedRun`."""
+    """A run ready for the model along a motion that was made, all of it there; to be used as :class:`PreparedRun`.
+
+    It may be a window, the samples of another run, ``whole``, from the number ``first`` on.
+    """
 
     run: Run
     all: SampleWindow
+    whole: InMemoryRun | None = None
+    first: int = 0
 
     def __len__(self) -> int:
         return len(self.all.time)

@@ -50,8 +50,9 @@ def central_windows(dataset: Dataset, pieces: int = 1) -> list[tuple[int, InMemo
         if dataset.preparation.at(whole.run.rate).decimator.outputs(size) == 0:
             continue
         begin = (len(whole) - size * pieces) // 2
-        middle = whole.samples(begin, begin + size * pieces)
-        found += [(run, InMemoryRun(whole.run, middle[k * size : (k + 1) * size])) for k in range(pieces)]
+        middle = InMemoryRun(whole.run, whole.samples(begin, begin + size * pieces))
+        parts = range(0, size * pieces, size)
+        found += [(run, InMemoryRun(whole.run, middle.samples(at, at + size), middle, at)) for at in parts]
     return found
 
 

@@ -27,21 +27,29 @@ def ols(problem: Problem, gains: np.ndarray) -> Solution:
     return _with_given(problem, gains, lambda state, errors: np.abs(1 / state.b), "ordinary")
 
 
-def wls(problem: Problem, gains: np.ndarray) -> Solution:
-    """Solve weighted least squares with given ``gains`` (n,): joints weighted by their own error level (eq. 28)."""
+def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -> Solution:
+    """Solve weighted least squares with given ``gains`` (n,): joints weighted by their own error level (eq. 28).
+
+    The iteration starts from ``delays`` (c,), where these are known from a like problem.
+    """
     own, silent = problem.own_sigma, problem.silent
 
     def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
         # of a base in flight by its residuals, as with maximum likelihood: it has no error level of its own
         return 1 / np.where(silent & (errors > 0), np.sqrt(errors / problem.total_rows), own)
 
-    return _with_given(problem, gains, weights, "weighted")
+    return _with_given(problem, gains, weights, "weighted", delays)
 
 
 def _with_given(
-    problem: Problem, gains: np.ndarray, weigh: Callable[[Iterate, np.ndarray], np.ndarray], name: str
+    problem: Problem,
+    gains: np.ndarray,
+    weigh: Callable[[Iterate, np.ndarray], np.ndarray],
+    name: str,
+    delays: np.ndarray | None = None,
 ) -> Solution:
-    start = Iterate(np.zeros(problem.n_theta), 1 / np.asarray(gains, dtype=float), problem.own_delays)
+    delays = problem.own_delays if delays is None else delays
+    start = Iterate(np.zeros(problem.n_theta), 1 / np.asarray(gains, dtype=float), delays)
     solution = solve(problem, start, weigh, free_gains=False)
     if not solution.settled:
         raise GtauError(
@@ -68,7 +76,15 @@ def fit_free(
     """Fit with free gains, by ``solve_free`` or to a ``refined`` solution found from its ``unrefined`` one."""
     unrefined = solve_free(system.problem) if unrefined is None else unrefined
     solution = unrefined if refined is None else refined
-    return Fit(dataset, system, solution, solve_free, unrefined, partial(wls, gains=solution.gains), free_gains=True)
+    return Fit(
+        dataset,
+        system,
+        solution,
+        solve_free,
+        unrefined,
+        partial(wls, gains=solution.gains, delays=solution.delays),
+        free_gains=True,
+    )
 
 
 def with_given(solver: Callable[[Problem, np.ndarray], Solution], given: Given) -> Solve:
@@ -81,7 +97,15 @@ def with_given(solver: Callable[[Problem, np.ndarray], Solution], given: Given) 
 def _fit(solver: Callable[[Problem, np.ndarray], Solution], dataset: Dataset, system: System, given: Given) -> Fit:
     solve_given = with_given(solver, given)
     solution = solve_given(system.problem)
-    return Fit(dataset, system, solution, solve_given, solution, partial(wls, gains=solution.gains), free_gains=False)
+    return Fit(
+        dataset,
+        system,
+        solution,
+        solve_given,
+        solution,
+        partial(wls, gains=solution.gains, delays=solution.delays),
+        free_gains=False,
+    )
 
 
 WLS = Estimator(

@@ -100,7 +100,9 @@ def solve(
         J = np.concatenate([J, J_known])
         e = (residuals(triangles, state) * weights[:, None]).reshape(-1)
         e = np.concatenate([e, known[:, :-1] @ state.theta - known[:, -1]])
-        back = whitening(J, curvature_of_delays(triangles, state, problem, weights))
+        # without parameters the whole signal is error, and its curvature that of no model
+        curvature = curvature_of_delays(triangles, state, problem, weights) * state.theta.any()
+        back = whitening(J, curvature)
         step = -back @ (back.T @ (J.T @ e))
         before, share = cost(state), 1.0
         terms = sizes[:, :, SIGNAL] + np.abs(state.b)[:, None] * modelled(sizes, np.abs(state.theta))
@@ -138,12 +140,25 @@ def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     """
     norms = np.linalg.norm(rows, axis=0)
     norms[norms == 0] = 1.0
-    _, s, Vt = np.linalg.svd(triangle(rows / norms), full_matrices=False)
+    back = _inverse(triangle(rows / norms)) / norms[:, None]
+    # the curvature is that of few directions, which are an orthonormal basis Q; all others stay as they are
+    Q, S = np.linalg.qr(back[len(back) - len(curvature) :].T)
+    values, vectors = np.linalg.eigh(np.eye(len(S)) + (S * curvature) @ S.T)
+    root = (vectors / np.sqrt(np.maximum(values, FLATTEST))) @ vectors.T
+    return np.asarray(back + (back @ Q) @ (root - np.eye(len(S))) @ Q.T)
+
+
+def _inverse(R: np.ndarray) -> np.ndarray:
+    """Invert a triangular factor R (k, k); the pseudo-inverse, without directions of rounding, where it is singular."""
+    from scipy.linalg.lapack import dtrtri
+
+    if R.shape[0] == R.shape[1]:
+        inverse, singular = dtrtri(R)
+        if not singular and np.linalg.norm(R) * np.linalg.norm(inverse) * RANK < 1:
+            return np.asarray(inverse)
+    _, s, Vt = np.linalg.svd(R, full_matrices=False)
     kept = s > RANK * s[0]
-    back = Vt[kept].T / s[kept] / norms[:, None]
-    added = back[len(back) - len(curvature) :]
-    values, vectors = np.linalg.eigh(np.eye(back.shape[1]) + (added.T * curvature) @ added)
-    return np.asarray(back @ (vectors / np.sqrt(np.maximum(values, FLATTEST))))
+    return np.asarray(Vt[kept].T / s[kept])
 
 
 def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:

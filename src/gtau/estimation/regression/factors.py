@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -62,6 +63,11 @@ class Factors:
     distances: np.ndarray | None = None
     residuals: np.ndarray | None = None
     speeds: np.ndarray | None = None
+
+    @cached_property
+    def merged(self) -> tuple[np.ndarray, ...]:
+        """Triangles of all stretches together, one a channel, (., p)."""
+        return tuple(triangle(*self.R[:, j]) for j in range(self.R.shape[1]))
 
 
 def equations(regressor: Regressor, channels: Sequence[Channel], part: Rows) -> np.ndarray:

@@ -20,7 +20,6 @@ from gtau.estimation.regression.equations import (
     KNOWN,
     MODEL,
     SIGNAL,
-    SIGNALS,
     delayed_signal,
     select_columns,
     triangle,
@@ -108,7 +107,7 @@ class Problem:
         """What each channel's own model leaves of v, v', v'': (3, 3) triangles, one a channel."""
         left = []
         for R, columns in zip(self.triangles, self.own_columns, strict=True):
-            full = triangle(np.concatenate([R[:, columns], R[:, SIGNALS]], axis=1))
+            full = select_columns(R, [*columns, *range(self.n_theta + 1, self.n_theta + FIXED)])
             left.append(full[len(columns) :, len(columns) :])
         return tuple(left)
 
@@ -187,11 +186,13 @@ class Problem:
         )
         # the triangles of fewer columns follow from those of all: the units need not be looked at again
         less.__dict__["triangles"] = tuple(select_columns(R, columns) for R in self.triangles)
-        # columns that depended on others still do if these are all there
+        # columns that depended on others still do if these are all there, or if there are none
         now = {old: new for new, old in enumerate(columns)}
         less.__dict__["own_columns"] = tuple(
-            [now[k] for k in own] if now.keys() >= set(own) else _independent(R)
-            for own, R in zip(self.own_columns, less.triangles, strict=True)
+            [now[k] for k in own if k in now]
+            if now.keys() >= set(own) or len(own) == np.count_nonzero(R[:, : KNOWN + 1].any(axis=0))
+            else _independent(T)
+            for own, R, T in zip(self.own_columns, self.triangles, less.triangles, strict=True)
         )
         return less
 

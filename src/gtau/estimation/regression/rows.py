@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -121,6 +122,24 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
     return torques
 
 
+def configurations(idm: InverseDynamics, window: InMemoryRun) -> np.ndarray:
+    """Compute the configurations (n_c, N) of a model along a window.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    """
+    whole = window if window.whole is None else window.whole
+    return _configurations(idm, whole)[:, window.first : window.first + len(window)]
+
+
+@lru_cache(maxsize=8)  # of few runs: hypotheses and estimators look at their windows again and again
+def _configurations(idm: InverseDynamics, whole: InMemoryRun) -> np.ndarray:
+    of = whole.samples()
+    return idm.path(of.q.T.copy(), Labels(whole.run.name, of.time))
+
+
 def _along(
     idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block]
 ) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
@@ -133,9 +152,13 @@ def _along(
             known = max(end - at.start, 0) if c.size else 0
             stop = min(max(at.start + PATH, at.stop), len(prepared))
             of = prepared.samples(at.start, stop)
-            labels = Labels(prepared.run.name, of.time[known:])
-            path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)
-            c, begin, end = np.hstack([c[:, c.shape[1] - known :], path]), at.start, stop
+            if isinstance(prepared, InMemoryRun) and prepared.whole is not None:
+                c = configurations(idm, prepared)[:, at.start : stop]
+            else:
+                labels = Labels(prepared.run.name, of.time[known:])
+                path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)
+                c = np.hstack([c[:, c.shape[1] - known :], path])
+            begin, end = at.start, stop
         yield block, of[at.start - begin : at.stop - begin], c[:, at.start - begin : at.stop - begin]
 
 

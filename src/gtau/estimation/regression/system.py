@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from gtau.estimation.regression.column_blocks import (
     column_map,
     unknown_names,
 )
-from gtau.estimation.regression.equations import KNOWN, MODEL
+from gtau.estimation.regression.equations import KNOWN, MODEL, triangle
 from gtau.estimation.regression.factors import Factors
 from gtau.estimation.regression.flight import with_exact_mass
 from gtau.estimation.regression.friction import Friction, transmitted
@@ -60,8 +61,13 @@ class System:
 
         ``above`` (n,) are the joints' temperatures above their means; those of the whole run if left out.
         """
-        above = self.above[run] if above is None else above
+        if above is None:
+            return self._maps[run]
         return np.stack([column_map(self.effects, run, each, above[each.row]) for each in self.whole.channels])
+
+    @cached_property
+    def _maps(self) -> list[np.ndarray]:
+        return [self.map(run, above) for run, above in enumerate(self.above)]
 
     def full(self, theta: np.ndarray) -> np.ndarray:
         """Fill up parameters of the problem to those of ``whole`` and a 1 for what is known, (n_theta + 1,)."""
@@ -129,11 +135,13 @@ def assemble_system(
     channels = channels_of_model(idm.robot, sensors)
     effects = tuple(column_blocks(base, channels, carried, friction, len(factors)))
     parameters = unknown_names(effects)
-    blocks = []
+    blocks: list[np.ndarray] = []
+    merged: list[list[np.ndarray]] = []
     for run, factor in enumerate(factors):
         warm = None if temperatures is None else temperatures[run]  # (stretches, n)
         maps = [column_map(effects, run, each, 0.0 if warm is None else warm[:, each.row]) for each in channels]
         blocks.append(np.stack([factor.R[:, j] @ M for j, M in enumerate(maps)], axis=1))
+        merged.append([T @ M for T, M in zip(factor.merged, maps, strict=True)] if warm is None else [])
     rows = np.concatenate([factor.rows for factor in factors])
     filled = rows.sum(axis=1) > 0
     block_positions = np.array(
@@ -149,6 +157,8 @@ def assemble_system(
         known_equations(base, idm.parameter_names, parameters, priors),
         tuple(wrenches),
     )
+    if temperatures is None:  # all stretches of a run have the same map: their factors need not be merged again
+        problem.__dict__["triangles"] = tuple(triangle(*each) for each in zip(*merged, strict=True))
     _require_rows(problem)
     unexcited = _unexcited(problem)
     return System(
@@ -184,5 +194,5 @@ def _unexcited(problem: Problem) -> tuple[str, ...]:
             problem.known[:, :-1],
         ]
     )
-    kept, _, _ = independent_columns(stacked)
+    kept, _, _ = independent_columns(triangle(stacked))
     return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)

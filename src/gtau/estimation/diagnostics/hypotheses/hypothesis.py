@@ -11,7 +11,7 @@ import numpy as np
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.linearisation import Offer
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.rows import Labels
+from gtau.estimation.regression.rows import Labels, configurations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.signals.preparation import InMemoryRun
@@ -98,14 +98,17 @@ def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
     GtauError
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
-    return shifted_motion(model, window, None, None)
+    return _motion(model, window, configurations(model, window))
 
 
-def shifted_motion(
-    model: InverseDynamics, window: InMemoryRun, shift: np.ndarray | None, start: np.ndarray | None
-) -> Motion:
+def shifted_motion(model: InverseDynamics, window: InMemoryRun, shift: np.ndarray, start: np.ndarray) -> Motion:
     """Shift a motion by ``shift`` (n,), from a configuration ``start`` (n_c,) near the first one."""
     of = window.samples()
-    labels = Labels(window.run.name, of.time)
-    q, qd, qdd = (np.ascontiguousarray(each.T) for each in (of.q if shift is None else of.q + shift, of.qd, of.qdd))
-    return model.rates(model.path(q, labels, start), qd, qdd, labels)
+    q = np.ascontiguousarray((of.q + shift).T)
+    return _motion(model, window, model.path(q, Labels(window.run.name, of.time), start))
+
+
+def _motion(model: InverseDynamics, window: InMemoryRun, c: np.ndarray) -> Motion:
+    of = window.samples()
+    qd, qdd = (np.ascontiguousarray(each.T) for each in (of.qd, of.qdd))
+    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, of.time))
