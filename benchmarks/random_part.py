@@ -26,8 +26,8 @@ from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.equations import SIGNALS, triangle
-from gtau.estimation.regression.factors import EXTRA, STRETCHES, Factors
+from gtau.estimation.regression.equations import SIGNALS, STRETCHES, triangle
+from gtau.estimation.regression.factors import EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import System

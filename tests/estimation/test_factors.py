@@ -16,7 +16,8 @@ from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.factors import STRETCHES, Factors, reduce_run
+from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.regression.factors import Factors, reduce_run
 from gtau.estimation.regression.friction import Friction, all_terms
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale

@@ -30,7 +30,7 @@ from gtau.estimation.diagnostics.parameter_checks import (
 from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict, decide, verdict_of, worst
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.factors import STRETCHES
+from gtau.estimation.regression.equations import STRETCHES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.headline import headline
 from gtau.estimation.results.result import Result

@@ -25,8 +25,8 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import jacobian, moved, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import FIXED, SIGNALS, triangle
-from gtau.estimation.regression.factors import EXTRA, ROWS, STRETCHES, Factors
+from gtau.estimation.regression.equations import FIXED, SIGNALS, STRETCHES, triangle
+from gtau.estimation.regression.factors import EXTRA, ROWS, Factors
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows

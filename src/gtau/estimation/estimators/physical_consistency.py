@@ -24,9 +24,8 @@ from gtau.estimation.estimators.semidefinite import constrained_least_squares, p
 from gtau.estimation.estimators.standard_parameters import StandardUnknowns, standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import leave_one_out, triangle
-from gtau.estimation.regression.known_parameters import of_theta
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
+from gtau.estimation.regression.system import System, of_theta
 from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Prior
 

@@ -87,7 +87,7 @@ def standard_unknowns(
         if name.split("_", 1)[0] in ("ia", "fv", "fs", "fl", DAMPING) and "@" not in name:
             lower[k] = 0.0
     for name, prior in priors.items():
-        if name not in column:  # a base parameter: see known_parameters
+        if name not in column:  # a base parameter: see known_equations
             continue
         k = column[name]
         lower[k] = lower[k] if prior.min is None else prior.min

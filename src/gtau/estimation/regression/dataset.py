@@ -12,10 +12,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
-from gtau.estimation.regression.friction import PAPER, Friction
+from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.estimation.regression.system import System, assemble_system
-from gtau.estimation.regression.temperatures import Temperatures, temperatures_of
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent

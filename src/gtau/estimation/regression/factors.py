@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS, triangle
+from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS, STRETCHES, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
@@ -22,7 +22,6 @@ from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store
 
-STRETCHES = 20
 ROWS = 512  # merged into a triangle at once
 EXTRA = len(TERMS) + FIXED  # columns behind those of standard parameters
 
