@@ -33,10 +33,6 @@ def experiments(folder: Path, seed: int) -> Iterator[tuple[str, Path]]:
     yield "hook on the base", experiment(folder, f"{{{base}, wrenches: [{AT_HOOK}]}}", hung)
     yield "sensor in the sole", experiment(folder, f"{{{base}}}\n  wrenches: [{AT_SOLE}]", standing)
     yield "force plate under the foot", experiment(folder, f"{{{base}}}\n  wrenches: [{ON_PLATE}]", standing)
-    flying = simulated(seed, flying=True)
-    mass = sum(value for name, value in flying.chi.items() if name.startswith("m_"))
-    weighed = f"priors: {{m_trunkR: {{value: {mass}, std: {1e-3 * mass}}}}}"
-    yield "none: in flight, weighed", experiment(folder, f"{{{base}}}", flying, weighed, flying=True)
     path = experiment(folder, "", simulated(seed, moving=False), f"  wrenches: [{AT_SOLE}]")
     pl.DataFrame(simulated(seed + 1000, moving=False, tool=True).columns).write_csv(folder / "tool.csv")
     path.write_text(path.read_text().replace("runs: [", "runs: [{log: tool.csv}, "))

@@ -5,8 +5,7 @@ Its motion is a sum of sines; torques and wrenches are Pinocchio's, with a free 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 
@@ -15,7 +14,6 @@ import pinocchio as pin
 import polars as pl
 from engines import random_parameters
 from free_flyer import free_flyer_model, free_state, pinocchio_state
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from gtau.estimation.results.result import Result
@@ -50,42 +48,6 @@ class Truth:
     columns: dict[str, np.ndarray]
 
 
-def in_flight(robot: Robot, chi: dict[str, float], t: np.ndarray, joints: Callable[[float], np.ndarray]) -> np.ndarray:
-    """Motion of a base on which nothing acts (3, N, 6), the ``joints``' (3, n) given: forward dynamics by Pinocchio."""
-    model, number = pin.Model(), 0
-    model.gravity.linear = np.array(robot.gravity)
-    slides, turns = ("JointModelPX", "JointModelPY", "JointModelPZ"), ("JointModelRX", "JointModelRY", "JointModelRZ")
-    for kind in slides + turns:
-        number = model.addJoint(number, getattr(pin, kind)(), pin.SE3.Identity(), kind)
-    of = {robot.floating: number}
-    for joint in robot.joints[6:]:
-        placement = pin.SE3(joint.placement.rotation, joint.placement.position)
-        kind = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
-        of[joint.name] = model.addJoint(of[joint.antecedent], kind, placement, joint.name)
-    for name, number in of.items():
-        model.appendBodyToJoint(number, inertia_of(chi, name), pin.SE3.Identity())
-    data = model.createData()
-
-    def mass_matrix(at: np.ndarray) -> np.ndarray:
-        upper = np.triu(pin.crba(model, data, at))
-        return upper + np.triu(upper, 1).T
-
-    def accelerations(time: float, state: np.ndarray) -> np.ndarray:
-        q, qd, qdd = joints(time)
-        at, rates = np.concatenate([state[:6], q]), np.concatenate([state[6:], qd])
-        h = pin.rnea(model, data, at, rates, np.concatenate([np.zeros(6), qdd]))[:6]
-        return -np.linalg.solve(mass_matrix(at)[:6, :6], h)
-
-    def change(time: float, state: np.ndarray) -> np.ndarray:
-        return np.concatenate([state[6:], accelerations(time, state)])
-
-    q, qd, _ = joints(0.0)
-    M = mass_matrix(np.concatenate([np.zeros(6), q]))
-    start = np.concatenate([np.zeros(6), -np.linalg.solve(M[:6, :6], M[:6, 6:] @ qd)])  # without momentum
-    path = solve_ivp(change, (0.0, t[-1]), start, "DOP853", t, rtol=1e-10, atol=1e-12).y.T
-    return np.stack([path[:, :6], path[:, 6:], [accelerations(*each) for each in zip(t, path, strict=True)]])
-
-
 def inertia_of(chi: dict[str, float], body: str) -> pin.Inertia:
     """The inertia of a body about its frame."""
     xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[f"{kind}_{body}"] for kind in INERTIAL)
@@ -98,16 +60,14 @@ def simulated(
     foot: float = 0.0,
     swaying: float = 0.0,
     tool: bool = False,
-    flying: bool = False,
 ) -> Truth:
     """Motion of base and joints, currents, and the wrench on the base: at the hook, and at the plate in world axes.
 
     A share ``foot`` of it, which is ``swaying``, acts on the last link instead, which stands on the plate: what the
     hook shows is the rest. Or the last link carries a ``tool`` of which the robot file knows nothing. The wrench on the
-    link is in the columns ``s...``, in axes of the link at its sole, and ``w...``, at the plate. Or nothing acts on the
-    robot, ``flying`` in space.
+    link is in the columns ``s...``, in axes of the link at its sole, and ``w...``, at the plate.
     """
-    robot, rng = float_base(replace(FIXED, gravity=gravity_of(flying)), "trunk"), np.random.default_rng(seed)
+    robot, rng = float_base(FIXED, "trunk"), np.random.default_rng(seed)
     chi = random_parameters(robot, np.random.default_rng(1)) | {
         f"{kind}_{joint}": value for joint in GAINS for kind, value in DRIVE.items()
     }
@@ -124,15 +84,6 @@ def simulated(
     for number, name in enumerate(("trunk", *GAINS), start=1):
         model.appendBodyToJoint(number, inertia_of(chi, name), pin.SE3.Identity())
     data = model.createData()
-    if flying:
-        w_joints, phase_joints = w[6:], phase[6:]
-
-        def joints(time: float) -> np.ndarray:
-            angle = w_joints * time + phase_joints
-            sines, cosines = np.sin(angle) / 3, np.cos(angle) / 3
-            return np.array([each.sum(axis=1) for each in (sines, w_joints * cosines, -(w_joints**2) * sines)])
-
-        q[:, :6], qd[:, :6], qdd[:, :6] = in_flight(robot, chi, t, joints)
     hook, plate, sole, world = np.zeros((4, len(t), 6))
     tau, quaternion = np.zeros((len(t), 3)), []
     for k in range(len(t)):
@@ -185,14 +136,8 @@ AT_SOLE = f"{{body: 3, force: [sx, sy, sz], moment: [smx, smy, smz], axes: body,
 ON_PLATE = f"{{body: 3, force: [wx, wy, wz], moment: [wmx, wmy, wmz], at: {PLATE.tolist()}}}"
 
 
-def gravity_of(flying: bool) -> tuple[float, float, float]:
-    """Gravity, m/s2."""
-    return (0.0, 0.0, 0.0) if flying else FIXED.gravity
-
-
-def experiment(folder: Path, base: str, truth: Truth, more: str = "", flying: bool = False) -> Path:
-    robot = replace(FIXED, gravity=gravity_of(flying))
-    robot = float_base(robot, "trunk") if base else robot
+def experiment(folder: Path, base: str, truth: Truth, more: str = "") -> Path:
+    robot = float_base(FIXED, "trunk") if base else FIXED
     write_native(robot, folder / "arm.yaml")
     pl.DataFrame(truth.columns).write_csv(folder / "log.csv")
     (folder / "experiment.yaml").write_text(

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.least_squares import wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.estimators.scale_uncertainty import scale_uncertainty
 from gtau.estimation.experiment_runs import experiment_of, read_runs
 from gtau.estimation.identify import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
@@ -85,7 +85,7 @@ def weigh(
             "with one of which all parameters are known."
         )
     solution = solve(system.problem)
-    total = solution.jackknife + scale_uncertainty(dataset, system, solution, solve)
+    total = solution.jackknife + scale_uncertainty(dataset, system, solve)
     if covariance is not None:
         slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T

@@ -196,3 +196,13 @@ def _term(coefficient: float, name: str) -> str:
     sign = "-" if coefficient < 0 else "+"
     size = abs(coefficient)
     return f" {sign} {name}" if abs(size - 1.0) < 1e-6 else f" {sign} {size:.5g} {name}"
+
+
+def whole_mass(base: BaseParameters, standard: Sequence[str]) -> str:
+    """Return the name of the base parameter that is the mass (kg) of all bodies of a floating robot, or an empty one.
+
+    ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
+    """
+    masses = np.array([name.startswith("m_") for name in standard], dtype=float)
+    found = (name for name, row in zip(base.names, base.matrix, strict=True) if np.allclose(row, masses, atol=1e-6))
+    return next(found, "")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
@@ -18,16 +18,19 @@ from gtau.estimation.diagnostics.gain_checks import (
     prior_gains_off,
     wrench_contradictions,
 )
-from gtau.estimation.diagnostics.known_checks import prior_contradictions
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
 from gtau.estimation.diagnostics.position_ripple import ripple_findings
-from gtau.estimation.diagnostics.sensor_checks import SensorScale, sensor_contradictions, sensor_scales
 from gtau.estimation.diagnostics.sentences import note
-from gtau.estimation.diagnostics.uncertainty import Uncertainty
+from gtau.estimation.diagnostics.stated_constants import (
+    SensorScale,
+    prior_contradictions,
+    sensor_contradictions,
+    sensor_scales,
+)
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict, decide
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.flight import whole_mass
+from gtau.model.base_parameters import whole_mass
 from gtau.signals.notes import Note
 
 

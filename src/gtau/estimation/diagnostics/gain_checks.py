@@ -18,12 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.uncertainty import Uncertainty
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.flight import whole_mass
 from gtau.estimation.thresholds.estimates import (
     APART_REFUTED,
     BASE_MISFIT,
@@ -35,6 +33,7 @@ from gtau.estimation.thresholds.estimates import (
     NEGATIVE_STD,
     PRIOR_FACTOR,
 )
+from gtau.model.base_parameters import whole_mass
 from gtau.robots.units import torque_unit
 
 NORMAL = 1.96  # standard deviations in half a 95 % interval
@@ -155,8 +154,7 @@ def motors(fit: Fit) -> tuple[str, ...]:
 
 def measured_wrenches(fit: Fit) -> bool:
     """Whether wrenches are measured, on a body or on a floating base."""
-    problem = fit.system.problem
-    return bool(problem.wrenches) or not problem.silent[problem.of("base")].all()
+    return bool(fit.system.problem.wrenches or fit.system.problem.of("base"))
 
 
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,8 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.parameter_checks import known_verdict
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.scale_uncertainty import with_payload
 from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.thresholds.estimates import PAYLOAD_MOVES
 from gtau.robots.units import unit_of
@@ -61,7 +62,7 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
     dataset, system = fit.dataset, fit.system
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
-    payloads = with_payload(dataset, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
+    payloads = _with_payload(dataset, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
     other = dataset.system(system.friction, system.problem.slowest > 0, payloads)
     try:
         require_scale(dataset.robot, other, payloads, method)
@@ -84,3 +85,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
     left = float(other.problem.total_rows @ np.log(free.sigma))
     moves = float(np.abs(free.gains / fit.solution.gains - 1).max())
     return Freed(value, float(np.hypot(std[best], of_mass)), left, moves)
+
+
+def _with_payload(dataset: Dataset, name: str, other: Payload) -> Sequence[Payload | None]:
+    """Replace the payload called ``name`` by ``other`` in the runs."""
+    return [other if run.payload and run.payload.name == name else run.payload for run in dataset.runs]

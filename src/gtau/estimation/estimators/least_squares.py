@@ -35,7 +35,7 @@ def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -
     own, silent = problem.own_sigma, problem.silent
 
     def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
-        # of a base in flight by its residuals, as with maximum likelihood: it has no error level of its own
+        # a silent channel by its residuals, as with maximum likelihood: it has no error level of its own
         return 1 / np.where(silent & (errors > 0), np.sqrt(errors / problem.total_rows), own)
 
     return _with_given(problem, gains, weights, "weighted", delays)

@@ -157,7 +157,7 @@ class Problem:
 
     @property
     def silent(self) -> np.ndarray:
-        """Whether nothing is measured in a channel, (c,): nothing acts on a base in flight."""
+        """Whether nothing is measured in a channel, (c,), such as a direction in which nothing acts on a base."""
         return self.signal == 0.0
 
     def balance(self, theta: np.ndarray) -> np.ndarray:

@@ -67,9 +67,9 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
         )
     if robot.floating:
         raise GtauError(
-            f"nothing measured acts on the base '{robot.floating}' from outside, or it has no effect of its own "
-            "on the motors, so the scale of the drive gains is open; log the wrench that holds the base ('base' under "
-            f"'signals'), carry a payload of known mass in some runs, {other}."
+            f"the wrench on the base '{robot.floating}' has no effect of its own on the motors, so it cannot give the "
+            "scale of the drive gains; check its columns and 'at' under 'base' of 'signals', carry a payload of known "
+            f"mass in some runs, {other}."
         )
     on = f"'{robot.tool}'" + ("" if robot.named_tool else ", which was assumed")
     raise GtauError(

@@ -18,9 +18,8 @@ from gtau.estimation.regression.column_blocks import (
     column_map,
     unknown_names,
 )
-from gtau.estimation.regression.equations import KNOWN, MODEL, triangle
+from gtau.estimation.regression.equations import KNOWN, MODEL, SIGNAL, triangle
 from gtau.estimation.regression.factors import Factors
-from gtau.estimation.regression.flight import with_exact_mass
 from gtau.estimation.regression.friction import Friction, transmitted
 from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
@@ -128,7 +127,8 @@ def assemble_system(
     Raises
     ------
     GtauError
-        Where some joint has no usable row in any run, or a prior names no parameter.
+        Where some joint has no usable row in any run, nothing measured acts on a floating base, or a prior names no
+        parameter.
     """
     carried = tuple(
         carried_payload(idm, base, run, payload) for run, payload in enumerate(payloads) if payload is not None
@@ -148,7 +148,8 @@ def assemble_system(
     block_positions = np.array(
         [(run, (s + 0.5) / len(each.rows)) for run, each in enumerate(factors) for s in range(len(each.rows))]
     )
-    priors = with_exact_mass(idm, base, factors, priors or {})
+    priors = priors or {}
+    _require_base_wrench(idm, factors)
     problem = Problem(
         parameters,
         channels,
@@ -177,6 +178,16 @@ def assemble_system(
         tuple(name for name, prior in priors.items() if prior.value is not None),
         np.concatenate([factor.R[..., KNOWN] for factor in factors])[filled] if wrenches else None,
     )
+
+
+def _require_base_wrench(idm: InverseDynamics, factors: Sequence[Factors]) -> None:
+    rows = [idm.actuated.index(joint) for joint in idm.robot.base]
+    if rows and not any(factor.R[:, rows, :, SIGNAL].any() for factor in factors):
+        raise GtauError(
+            f"no measured wrench acts on the base '{idm.robot.floating}' in any run, so its equations give only ratios "
+            "of parameters, which noise of its motion biases towards zero; log the wrench that holds it in some runs "
+            "('wrenches' of 'base' under 'signals')."
+        )
 
 
 def _require_rows(problem: Problem) -> None:

@@ -8,11 +8,9 @@ import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
-from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
-from gtau.estimation.diagnostics.scale import scale_shares
-from gtau.estimation.diagnostics.sensor_checks import sensor_verdict
-from gtau.estimation.diagnostics.uncertainty import Uncertainty
+from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit

@@ -28,7 +28,8 @@ class Estimate:
     says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
     ``model_std`` is the part of ``std`` that comes from what the model may lack; the rest is random. ``essential``
     says whether the reduction (paper, section 5.2) keeps a base parameter; None for other estimates. ``scale`` says
-    what the scale of a drive gain rests on, in shares that add up to one; see :mod:`gtau.estimation.diagnostics.scale`.
+    what the scale of a drive gain rests on, in shares that add up to one; see
+    :func:`gtau.estimation.diagnostics.stated_constants.scale_shares`.
     """
 
     name: str

@@ -158,7 +158,7 @@ def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[Torq
     difference = prediction.measured - prediction.predicted  # e of eq. (16)
     for j, joint in enumerate(prediction.joints):
         kept, valid = prediction.keep[:, j], prediction.valid[:, j]
-        if kept.any() and prediction.measured[:, j].any():  # on a base in flight nothing is measured
+        if kept.any() and prediction.measured[:, j].any():  # nothing may act on a base in some direction
             used, every = ((rms(difference[rows, j]), rms(prediction.measured[rows, j])) for rows in (kept, valid))
             errors.append(TorqueError(joint, *used, torque_unit(result.robot, joint), *every))
     return tuple(errors)

@@ -13,7 +13,6 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.grades import by_grade
-from gtau.estimation.regression.flight import whole_mass
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate, TorqueError
 from gtau.estimation.results.geometry_text import geometry_lines
@@ -23,6 +22,7 @@ from gtau.estimation.results.remarks import VISIBLE, findings
 from gtau.estimation.results.scale_text import all_sources, scale_lines
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.estimation.thresholds.estimates import ACCURACY
+from gtau.model.base_parameters import whole_mass
 from gtau.signals.notes import Note
 
 WIDTH = 80

@@ -58,7 +58,7 @@ MISFIT_GIVEN = Threshold(
 BASE_MISFIT = Threshold(
     0.15,
     "share of the forces, or of the moments, on a floating base that is unexplained",
-    "up to 0.011 (held or standing), 0.021 (in flight)",
+    "up to 0.011 (held or standing)",
     "0.28 and more (wrong axes, point or body of a wrench, the sign of one of two), 0.22 (a foot left out)",
     "the arm of tests/estimation/test_wrenches.py and test_floating.py; no logs of a real floating base",
 )

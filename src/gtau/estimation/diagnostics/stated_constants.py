@@ -1,0 +1,268 @@
+"""Stated constants: known payloads, torque sensors, measured wrenches and priors, and how the estimates depend on them.
+
+Currents alone leave the scale open: gains and parameters may all be twice as large. It comes from what is stated in N m
+or kg. One derivative of the estimates with respect to each constant, at the solution, says what the scale rests on, how
+far the constants' own uncertainty moves the estimates, and by how much a constant contradicts all other data. With all
+constants larger by one per cent, every gain and parameter is larger by one per cent too; so the shares by which a gain
+grows with each source alone add up to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, verdict_of
+from gtau.estimation.estimators.estimator import Fit, Iterate, Solve, jackknife
+from gtau.estimation.estimators.newton import (
+    curvature_of_delays,
+    jacobian,
+    jacobian_of_known,
+    one_step,
+    residuals,
+    stacked,
+    to_gains,
+    whitening,
+)
+from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.equations import KNOWN, SIGNALS, delayed_signal, modelled, triangle
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds.estimates import APART
+from gtau.model.base_parameters import independent_columns
+
+
+@dataclass(frozen=True, eq=False)
+class StatedConstant:
+    """A constant that gives scale: its ``source``, ``value`` and standard deviation, 0 where it is taken for exact.
+
+    The derivatives of the equations by it: of the torques that are known, ``torques`` (U, c, p), of the ``readings``
+    (c,) of the channels, as shares of themselves, and of the residuals of the known parameters, ``known`` (k,).
+    """
+
+    source: str
+    value: float
+    std: float
+    torques: np.ndarray
+    readings: np.ndarray
+    known: np.ndarray
+
+    def changed(self, problem: Problem, by: float) -> Problem:
+        """Return a problem in which the constant, no known parameter, is larger ``by`` this much."""
+        blocks = problem.blocks.copy()
+        blocks[..., KNOWN] += by * self.torques
+        blocks[..., SIGNALS] *= (1 + by * self.readings)[:, None, None]
+        return replace(problem, blocks=blocks)
+
+
+def stated_constants(dataset: Dataset, system: System) -> list[StatedConstant]:
+    """List all constants that give the scale: payloads' parameters, torque sensors, wrenches, known parameters.
+
+    The last three are scales, of value 1, of each sensor, of all wrenches, and of all known parameters together.
+    """
+    problem, calibration = system.problem, dataset.runs[0].calibration
+    torques, readings, known = np.zeros(problem.blocks.shape[:3]), np.zeros(len(problem.channels)), problem.known[:, -1]
+    found = []
+    for name in dict.fromkeys(each.payload.name for each in system.payloads if each.acts):
+        payload = next(each.payload for each in system.payloads if each.payload.name == name)
+        for kind, value in known_values(payload).items():
+            std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(dataset, system, name, kind)
+            found.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
+    for k in problem.of("sensor"):
+        std, of_sensor = calibration.joint_torque or 0.0, np.eye(len(readings))[k]
+        source = f"torque sensor of '{problem.channels[k].joint}'"
+        found.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
+    if problem.of("base") or system.of_wrenches is not None:
+        of_bodies = torques if system.of_wrenches is None else system.of_wrenches
+        std, of_base = calibration.wrenches or 0.0, np.eye(len(readings))[problem.of("base")].sum(axis=0)
+        found.append(StatedConstant(_wrenches(problem), 1.0, std, of_bodies, of_base, 0.0 * known))
+    if len(known):
+        found.append(StatedConstant("known parameters", 1.0, 0.0, torques, readings, -known))
+    return found
+
+
+def _torques_of_unit(dataset: Dataset, system: System, name: str, kind: str) -> np.ndarray:
+    """Compute the torques (U, c, p) of a unit of a payload's parameter, in the rows of the problem."""
+    parts, channels = [np.zeros(factor.R.shape[:3]) for factor in dataset.factors], system.problem.channels
+    for run in (each.run for each in system.payloads if each.payload.name == name):
+        block = next(each for each in system.effects if f"{kind}_L{run + 1}" in each.stated)
+        k, R = block.names.index(f"{kind}_L{run + 1}"), dataset.factors[run].R
+        of_channels = [block.columns(run, channel, np.zeros(()))[:, k] for channel in channels]
+        parts[run] = np.stack([R[:, j] @ column for j, column in enumerate(of_channels)], axis=1)
+    filled = np.concatenate([factor.rows for factor in dataset.factors]).sum(axis=1) > 0
+    return np.concatenate(parts)[filled]
+
+
+def _wrenches(problem: Problem) -> str:
+    """Name the measured wrenches; with a base that floats they are those on the base too."""
+    base = [problem.channels[k].joint for k in problem.of("base")]
+    if base and problem.wrenches:
+        return "measured wrenches"
+    bodies = problem.wrenches or base[-1:]
+    return f"wrench{'es' * (len(bodies) > 1)} on {', '.join(repr(body) for body in bodies)}"
+
+
+def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray:
+    """Differentiate (theta, gains, delays) with respect to stated constants, (k, m), at the solution."""
+    problem, state = fit.system.problem, fit.solution.iterate
+    triangles, weights = stacked(problem), 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
+    J = jacobian(triangles, state, problem, fit.free_gains) * weights[:, None, None]
+    known = jacobian_of_known(problem, J.shape[-1])
+    rows = np.concatenate([J.reshape(-1, J.shape[-1]), known])
+    back = whitening(rows, curvature_of_delays(triangles, state, problem, weights))
+    of_blocks = jacobian(problem.blocks, state, problem, fit.free_gains)
+    read = delayed_signal(problem.blocks, state.delays)
+    sides = np.zeros((len(constants), J.shape[-1]))
+    for side, each in zip(sides, constants, strict=True):
+        change = each.readings[:, None] * read - state.b[:, None] * each.torques
+        side[:] = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2) + known.T @ each.known
+    T = to_gains(state, problem.n_theta, fit.free_gains)
+    return np.asarray(-(T @ back) @ (back.T @ sides.T))
+
+
+def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
+    """Find the share of each source in the scale of the joints' gains, source to (n,); the shares add up to one.
+
+    Parameters
+    ----------
+    fit : Fit
+        With gains that were estimated.
+    """
+    constants = stated_constants(fit.dataset, fit.system)
+    slopes = estimate_slopes(fit, constants)[fit.system.problem.gain_rows]
+    shares: dict[str, np.ndarray] = {}
+    for each, slope in zip(constants, slopes.T, strict=True):
+        shares[each.source] = shares.get(each.source, np.zeros(len(slope))) + each.value * slope / fit.gains
+    total = np.sum(list(shares.values()), axis=0)  # one, up to the curvature that the linear equations lack
+    total = np.where(total == 0.0, 1.0, total)  # of a base, whose gain is known
+    return {source: share / total for source, share in shares.items()}
+
+
+def scale_uncertainty(dataset: Dataset, system: System, solve: Solve) -> np.ndarray:
+    """Compute the covariance of (theta, gains, delays) that the uncertainty of stated constants adds, (k, k).
+
+    Each constant is larger and smaller by its standard deviation, and ``solve`` says how far the estimates move: those
+    of an estimator that minimises no squares do not have the derivatives of :func:`estimate_slopes`. The uncertainty of
+    known parameters is in the solution's own covariance.
+    """
+    problem = system.problem
+    size = problem.n_theta + 2 * len(problem.channels)
+    extra = np.zeros((size, size))
+    for each in stated_constants(dataset, system):
+        if each.std:
+            above, below = (solve(each.changed(problem, by)).stacked for by in (each.std, -each.std))
+            extra += np.outer(above - below, above - below) / 4
+    return extra
+
+
+@dataclass(frozen=True, eq=False)
+class SensorScale:
+    """The torque of a joint by all else that is known, over that of its sensor, and the standard deviation of this.
+
+    ``moves`` (n,) is by what share of itself each gain moves where the sensor's scale is found instead of taken for 1.
+    """
+
+    joint: str
+    value: float
+    std: float
+    moves: np.ndarray
+
+
+def sensor_verdict(scale: SensorScale, accuracy: float) -> Verdict:
+    """Judge a scale: contradictory where it differs from 1 significantly and by more than the ``accuracy``."""
+    if abs(scale.value - 1) <= max(APART * scale.std, accuracy):
+        return GOOD
+    return verdict_of(Finding(F.SENSOR_SCALE, values={"scale": scale.value, "std": scale.std}))
+
+
+def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
+    """Find the scale of each torque sensor from all else that is known, to first order, where there is such.
+
+    Each sensor is offered the torque of its model once more, with an unknown factor; all other unknowns adapt to it.
+
+    Parameters
+    ----------
+    fit : Fit
+        With gains that were estimated.
+    """
+    problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.of("sensor")
+    if not sensors:
+        return ()
+    state = solution.iterate
+    weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
+    whole, *units = (_linear(block, problem, state, weights) for block in (stacked(problem), *problem.blocks))
+    size = whole.shape[1] - len(sensors) - 1
+    of_known = np.zeros((len(problem.known), whole.shape[1]))
+    of_known[:, :size] = jacobian_of_known(problem, size)
+    of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
+    R = triangle(whole, of_known)
+    T = to_gains(state, problem.n_theta, True)[problem.gain_rows] / fit.gains[:, None]
+    found = []
+    for k, sensor in enumerate(sensors):
+        columns = [*range(size), size + k]
+        J, e = R[:, columns], R[:, -1]
+        if size not in independent_columns(J)[0]:
+            continue  # without this sensor nothing gives the scale
+        back = whitening(J, np.zeros(len(problem.channels)))
+        step = -back @ (back.T @ (J.T @ e))
+        sides = []
+        for unit in units:
+            A = unit[:, columns] @ back
+            sides.append((A.T @ A, A.T @ (unit[:, -1] + unit[:, columns] @ step)))
+        of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
+        variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
+        std = float(np.hypot(np.sqrt(variance), fit.dataset.runs[0].calibration.joint_torque or 0.0))
+        found.append(SensorScale(problem.channels[sensor].joint, 1 - float(step[-1]), std, T @ step[:-1]))
+    return tuple(found)
+
+
+def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.ndarray) -> np.ndarray:
+    """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in a block."""
+    torques, sensors = modelled(block, state.theta) * state.b[:, None], problem.of("sensor")
+    offered = np.zeros((*torques.shape, len(sensors)))
+    offered[sensors, :, range(len(sensors))] = -torques[sensors]
+    J, e = jacobian(block, state, problem, True), residuals(block, state)
+    rows = np.concatenate([J, offered, e[..., None]], axis=-1) * weights[:, None, None]
+    return np.asarray(rows.reshape(-1, rows.shape[-1]))
+
+
+def sensor_contradictions(found: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
+    """Find the gains of ``joints`` (n,) that rest on a torque sensor contradicting all else that is known."""
+    for each in found:
+        moves = np.abs(each.moves)
+        moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
+        if sensor_verdict(each, accuracy).outcome == Outcome.CONTRADICTORY and moved:
+            yield Finding(F.SENSOR, moved, each.joint, severity=float(moves.max()))
+
+
+def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> list[Finding]:
+    """Find base parameters that all data put elsewhere than their priors, by more than the ``accuracy``.
+
+    Parameters
+    ----------
+    fit : Fit
+        What was estimated, with the priors.
+    covariance : ndarray
+        Of (theta, gains, delays), (k, k).
+    accuracy : float
+        Relative difference that does not matter.
+    """
+    parameters, base, found = fit.system.problem.parameters, fit.dataset.base.names, []
+    priors = {name: prior for name, prior in fit.dataset.priors.items() if name in base and name in parameters}
+    limit = -ndtri(ndtr(-APART) / max(len(priors), 1))  # of many priors some are further off
+    for name, prior in priors.items():
+        if prior.value is None or prior.std is None:
+            continue
+        k = parameters.index(name)
+        value, std = float(fit.solution.theta[k]), float(np.sqrt(covariance[k, k]))
+        apart = prior.std * np.sqrt(max(1 - (std / prior.std) ** 2, 0.0))  # as the estimate has the prior in it
+        if abs(value - prior.value) > max(limit * apart, accuracy * abs(prior.value)):
+            values = {"found": value, "std": std, "prior": prior.value, "prior_std": prior.std}
+            found.append(Finding(F.PRIOR, (), name, values))
+    return found
