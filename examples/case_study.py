@@ -14,30 +14,29 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from case_study_figures import payload_figure, references_figure, tracking_figure, trajectory_figure
+from case_study_figures import payload_chart, references_chart, tracking_chart, trajectory_chart
 
 from gtau.demo.orthoglide import (
     DRIVE_GAINS,
     LOGS,
-    PRIOR_GAINS,
     RATE,
     SECOND_PAYLOAD_MASS,
     VALIDATION,
     standard_parameters,
 )
-from gtau.demo.run import CASES, make_experiment
+from gtau.demo.run import CASES, gains_chart, make_experiment
 from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
 from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.summary import NOT_SHOWN
 from gtau.estimation.weigh import weigh
 from gtau.progress import Progress, silent
-from gtau.report.figures import gains_figure, torques_figure
+from gtau.report.gains import NOT_SHOWN
+from gtau.report.render.charts import figure_of, save_figure
 from gtau.report.robot_figure import robot_figure
-from gtau.report.style import save_figure
+from gtau.report.torques import part_of, torques_chart
 from gtau.signals.experiment import read_experiment
 from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, compare_control
 from gtau.simulation.controllers import sample
@@ -198,17 +197,19 @@ def write_figures(study: Study, folder: Path, duration: float, images: Path) -> 
     exciting, shown = sample(make_trajectory(planned.trajectory, result.robot, planned.name)[0], duration, RATE), 5
     motion = (exciting.q[::shown], exciting.qd[::shown], exciting.qdd[::shown])
     units = [each.unit for each in study.errors]
-    figures = {
-        "gains": gains_figure(result.drive_gains, DRIVE_GAINS, PRIOR_GAINS),
-        "payload": payload_figure(study.weighings["prior"], study.weighings["identified"], SECOND_PAYLOAD_MASS),
-        "torques": torques_figure(prediction, units, 0.0, min(6.0, exciting.time[-1]), VALIDATION),
-        "trajectory": trajectory_figure(exciting.time[::shown], motion, prediction.joints, "m", LOGS[0][0]),
-        "test-trajectories": references_figure(compared.references, compared.joints, compared.units),
-        **{f"tracking-{name.replace('_', '-')}": tracking_figure(compared, name) for name in compared.references},
-        "robot": robot_figure(result.robot),
+    time = prediction.time - prediction.time[0]
+    part, time = part_of(prediction, time, 0.0, min(6.0, exciting.time[-1]))
+    charts = {
+        "gains": gains_chart(result.drive_gains),
+        "payload": payload_chart(study.weighings["prior"], study.weighings["identified"], SECOND_PAYLOAD_MASS),
+        "torques": torques_chart(part, units, "current", time, title=VALIDATION),
+        "trajectory": trajectory_chart(exciting.time[::shown], motion, prediction.joints, "m", LOGS[0][0]),
+        "test-trajectories": references_chart(compared.references, compared.joints, compared.units),
+        **{f"tracking-{name.replace('_', '-')}": tracking_chart(compared, name) for name in compared.references},
     }
-    for name, figure in figures.items():
-        save_figure(figure, images / f"case-study-{name}.png")
+    for name, chart in charts.items():
+        save_figure(figure_of(chart), images / f"case-study-{name}.png")
+    save_figure(robot_figure(result.robot), images / "case-study-robot.png")
 
 
 def page(study: Study) -> str:

@@ -20,7 +20,7 @@ def register(load: Callable[[], ModuleType]) -> None:
 
 
 def views() -> ModuleType:
-    """Load the module with the views: ``html`` of an object, ``plots`` of a result, and ``write`` for its report."""
+    """Load the module with the views: ``html`` of an object; ``text``, ``plots``, ``write`` (a report) of a result."""
     if _load is None:
         raise RuntimeError("no views are registered; import gtau first")
     return _load()

@@ -220,39 +220,40 @@ def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_pa
     assert figure.axes[0].get_title(loc="left") == "free"
 
 
-def test_a_figure_of_torques_is_titled_with_its_run() -> None:
-    pytest.importorskip("matplotlib")
+def test_a_chart_of_torques_is_titled_with_its_run() -> None:
     from gtau.estimation.results.estimate import Prediction
-    from gtau.report.figures import torques_figure
+    from gtau.report.render.charts import figure_of
+    from gtau.report.torques import torques_chart
 
     time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
-    predicted = torques * [1.1, 1.01]
-    prediction = Prediction(
-        ("left", "elbow_joint"), time, torques, predicted, np.ones((50, 2), dtype=bool), np.ones((50, 2), dtype=bool)
-    )
-    figure = torques_figure(prediction, ["N m", "N"], 0.0, 1.0, "loaded")
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["loaded: joint left", "", "elbow_joint", ""]
-    assert [axes.get_ylabel() for axes in figure.axes] == ["torque, N m", "N m", "force, N", "N"]
-    assert [axes.get_ylim()[1] for axes in figure.axes[1::2]] == pytest.approx([0.115, 0.0115])  # each its own
+    kept = np.ones((50, 2), dtype=bool)
+    kept[10:20, 0] = False
+    prediction = Prediction(("left", "elbow_joint"), time, torques * [1.1, 1.01], torques, kept, kept)
+    chart = torques_chart(prediction, ["N m", "N"], "current", time, title="loaded")
+    labels = [panel.y.label for panel in chart.panels]
+    assert labels == ["torque, N m", "residual, N m", "force, N", "residual, N"]
+    assert [each.label for each in chart.panels[0].series] == ["measured (current × gain)", "predicted"]
+    np.testing.assert_allclose(chart.panels[1].series[0].y, -0.1)
+    np.testing.assert_allclose(chart.panels[0].shaded, time[[10, 20]])
+    titles = [axes.get_title(loc="left") for axes in figure_of(chart).axes]
+    assert titles == ["loaded: joint left", "", "elbow_joint", ""]
 
 
-def test_the_axis_of_a_validation_begins_with_its_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_stretch_of_a_validation_begins_with_its_run() -> None:
     """The filter takes the first rows of a run; where the figure shows them all, time begins at zero all the same."""
-    pytest.importorskip("matplotlib")
     from gtau.estimation.results.estimate import Prediction
-    from gtau.report import validation_page
+    from gtau.report.evidence import RunEvidence, worst_stretch
 
     shown = []
-    monkeypatch.setattr(validation_page, "torques_figure", lambda *given: shown.append(given[2:4]))
-    monkeypatch.setattr(validation_page, "save_figure", lambda figure, path: None)
     for last in (5.0, 60.0):
         time, ones = 100.0 + np.linspace(0.2, last, 500), np.ones((500, 1))
         measured = ones.copy()
         measured[-20] = 3.0  # the largest difference
         kept = np.ones((500, 1), dtype=bool)
-        prediction = Prediction(("left",), time, measured, ones, kept, kept)
         run = SimpleNamespace(name="run", time=np.array([100.0, 100.2 + last]), kind="current")
-        each = SimpleNamespace(run=run, prediction=prediction, units=["N m"])
-        validation_page.write_torques([each], tmp_path)
+        shown.append(
+            worst_stretch(RunEvidence(run, False, Prediction(("left",), time, ones, measured, kept, kept)), 10.0)
+        )
     assert shown[0] == (0.0, pytest.approx(5.0))
     assert shown[1][0] > 40.0
+    assert shown[1][1] == pytest.approx(60.0)

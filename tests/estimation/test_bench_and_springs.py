@@ -75,7 +75,7 @@ joints: {arm: {antecedent: ground, rpy: [0, pi/2, 0], axis: [0, 1, 0], type: rev
     assert near(found.parameters["k_arm"], 6.0, 0.02)
     assert near(found.parameters["off_arm"], 0.2, 0.3)
     (line,) = (line for line in found.summary().splitlines() if "k_arm" in line)
-    assert line.endswith(" N m/rad")
+    assert " N m/rad " in line
 
 
 def test_a_gas_spring_is_identified_beside_gravity_and_friction() -> None:
@@ -95,7 +95,7 @@ springs: {gas: {between: [{body: ground, xyz: [-0.15, 0, 0.05]}, {body: arm, xyz
         if found.parameters[name].value is not None:
             assert abs(found.parameters[name].value - value) < 4 * found.parameters[name].std
     (line,) = (line for line in found.summary().splitlines() if "f0_gas" in line)
-    assert line.endswith(" N")
+    assert " N " in line
 
 
 def test_the_plants_have_springs_between_points() -> None:

@@ -17,7 +17,7 @@ from gtau.estimation.check_logs import check_logs
 from gtau.estimation.grades import EXIT_CODES, GRADES, Grade, by_grade, from_document, grade_of, to_document
 from gtau.estimation.identify import identify
 from gtau.estimation.results.remarks import findings
-from gtau.estimation.results.summary import findings_lines
+from gtau.report.findings import findings_table
 from gtau.signals.notes import Kind, Note
 
 EXPERIMENT = """
@@ -49,8 +49,9 @@ def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
 def test_what_several_logs_share_is_said_once_and_no_more_than_asked_for() -> None:
     notes = [Note(Kind.RATE, "slow", "log faster", source=name) for name in ("a", "b")]
     notes.insert(0, Note(Kind.REST, "rests", source="a"))
-    assert findings_lines(notes) == ["Worth mending:", "- a, b: slow; log faster", "For information:", "- a: rests"]
-    assert findings_lines(notes, 1) == ["Worth mending:", "- a, b: slow; log faster"]
+    slow = ("worth mending", "a, b", "", "slow", "log faster")
+    assert findings_table(notes).rows == (slow, ("for information", "a", "", "rests", ""))
+    assert findings_table(notes, 1).rows == (slow,)
 
 
 @pytest.fixture(scope="module")

@@ -99,7 +99,9 @@ def test_the_width_of_an_interval_is_rounded_alike_everywhere(runs: list[Run], r
     assert weak.drive_gains["left"].verdict.finding.values["half"] == pytest.approx(half / 100)
     headline, table = weak.summary().split("Drive gains ", 1)
     assert f"'left' is known to +-{shown} %" in " ".join(headline.split())
-    assert next(line for line in table.splitlines() if line.startswith("  left")).split("m/A")[1].split()[0] == shown
+    assert (
+        next(line for line in table.splitlines() if line.startswith("joint left")).split("m/A")[1].split()[0] == shown
+    )
 
 
 def test_what_is_known_or_unknown_has_no_interval() -> None:

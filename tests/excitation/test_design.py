@@ -21,7 +21,9 @@ from gtau.excitation.evaluation import design_grid, evaluate, information
 from gtau.excitation.forecast import Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.information import root_covariance
 from gtau.excitation.nlp import Programme, random_start
-from gtau.report.excite_page import _payload_table, describe_design, design_page
+from gtau.report.design import _masses, design_document, design_page
+from gtau.report.page import Table, page
+from gtau.report.render.terminal import plain
 from gtau.signals.log_file import read_log
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -45,6 +47,12 @@ def write(folder: Path, text: str) -> Path:
     path = folder / "design.yaml"
     path.write_text(text)
     return path
+
+
+def table_of(document: dict, name: str) -> Table:
+    """The table of a section of a design's page."""
+    (found,) = (each.items[0] for each in design_page(document).sections if each.id == name)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -102,21 +110,17 @@ def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path)
     x = random_start(task, np.random.default_rng(1), 0.9)
     assert x is not None
     start = Design(task, "gains", x, 1.0, (), 0)
-    document = describe_design(start, assumed, [])
+    document = design_document(start, assumed, [])
     gain = document["gains"][0]
     assert gain["assumed"]
-    (row,) = (line for line in design_page(document).splitlines() if line.startswith("  left  "))
-    assert row.split() == ["left", "(assumed)", "-", f"{gain['rel_std']:.3g}", "N", "m/A"]
+    (row,) = (row for row in table_of(document, "gains").rows if row[0] == "left")
+    assert row == ("left", None, None, gain["rel_std"], "N m/A", "assumed")
     parameter = next(each for each in document["parameters"] if each["rel_std"])
-    for rel_std, shown in ((2200.0, "-"), (990.0, "990")):
-        (row,) = (
-            line
-            for line in design_page(document | {"parameters": [parameter | {"rel_std": rel_std}]}).splitlines()
-            if line.startswith(f"  {parameter['name']} ")
-        )
-        assert row.split()[3] == shown
+    for rel_std, shown in ((2200.0, None), (990.0, 990.0)):
+        (row,) = table_of(document | {"parameters": [parameter | {"rel_std": rel_std}]}, "parameters").rows
+        assert (row[0], row[3]) == (parameter["name"], shown)
     known = read_design(write(tmp_path, DESIGN))[1]
-    assert not any(each["assumed"] for each in describe_design(start, known, [])["gains"])
+    assert not any(each["assumed"] for each in design_document(start, known, [])["gains"])
 
 
 @pytest.mark.slow
@@ -124,7 +128,7 @@ def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
     path, out = write(tmp_path, DESIGN + "motions: each run\n"), tmp_path / "out"
     done = CliRunner().invoke(app, ["excite", str(path), "--out", str(out), "--starts", "1"])
     assert done.exit_code == 0, done.output
-    assert "2 motions" in done.output
+    assert "one for each run" in done.output
     logs = [read_log(out / f"trajectory_{run}.csv", ("t", "q_left", "q_right")).columns for run in (1, 2)]
     assert np.abs(logs[0]["q_left"][:2000] - logs[1]["q_left"][:2000]).max() > 0.1
     assert (out / "trajectory_2.png").exists()
@@ -188,7 +192,7 @@ def test_a_stopped_design_is_the_best_so_far_and_within_the_limits(tmp_path: Pat
     assert stopped.start == 0
     assert stopped.value == kept[-1].value == min(each.value for each in kept)
     assert max(usage.excess for usage in check(task, stopped.x)) <= 1.0
-    assert "the search was cut short" in design_page(describe_design(stopped, {}, []))
+    assert "the search was cut short" in plain(design_page(design_document(stopped, {}, [])))
 
 
 def test_progress_counts_iterations(tmp_path: Path) -> None:
@@ -210,7 +214,7 @@ def test_a_search_stopped_before_it_has_found_anything_does_not_blame_the_limits
 
 
 def test_all_weak_parameters_are_listed_with_the_figures_of_the_table(found: Design) -> None:
-    document = describe_design(found, {}, [])
+    document = design_document(found, {}, [])
     weak = {each["name"]: each["rel_std"] for each in document["weak"]}
     for each in document["parameters"]:
         if each["rel_std"] is not None:
@@ -246,8 +250,8 @@ def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None
 
 def test_a_motion_that_tells_next_to_nothing_is_no_advice(found: Design, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = (Weak("fv_left", 400.0, "left", "slowly", 250.0), Weak("fs_left", 4.0, "left", "slowly", 2.5))
-    monkeypatch.setattr("gtau.report.excite_page.weak_unknowns", lambda design, expected: weak)
-    nothing, something = (each["advice"] for each in describe_design(found, {}, [])["weak"])
+    monkeypatch.setattr("gtau.report.design.weak_unknowns", lambda design, expected: weak)
+    nothing, something = (each["advice"] for each in design_document(found, {}, [])["weak"])
     assert nothing.startswith("no motion of one joint within the limits helps")
     assert something.startswith("a run of joint 'left' alone, slowly, would bring it to 250 %")
 
@@ -314,7 +318,7 @@ def test_what_a_design_prints_fits_a_terminal() -> None:
         "payload_masses": [],
         "assumed": [f"velocity limit of '{joint}'" for joint in joints],
     }
-    lines = design_page(document).splitlines()
+    lines = plain(design_page(document)).splitlines()
     assert max(map(len, lines)) <= 80
     assert any("xx_elbow_joint (> 1000 %)" in line for line in lines)  # no number apart from its unit
 
@@ -326,8 +330,10 @@ def test_the_table_of_other_payloads_fits_a_terminal() -> None:
         {"mass": mass, "rms": 2.0, "rel_std": dict.fromkeys(joints, mass), "exceeded": ["current of a"] * (mass > 5)}
         for mass in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     ]
-    lines = _payload_table({"gains": gains, "gains_rms": 3.25, "payload_masses": masses})
-    assert max(map(len, lines)) <= 80
-    assert ["shoulder_pan_joint", "1.25", "1", "2", "3", "4"] in [line.split() for line in lines]
-    assert ["shoulder_pan_joint", "5", "6"] in [line.split() for line in lines]
-    assert lines[-1].strip() == "with 6 kg this motion exceeds: current of a"
+    found = _masses({"gains": gains, "gains_rms": 3.25, "payload_masses": masses})
+    assert found is not None
+    shown, exceeded = found.items
+    assert [column.title for column in shown.columns][1:3] == ["as designed", "1 kg"]
+    assert shown.rows[1] == ("shoulder_pan_joint", 1.25, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert max(map(len, plain(page("", found)).splitlines())) <= 80
+    assert exceeded.points == ("with 6 kg this motion exceeds: current of a",)

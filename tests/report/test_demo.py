@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.demo import run as demo_module
 from gtau.demo.orthoglide import LOGS, PAYLOAD_MASS, standard_parameters
-from gtau.demo.run import COMMANDS, CONTENT, demo, report
+from gtau.demo.run import COMMANDS, CONTENT, demo, gains_chart
 from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
+from gtau.report.render.terminal import plain
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.experiment import read_experiment
 from gtau.signals.payload import Payload
@@ -39,7 +39,8 @@ def model() -> gtau.InverseDynamics:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], str]:
     out = tmp_path_factory.mktemp("demo")
-    return out, *demo(out, silent, duration=5.0)
+    found, page = demo(out, silent, duration=5.0)
+    return out, found, plain(page)
 
 
 @pytest.mark.parametrize("plan", [sines, point_to_point])
@@ -153,17 +154,6 @@ def test_the_printed_commands_give_the_same_numbers(
         assert 10 * rms["CTC with identified gains"] < rms["advanced PID"] < rms["simple PID"] / 3
 
 
-def test_without_matplotlib_the_demo_says_so(
-    made: tuple[Path, dict[str, Any], str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, document, _ = made
-    monkeypatch.setattr(demo_module, "find_spec", lambda name: None)
-    figures = demo_module._gains_figure(out, gtau.Result.load(out / "model.json"))
-    text = report({**document, "files": ["README.txt", *figures]})
-    assert "pip install 'gtau[plot]'" in text
-    assert "figures/gains.png" not in text
-
-
 def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None:
     class Stop(Exception):
         pass
@@ -180,15 +170,14 @@ def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None
 def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_path: Path) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     from gtau.estimation.results.estimate import Estimate
-    from gtau.report.figures import gains_figure
-    from gtau.report.style import save_figure
+    from gtau.report.render.charts import figure_of, save_figure
 
     before = dict(matplotlib.rcParams)
     matplotlib.rcParams["font.size"] = 20
     try:
         for k in range(2):
             matplotlib.rcParams["lines.linewidth"] = 1.0 + k
-            figure = gains_figure({"1": Estimate("1", 9.0, 0.1, "N m/A")}, {"1": 9.1}, {"1": 8.0})
+            figure = figure_of(gains_chart({"11": Estimate("11", 2100.0, 1.0, "N/A")}))
             save_figure(figure, tmp_path / f"{k}.png")
         assert matplotlib.rcParams["font.size"] == 20
     finally:

@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
 from gtau.estimation.compare import EstimatorComparison, Row
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.report.html.elements import plain
+from gtau.report.page import number as plain
 
 PRIOR = {"left": 2.4, "right": 4.1}
 
@@ -47,25 +47,29 @@ class Frame(HTMLParser):
 def test_results_show_themselves(result: gtau.Result, folder: Path) -> None:
     page = Frame(result._repr_html_()).page
     assert plain(result.drive_gains["left"].value or 0.0) in page
-    assert "Payload ‘steel’" in page
+    assert "Payload &#39;steel&#39;" in page
     assert "uPlot=" not in page  # no chart, no script for charts
     gains = Frame(result.drive_gains._repr_html_()).page
     assert gains.count("<tr>") == 3
     prediction = Frame(result.predict(result.data[0])._repr_html_()).page
-    assert prediction.count('class="chart"') == 2
+    assert prediction.count('class="chart"') == 4  # torques and residuals
     assert "uPlot=" in prediction
     assert "9.9" in Frame(check_logs(folder / "experiment.yaml")._repr_html_()).page  # s of every log
     payload = Frame(result.payloads[0]._repr_html_()).page
-    assert "Payload ‘steel’" in payload
+    assert "Payload &#39;steel&#39;" in payload
 
 
 def test_a_comparison_shows_itself_and_is_a_table() -> None:
     gains, std, residuals = np.array([2.5, 4.0]), np.array([0.01, 0.02]), np.array([1.0, 2.0])
     found = EstimatorComparison(
-        JOINTS, (Row("ml", gains, std, residuals, 0.1, Outcome.GOOD), Row("iv", refusal="no motion can be simulated"))
+        JOINTS,
+        (
+            Row("ml", gains, std, residuals, 0.1, Outcome.GOOD, half_widths=2 * std),
+            Row("iv", refusal="no motion can be simulated"),
+        ),
     )
     page = Frame(found._repr_html_()).page
-    assert "2.5 ± 0.40 %" in page
+    assert "2.500 ± 0.020" in page
     assert "refused" in page
     frame = found.to_frame()
     assert frame["gain"].to_list() == [2.5, 4.0, None, None]
@@ -97,7 +101,6 @@ def test_a_prediction_as_a_table(result: gtau.Result) -> None:
 
 
 def test_figures_in_one_call(result: gtau.Result) -> None:
-    pytest.importorskip("matplotlib")
     plot = result.plot
     calls = [plot.gains(PRIOR), plot.torques("left"), plot.residuals("right"), plot.correlation()]
     calls += [plot.singular_values(), plot.distances(), plot.robot()]

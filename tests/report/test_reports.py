@@ -15,7 +15,7 @@ from five_bar_logs import EXPERIMENT, Plant, write_experiment, write_log
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.report.html.elements import plain
+from gtau.report.page import number as plain
 
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
 DESIGN = """
@@ -42,8 +42,8 @@ SECTIONS = {
     "payload": "verdict masses payloads gains robot provenance",
     "compare": "verdict estimators gains provenance",
     "check": "verdict notes logs joints robot motion preparation provenance",
-    "fleet": "verdict joints chart gains provenance",
-    "excite": "verdict gains motion limits parameters robot assumed provenance",
+    "fleet": "verdict joints outliers chart gains provenance",
+    "excite": "verdict gains motion robot parameters limits assumed provenance",
 }
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 PROBE = """

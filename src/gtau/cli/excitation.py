@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, print_json, progress_bar, refusals
+from gtau.cli.console import Json, print_json, progress_bar, refusals, show
 from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
@@ -53,8 +53,14 @@ def excite(
             from gtau.excitation.design import Design, Stopped
             from gtau.excitation.design import design as run
             from gtau.excitation.design_file import read_design
-            from gtau.report.excite_page import describe_design, design_page, write_design, write_trajectories
-            from gtau.report.write_reports import write_design_report
+            from gtau.report.design import (
+                design_document,
+                design_page,
+                design_report,
+                write_design,
+                write_trajectories,
+            )
+            from gtau.report.write import write_report
 
             task, assumed = read_design(design)
 
@@ -67,13 +73,14 @@ def excite(
             except Stopped as stopped:
                 raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
             progress("predicting standard deviations", 0, 1)
-            document = describe_design(found, assumed, masses)
-            report = write_design_report(found, document, design, folder_of(out), perf_counter() - start)
+            document = design_document(found, assumed, masses)
+            page, inputs = design_report(found, document), (("design", design),)
+            report = write_report(page, folder_of(out), perf_counter() - start, inputs)
             written = (report, *write_design(found, document, out))
         if json_:
             print_json(document)
         else:
-            typer.echo("\n".join([design_page(document), *(f"written: {path}" for path in written)]))
+            show(design_page(document), written)
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:

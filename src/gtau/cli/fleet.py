@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Dask, Json, print_json, progress_bar, refusals
+from gtau.cli.console import Dask, Json, print_json, progress_bar, refusals, show
 from gtau.cli.identification import METHODS
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
@@ -49,8 +49,8 @@ def fleet(
         from gtau.fleet.fleet import identify_fleet, read_fleet
         from gtau.fleet.gains import fleet_table
         from gtau.fleet.processes import process_map
-        from gtau.report.fleet_page import fleet_document, fleet_page, write_fleet
-        from gtau.report.write_reports import write_fleet_report
+        from gtau.report.fleet import fleet_document, fleet_page, fleet_report, write_fleet
+        from gtau.report.write import write_report
 
         if estimator_of(method).gains == Gains.GIVEN:
             raise GtauError(f"--method {method} takes the drive gains as given; choose one that finds them.")
@@ -70,12 +70,14 @@ def fleet(
                 f"finished robots stay in {folder / 'models'}, and the same command continues with the others"
             ) from None
         table = fleet_table(reports)
-        files = [member.experiment for member in members]
-        written = [write_fleet_report(table, files, folder, perf_counter() - start), *write_fleet(table, folder)]
+        files = tuple(("experiment", member.experiment) for member in members)
+        written = [
+            write_report(fleet_report(table), folder, perf_counter() - start, files),
+            *write_fleet(table, folder),
+        ]
         if json_:
             print_json(fleet_document(table))
         else:
-            typer.echo(fleet_page(table))
-            typer.echo("\n".join(f"written: {path}" for path in written))
+            show(fleet_page(table), written)
         if not table.robots:
             raise typer.Exit(3)  # so that a script does not go on with such a fleet

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
@@ -10,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, ModelFile, ReportFolder, print_json, progress_bar, refusals
+from gtau.cli.console import ExperimentFile, Json, ModelFile, ReportFolder, print_json, progress_bar, refusals, show
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.estimators.registry import NAMES
@@ -95,7 +94,7 @@ def identify(
         written = []
         if out is not None:
             from gtau.estimation.results.singularity_distances import write_distances
-            from gtau.report.write_reports import write_identification
+            from gtau.report.write import write_identification
 
             written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
             result.save(written[0])
@@ -107,7 +106,9 @@ def identify(
         if json_:
             print_json(to_document(result))
         else:
-            typer.echo("\n".join([result.summary(verbose), *(f"written: {path}" for path in written)]))
+            from gtau.report.identification import full_page, summary_page
+
+            show(full_page(result) if verbose else summary_page(result), written)
         outcomes = {gain.verdict.outcome.value for gain in result.drive_gains.values()}
         if outcomes.isdisjoint(("given", "good", "weak")):
             raise typer.Exit(3)  # so that a script does not go on with such a model
@@ -120,18 +121,21 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
         start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.compare import compare as run
-            from gtau.estimation.compare import table, to_document
+            from gtau.estimation.compare import to_document
+            from gtau.report.comparison import comparison_page
+            from gtau.report.write import inputs_of, write_report
+            from gtau.signals.experiment import read_experiment
 
             found = run(experiment, progress)
+        described = read_experiment(experiment)
+        page = comparison_page(found, described.expected_gains)
         written = []
         if out is not None:
-            from gtau.report.write_reports import write_comparison
-
-            written.append(write_comparison(found, experiment, folder_of(out), perf_counter() - start))
+            written = [write_report(page, folder_of(out), perf_counter() - start, inputs_of(experiment, described))]
         if json_:
             print_json(to_document(found))
         else:
-            typer.echo("\n".join([table(found), *(f"written: {path}" for path in written)]))
+            show(page, written)
 
 
 def validate(
@@ -150,35 +154,29 @@ def validate(
             from gtau.estimation.experiment_runs import experiment_of, read_runs
             from gtau.estimation.results.remarks import without_temperature
             from gtau.estimation.results.result import Result
-            from gtau.report.validation_page import describe_validations, validate_run, validation_page, write_torques
+            from gtau.report.evidence import predicted, settings_of
+            from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
+            from gtau.report.write import inputs_of, write_report
 
             result = Result.load(model)
             described = experiment_of(result, experiment)
             if not described.validation:
                 raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
-            runs = read_runs(described, described.validation, progress)
-            validations = []
-            for k, run in enumerate(runs):
-                progress("predicting torques", k, len(runs))
-                validations.append(validate_run(result, run))
+            runs = []
+            for k, run in enumerate(read := read_runs(described, described.validation, progress)):
+                progress("predicting torques", k, len(read))
+                runs.append(predicted(result, run, longest=None))
         written: list[Path] = []
-        notes = [
-            textwrap.fill(f"- {note}", 80, subsequent_indent="  ")
-            for note in without_temperature(result, described.signals)
-        ]
+        notes = without_temperature(result, described.signals)
         if out is not None:
-            from gtau.report.style import skipped_figures
-            from gtau.report.write_reports import write_validation
-
-            seconds = perf_counter() - start
-            written.append(write_validation(result, validations, model, experiment, folder_of(out), seconds))
-            written += write_torques(validations, out)
-            notes += skipped_figures()
-        document = describe_validations(validations)
+            page = validation_report(result, runs, described.expected_gains, notes)
+            inputs = (("model", model), *inputs_of(experiment, described, runs=False))
+            written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings_of(result))]
+            written += write_torques(result, runs, out)
         if json_:
-            print_json(document)
+            print_json(validation_document(runs))
         else:
-            typer.echo("\n".join([validation_page(document), *(f"written: {path}" for path in written), *notes]))
+            show(validation_page(result, runs, notes), written)
 
 
 def payload(
@@ -197,22 +195,22 @@ def payload(
         with progress_bar() as progress:
             from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
-            from gtau.estimation.results.summary import payload_lines
             from gtau.estimation.weigh import weigh
+            from gtau.report.evidence import settings_of
+            from gtau.report.validation import weighing_page, weighing_report
+            from gtau.report.write import inputs_of, write_report
+            from gtau.signals.experiment import read_experiment
 
             result = Result.load(model)
             found = weigh(result, experiment, gains.value, progress)
         written = []
         if out is not None:
-            from gtau.report.write_reports import write_weighing
-
-            seconds = perf_counter() - start
-            written.append(write_weighing(result, found, gains.value, model, experiment, folder_of(out), seconds))
+            described = read_experiment(experiment)
+            page = weighing_report(result, found, gains.value, described.expected_gains)
+            inputs = (("model", model), *inputs_of(experiment, described))
+            settings = {**settings_of(result), "drive gains": gains.value}
+            written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings)]
         if json_:
             print_json({"payloads": payload_documents(found), "gains": gains.value})
-            return
-        for each in found:
-            typer.echo("\n".join(payload_lines(each)))
-        typer.echo(
-            "\n".join([f"weighed with the {gains.value} drive gains", *(f"written: {path}" for path in written)])
-        )
+        else:
+            show(weighing_page(result, found, gains.value), written)

@@ -40,19 +40,18 @@ def check(
             from gtau.estimation.check_logs import check_logs
             from gtau.estimation.grades import EXIT_CODES
             from gtau.report.check import check_document, check_page, write_check, write_preparation
+            from gtau.report.write import inputs_of, write_report
 
             checked = check_logs(experiment, progress)
-        written: list[Path] = []
+        page, written = check_page(checked), list[Path]()
         if out is not None:
-            from gtau.report.write_reports import write_check_report
-
-            written.append(write_check_report(checked, experiment, folder_of(out), perf_counter() - start))
+            written = [write_report(page, folder_of(out), perf_counter() - start, inputs_of(experiment))]
             written += write_check(checked, out)
         if figure is not None:
             written += write_preparation(checked, folder_of(figure))
         if json_:
             print_json(check_document(checked))
         else:
-            show(check_page(checked), written)
+            show(page, written)
         if code := EXIT_CODES[checked.worst]:
             raise typer.Exit(code)

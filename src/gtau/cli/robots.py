@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, base_choice, print_json, progress_bar, refusals
+from gtau.cli.console import Json, base_choice, print_json, progress_bar, refusals, show
 from gtau.errors import GtauError
 
 
@@ -26,7 +25,7 @@ def robot(
         Path | None, typer.Option("--save", metavar="ROBOT.yaml", help="Write it as a robot file that you can edit.")
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it in its home pose (needs matplotlib).")
+        Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it in its home pose, as PNG or PDF.")
     ] = None,
     base: Annotated[
         str | None,
@@ -51,7 +50,7 @@ def robot(
             return
         with progress_bar():
             from gtau.model.home import load_robot
-            from gtau.report.robot_page import describe, robot_page
+            from gtau.report.robot import robot_document, robot_page
 
             found = load_robot(source, base=base_choice(base), joints=joints or ())
         if save is not None:
@@ -65,17 +64,17 @@ def robot(
                 raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
             write_native(found, save)
         if figure is not None:
+            from gtau.report.render.charts import save_figure
             from gtau.report.robot_figure import robot_figure
-            from gtau.report.style import save_figure
 
             save_figure(robot_figure(found), figure)
         with progress_bar():
-            description = describe(found)
+            description = robot_document(found)
         if json_:
             print_json(description)
         else:
             written = [path for path in (save, figure) if path is not None]
-            typer.echo("\n".join([robot_page(description), *(f"written: {path}" for path in written)]))
+            show(robot_page(description), written)
 
 
 def _list_catalog(as_json: bool) -> None:
@@ -85,6 +84,7 @@ def _list_catalog(as_json: bool) -> None:
     if as_json:
         print_json({"catalog": [{"name": name, "source": robot.source} for name, robot in robots.items()]})
         return
-    for name, robot in robots.items():
-        motors = f"{len(robot.motors)} motor{'s' * (len(robot.motors) > 1)}"
-        typer.echo(textwrap.fill(f"{name:<16}{motors:<10}{robot.source}", 80, subsequent_indent=" " * 26))
+    from gtau.report.page import Column, page, section, table
+
+    rows = [(name, f"{len(robot.motors)}", robot.source) for name, robot in robots.items()]
+    show(page("", section("Catalog", table((Column("robot"), Column("motors"), Column("source")), rows))))

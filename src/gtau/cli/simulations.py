@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals
+from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals, show
 from gtau.documents.files import folder_of, refuse_as_folder
 
 
@@ -21,11 +21,11 @@ def demo(
         with progress_bar() as progress:
             from gtau.demo.run import demo as run
 
-            document, text = run(folder_of(out), progress)
+            document, page = run(folder_of(out), progress)
         if json_:
             print_json(document)
         else:
-            typer.echo(text)
+            show(page)
 
 
 def tutorial(
@@ -86,10 +86,12 @@ def compare_control(
     with refusals(json_):
         with progress_bar() as progress:
             from gtau.simulation.control_comparison import compare_control as run
-            from gtau.simulation.control_comparison import table, table_document
+            from gtau.simulation.control_comparison import table_document
 
             comparison = run(simulation, experiment, progress)
         if json_:
             print_json({"tracking": table_document(comparison)})
         else:
-            typer.echo(table(comparison))
+            from gtau.report.control import control_page
+
+            show(control_page(comparison))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.util import find_spec
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from gtau.demo.orthoglide import (
     simulation_text,
 )
 from gtau.documents.files import folder_of, write_atomically
-from gtau.errors import install_command
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
@@ -28,6 +27,9 @@ from gtau.estimation.weigh import weigh
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
+from gtau.report.page import Chart, Column, Facts, Kind, Page, Text, intervals, joint_label, page, section, table
+from gtau.report.render.charts import save
+from gtau.report.render.terminal import plain
 from gtau.simulation.closed_loop import write_log
 from gtau.simulation.experiment_files import make_run
 from gtau.simulation.simulation_file import read_simulation
@@ -52,7 +54,7 @@ CONTENT = {
 }
 
 
-def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[str, Any], str]:
+def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[str, Any], Page]:
     """Make logs, identify the robot from them, weigh a second payload, and write everything to ``out``.
 
     Parameters
@@ -68,8 +70,8 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     -------
     dict
         A JSON document: what was true, what was found, and the files.
-    str
-        The same as text.
+    Page
+        The same as a page.
 
     Raises
     ------
@@ -84,17 +86,18 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
         (payload,) = weigh(result, out / "second_payload.yaml", case, progress)
         weighings[case] = payload.parameters["m"]
     files = [name for name in CONTENT if not name.endswith(("/", ".png"))]
-    files += [*_gains_figure(out, result), *(f"logs/{name}.csv" for name, _, _ in LOGS)]
+    save(gains_chart(result.drive_gains), folder_of(out / "figures") / "gains.png")
+    files += ["figures/gains.png", *(f"logs/{name}.csv" for name, _, _ in LOGS)]
     found = _document(result, weighings) | {
         "folder": str(out),
         "logs": {"count": len(LOGS), "duration": duration, "rate": RATE},
         "files": files,
         "commands": list(COMMANDS),
     }
-    text = report(found)
-    whole = f"{text}\n\n\nThe whole result, as gtau identify prints it\n\n{result.summary()}\n"
+    shown = report(found)
+    whole = f"{plain(shown)}\n\n\nThe whole result, as gtau identify prints it\n\n{result.summary()}\n"
     write_atomically(out / "README.txt", whole)
-    return found, text
+    return found, shown
 
 
 def make_experiment(out: Path, duration: float, progress: Progress) -> None:
@@ -112,16 +115,13 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> None:
         write_atomically(out / f"{name}.yaml", text)
 
 
-def _gains_figure(out: Path, result: Result) -> list[str]:
-    """Draw the drive gains, where matplotlib is installed; return the paths in ``out``."""
-    if find_spec("matplotlib") is None:
-        return []
-    from gtau.report.figures import gains_figure
-    from gtau.report.style import save_figure
-
-    folder_of(out / "figures")
-    save_figure(gains_figure(result.drive_gains, DRIVE_GAINS, PRIOR_GAINS), out / "figures" / "gains.png")
-    return ["figures/gains.png"]
+def gains_chart(gains: Mapping[str, Estimate]) -> Chart:
+    """Draw drive gains with their 95 % intervals and the manufacturer's, in per cent off the true ones."""
+    off = [_percent(gain.value, DRIVE_GAINS[joint]) for joint, gain in gains.items()]
+    halves = [100 * (gain.half_interval() or 0.0) / DRIVE_GAINS[joint] for joint, gain in gains.items()]
+    prior = [_percent(PRIOR_GAINS[joint], DRIVE_GAINS[joint]) for joint in gains]
+    names, other = list(map(joint_label, gains)), ("manufacturer's", prior)
+    return Chart((intervals(names, off, halves, "error of the drive gain, % of the true one", other=other, zero=True),))
 
 
 def _document(result: Result, weighings: Mapping[str, Estimate]) -> dict[str, Any]:
@@ -158,32 +158,39 @@ def _percent(value: float | None, true: float) -> float | None:
     return None if value is None else 100 * (value - true) / true
 
 
-def report(found: Mapping[str, Any]) -> str:
-    """Print the demo's document as text."""
+def report(found: Mapping[str, Any]) -> Page:
+    """Show the demo's document."""
     logs, second = found["logs"], found["second_payload"]
     size = f"{logs['count']} logs of {logs['duration']:g} s at {logs['rate']:g} Hz"
-    lines = [
-        f"An Orthoglide whose true values are known: {size},",
-        "simulated with friction, force ripple, encoder rounding, noise and held",
-        "currents, then used like any others.",
+    lead = (
+        f"An Orthoglide whose true values are known: {size}, simulated with friction, force ripple, encoder rounding, "
+        "noise and held currents, then used like any others."
+    )
+    number = partial(Column, kind=Kind.NUMBER)
+    gains = table(
+        (
+            Column("joint"),
+            number("true, N/A", decimals=0),
+            number("manufacturer", decimals=0),
+            number("error, %", decimals=2),
+            number("identified", decimals=1),
+            number("std", decimals=1),
+            number("error, %", decimals=2),
+        ),
+        [
+            (g["joint"], g["true"], g["prior"], g["prior_error"], g["value"], g["std"], g["error"])
+            for g in found["drive_gains"]
+        ],
+    )
+    weighing = table(
+        (Column("gains"), number("mass, kg", decimals=4), number("std", decimals=4), number("error, %", decimals=2)),
+        [(label, second[case]["value"], second[case]["std"], second[case]["error"]) for case, label in CASES.items()],
+    )
+    return page(
         "",
-        f"Drive gains in N per A, from a known payload of {found['known_payload']['mass']} kg",
-        f"  {'joint':<10}{'true':>10}{'manufacturer':>16}{'error %':>10}{'identified':>14}{'std':>8}{'error %':>10}",
-    ]
-    lines += [
-        f"  {each['joint']:<10}{each['true']:>10.0f}{each['prior']:>16.0f}{each['prior_error']:>10.2f}"
-        f"{each['value']:>14.1f}{each['std']:>8.1f}{each['error']:>10.2f}"
-        for each in found["drive_gains"]
-    ]
-    weighing = f"Weighing a second payload of {second['true']} kg"
-    lines += ["", f"{weighing:<50}{'kg':>12}{'std':>8}{'error %':>10}"]
-    for case, label in CASES.items():
-        mass = second[case]
-        lines.append(f"  {label:<48}{mass['value']:>12.4f}{mass['std']:>8.4f}{mass['error']:>10.2f}")
-    drawn = [name for name in found["files"] if name.endswith(".png")]
-    lines += ["", f"In {found['folder']}:"]
-    lines += [f"  {name:<22} {what}" for name, what in CONTENT.items() if name in drawn or not name.endswith(".png")]
-    if not drawn:
-        lines.append(f"  (no figure, as matplotlib is not installed; {install_command('plot')} adds it)")
-    lines += ["", "Step by step, in that folder, with predictions and control laws:"]
-    return "\n".join([*lines, *(f"  {each}" for each in found["commands"])])
+        section("", Text(lead)),
+        section(f"Drive gains, from a known payload of {found['known_payload']['mass']} kg", gains),
+        section(f"Weighing a second payload of {second['true']} kg", weighing),
+        section(f"In {found['folder']}", Facts(CONTENT)),
+        section("Step by step, in that folder, with predictions and control laws", *map(Text, found["commands"])),
+    )

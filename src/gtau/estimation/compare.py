@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 
 from gtau import display
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS
@@ -37,9 +35,9 @@ if TYPE_CHECKING:
 class Row:
     """What one estimator makes of the data.
 
-    ``gains`` and ``std`` (n,), N m/A or N/A, the standard deviations None where the gains are given. ``residuals`` (n,)
-    are those of the currents in per cent of them, ``seconds`` the time of the estimation alone. An estimator
-    that refuses the data has nothing but its ``refusal``.
+    ``gains`` and ``std`` (n,), N m/A or N/A, the standard deviations None where the gains are given; ``half_widths``
+    (n,) are half their 95 % intervals. ``residuals`` (n,) are those of the currents in per cent of them, ``seconds``
+    the time of the estimation alone. An estimator that refuses the data has nothing but its ``refusal``.
     """
 
     method: str
@@ -49,6 +47,7 @@ class Row:
     seconds: float = 0.0
     outcome: Outcome | None = None
     refusal: str = ""
+    half_widths: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +57,7 @@ class EstimatorComparison:
     joints: tuple[str, ...]
     rows: tuple[Row, ...]
     units: tuple[str, ...] = ()
+    robot: str = ""
 
     def __repr__(self) -> str:
         return f"EstimatorComparison(joints {', '.join(self.joints)}; {', '.join(row.method for row in self.rows)})"
@@ -119,7 +119,9 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
         if estimator.gains == Gains.GIVEN:
             return Row(estimator.name, values, None, residuals, seconds)
         std = np.array([gain.std for gain in gains], dtype=float)
-        return Row(estimator.name, values, std, residuals, seconds, worst([gain.verdict for gain in gains]))
+        outcome = worst([gain.verdict for gain in gains])
+        halves = np.array([gain.half_interval() for gain in gains], dtype=float)
+        return Row(estimator.name, values, std, residuals, seconds, outcome, half_widths=halves)
 
     with single_threaded_blas():
         dataset = reduce_runs(robot, runs, progress=progress, priors=priors)
@@ -131,40 +133,7 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
             rows.append(row(estimator))
         progress("estimators", len(chosen), len(chosen))
     units = tuple(f"{torque_unit(robot, joint)}/A" for joint in robot.motors)
-    return EstimatorComparison(robot.motors, tuple(rows), units)
-
-
-WIDTH = 80
-
-
-def table(found: EstimatorComparison) -> str:
-    """Print the comparison: residuals and verdicts, then the gains of as many joints at a time as fit a terminal."""
-    lines = [f"{'method':<8}{'residual':>11}{'time':>10}   worst verdict"]
-    for row in found.rows:
-        if row.gains is None or row.residuals is None:
-            lines += textwrap.wrap(f"{row.method:<8}{row.refusal}", WIDTH, subsequent_indent=" " * 8)
-            continue
-        verdict = "gains given" if row.outcome is None else row.outcome.value
-        lines.append(f"{row.method:<8}{row.residuals.max():>9.2f} %{row.seconds:>8.2f} s   {verdict}")
-    lines += textwrap.wrap("residual: of the worst joint, in % of its current; time: of the estimation alone", WIDTH)
-    entries = {row.method: _gains(row) for row in found.rows if row.gains is not None}
-    heads = [f"{joint}, {unit}" for joint, unit in zip(found.joints, found.units, strict=False)] or list(found.joints)
-    width = 2 + max(len(text) for text in (*heads, *(entry for each in entries.values() for entry in each)))
-    many = max((WIDTH - 8) // width, 1)
-    for first in range(0, len(heads), many):
-        part = slice(first, first + many)
-        lines += ["", f"{'gain':<8}{''.join(f'{head:>{width}}' for head in heads[part])}"]
-        lines += [f"{method:<8}{''.join(f'{e:>{width}}' for e in each[part])}" for method, each in entries.items()]
-    return "\n".join(line.rstrip() for line in lines)
-
-
-def _gains(row: Row) -> list[str]:
-    """Print the gains of an estimator; none where it refused."""
-    if row.gains is None:
-        return []
-    if row.std is None:
-        return [f"{gain:.5g} given" for gain in row.gains]
-    return [f"{g:.5g} +- {percent_text(100 * s / abs(g))} %" for g, s in zip(row.gains, row.std, strict=True)]
+    return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)
 
 
 def to_document(found: EstimatorComparison) -> dict[str, Any]:

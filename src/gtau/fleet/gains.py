@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.estimation.results.estimate import Estimate
 from gtau.fleet.fleet import Report
 
 LEAST = 8  # values: the spread of fewer is too uncertain to call one an outlier
@@ -103,7 +104,8 @@ class FleetGain:
 
     ``gain`` and ``std`` in ``unit``, None where the gain is not identifiable; ``difference_percent`` from the median
     of the fleet; ``z`` the same in standard deviations, and ``limit`` where an outlier begins, both None where there
-    is nothing to compare with. ``outcome`` and ``why`` are the verdict of its own identification.
+    is nothing to compare with. ``outcome`` and ``why`` are the verdict of its own identification,
+    and ``half_width`` is half its 95 % interval, in ``unit``.
     """
 
     robot: str
@@ -118,6 +120,7 @@ class FleetGain:
     z: float | None = None
     limit: float | None = None
     outlier: bool = False
+    half_width: float | None = None
 
 
 @dataclass(frozen=True)
@@ -157,10 +160,13 @@ def fleet_table(reports: Sequence[Report]) -> FleetTable:
     """Compare the gains of each joint over the robots of the same model; see :func:`gtau.fleet.gains.distances`."""
     models = [(report.member.name, report.model) for report in reports if report.model is not None]
     gains = [
-        FleetGain(name, model["robot"], g["joint"], g["value"], g["std"], g["unit"], g["outcome"], g["why"])
+        FleetGain(
+            name, model["robot"], g["joint"], g["value"], g["std"], g["unit"], g["outcome"], g["why"],
+            half_width=Estimate(g["joint"], g["value"], g["std"], g["unit"], freedom=g["freedom"]).half_interval(),
+        )
         for name, model in models
         for g in model["drive_gains"]
-    ]
+    ]  # fmt: skip
     freedom = [g["freedom"] or np.inf for _, model in models for g in model["drive_gains"]]
     known = [k for k, g in enumerate(gains) if g.gain is not None and g.std is not None]
     groups: dict[tuple[str, str, str], list[int]] = {}

@@ -13,9 +13,8 @@ from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.grades import Grade, by_grade, to_document
 from gtau.estimation.results.singularity_distances import write_distances
-from gtau.estimation.results.summary import same_in_several
 from gtau.report import logs
-from gtau.report.findings import findings_section
+from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
 from gtau.report.motion import TIME, distances_panel, singularities_section
 from gtau.report.page import (
@@ -37,6 +36,7 @@ from gtau.report.page import (
     section,
     table,
 )
+from gtau.report.preparation import preparation_chart
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
 from gtau.signals.notes import Note
@@ -99,7 +99,7 @@ def check_page(checked: ExperimentCheck) -> Page:
     robot, preparation = checked.robot, checked.preparation
     nearest = [each for log in checked.logs for each in log.nearest]
     motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
-    prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
+    prepared = [section(log.run.name, preparation_chart(log), folded=True) for log in checked.logs]
     spectra = logs.spectra_items(checked.logs[0].run, robot, preparation) if preparation and checked.logs else []
     return page(
         f"Logs of {checked.robot.name}",
@@ -259,7 +259,7 @@ def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
 
     names = unique_names([log.run.name for log in checked.logs])
     return [
-        save(logs.preparation_chart(log), folder / f"{name}-preparation.png")
+        save(preparation_chart(log), folder / f"{name}-preparation.png")
         for name, log in zip(names, checked.logs, strict=True)
     ]
 

@@ -1,44 +1,39 @@
-"""What the pages show of a result: the one place that reads results, runs and predictions."""
+"""Runs beside what a model predicts of them: what pages show of a result and its data."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
+from gtau.estimation.results.estimate import Prediction, TorqueError
 from gtau.estimation.results.prediction import torque_errors
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
-from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
 from gtau.signals.storage import rows_at
 
 LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning
 POSES = 1500  # of a run, in the path of the payload's body
-GOOD_OUTCOMES = (Outcome.GOOD, Outcome.GIVEN)
 
 
 @dataclass(frozen=True, eq=False)
 class RunEvidence:
-    """A run beside what the model predicts of it; ``refusal`` says why nothing is predicted."""
+    """A run beside what the model predicts of it; ``refusal`` says why nothing is predicted.
+
+    ``used`` says whether the model was identified from it, ``cut`` whether it is longer than what is shown, and
+    ``notes`` what the prediction takes for granted.
+    """
 
     run: Run
     used: bool
-    prediction: Prediction | None
+    prediction: Prediction | None = None
     errors: tuple[TorqueError, ...] = ()
     refusal: str = ""
-    cut: bool = False  # whether the run is longer than what is shown
-
-    @property
-    def payload(self) -> str:
-        """What the run carries, in words."""
-        return payload_words(self.run)
+    cut: bool = False
+    notes: tuple[str, ...] = ()
 
     @property
     def time(self) -> np.ndarray:
@@ -46,66 +41,17 @@ class RunEvidence:
         assert self.prediction is not None
         return np.asarray(self.prediction.time - float(self.run.time[0]))
 
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """A result with the runs that it came from, those kept for validation, and what was expected of it."""
-
-    result: Result
-    runs: tuple[RunEvidence, ...] = ()
-    prior_gains: Mapping[str, float] = field(default_factory=dict)
-
     @property
-    def robot(self) -> Robot:
-        """The robot."""
-        return self.result.robot
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Actuated joints in the order of the result."""
-        return self.robot.actuated
-
-    @property
-    def units(self) -> list[str]:
-        """Unit of each joint's torque or force."""
-        return [torque_unit(self.robot, joint) for joint in self.joints]
-
-    @cached_property
-    def correlation(self) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names and correlations (m, m) of all estimates that have a variance."""
-        covariance = self.result.covariance
-        std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-        known = np.flatnonzero(std > 0)
-        names = tuple(self.result.covariance_names[k] for k in known)
-        part = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
-        return names, np.clip(part, -1.0, 1.0)
-
-    def residuals(self, joint: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Yield of each run used times (K,), s, and residuals (K,) of a joint, NaN where they are masked."""
-        found = []
-        for each in self.runs:
-            if each.used and each.prediction is not None:
-                prediction = each.prediction
-                rest = prediction.measured[:, joint] - prediction.predicted[:, joint]
-                found.append((each.time, np.where(prediction.keep[:, joint], rest, np.nan)))
-        return found
-
-
-def payload_words(run: Run) -> str:
-    """Describe in words what a run carries."""
-    if run.payload is None:
-        return "no payload"
-    mass = "of unknown mass" if run.payload.mass is None else f"of {run.payload.mass:g} kg"
-    return f"payload '{run.payload.name}' {mass}"
+    def residuals(self) -> np.ndarray:
+        """Measured less predicted torques (K, n), NaN where they are masked."""
+        assert self.prediction is not None
+        rest = self.prediction.measured - self.prediction.predicted
+        return np.where(self.prediction.keep, rest, np.nan)
 
 
 def gather(
-    result: Result,
-    runs: Iterable[Run],
-    validation: Iterable[Run] = (),
-    prior_gains: Mapping[str, float] | None = None,
-    progress: Progress = silent,
-) -> Evidence:
+    result: Result, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
+) -> tuple[RunEvidence, ...]:
     """Predict the runs that a result was identified from, and those kept for validation.
 
     A run that the model cannot predict is listed with the reason.
@@ -114,9 +60,69 @@ def gather(
     found = []
     for k, (run, used) in enumerate(listed):
         progress("report", k, len(listed))
-        found.append(_predicted(result, run, used))
+        try:
+            found.append(predicted(result, run, used))
+        except GtauError as refusal:
+            found.append(RunEvidence(run, used, refusal=str(refusal)))
     progress("report", len(listed), len(listed))
-    return Evidence(result, tuple(found), dict(prior_gains or {}))
+    return tuple(found)
+
+
+def predicted(result: Result, run: Run, used: bool = False, longest: int | None = LONGEST) -> RunEvidence:
+    """Predict a run, or its beginning; raises GtauError where it does not suit the model."""
+    cut = longest is not None and len(run.time) > longest
+    prediction = result.predict(_beginning(run, longest or 0) if cut else run)
+    errors = torque_errors(result, prediction)
+    return RunEvidence(run, used, prediction, errors, cut=cut, notes=_unknown_payload(result, run))
+
+
+def _beginning(run: Run, count: int) -> Run:
+    time, position, command, valid = (
+        np.asarray(each[:count]) for each in (run.time, run.position, run.command, run.valid)
+    )
+    return replace(run, time=time, position=position, command=command, valid=valid)
+
+
+def _unknown_payload(result: Result, run: Run) -> tuple[str, ...]:
+    """Note where the model has not seen the payload of a run, and the run gives only its mass."""
+    payload = run.payload
+    if payload is None or payload.mass is None or payload.parameters or result.payload(payload.name):
+        return ()
+    known = ", ".join(f"'{name}'" for name in dict.fromkeys(each.name for each in result.payloads))
+    return (
+        f"payload '{payload.name}' is none of the model's ({known or 'it has none'}), so it counts as a point mass of "
+        f"{payload.mass:.4g} kg at the origin of '{result.robot.tool}'; correct the name, or give its 'parameters'",
+    )
+
+
+def worst_stretch(evidence: RunEvidence, duration: float) -> tuple[float, float]:
+    """Find ``duration`` s of a run around the largest residual: begin and end, s; of a shorter run all of it.
+
+    Residuals are compared in units of each joint's own rms. The filter takes the first rows of a run; a stretch that
+    would begin there begins at zero.
+    """
+    time, rest = evidence.time, np.nan_to_num(evidence.residuals)
+    relative = np.abs(rest) / np.maximum(np.sqrt(np.mean(rest**2, axis=0)), np.finfo(float).tiny)
+    worst = float(time[relative.max(axis=1).argmax()])
+    start = min(worst - duration / 2, float(time[-1]) - duration)
+    start = start if start > time[0] else 0.0
+    return start, min(max(start, float(time[0])) + duration, float(time[-1]))
+
+
+def body_path(result: Result, run: Run) -> np.ndarray:
+    """Compute positions (P, 3), m, along a run of the body that carries the payload."""
+    import casadi as ca
+
+    from gtau.model.kinematics import frames
+    from gtau.signals.run import arrange
+
+    model = result.model
+    run = arrange(run, model.actuated)
+    shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
+    c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))
+    symbol = ca.SX.sym("c", model.layout.n_c)
+    place = ca.Function("p", [symbol], [frames(model.layout, symbol)[result.robot.tool].p_0])
+    return np.asarray(place(c)).T
 
 
 def settings_of(result: Result) -> dict[str, str]:
@@ -133,43 +139,6 @@ def settings_of(result: Result) -> dict[str, str]:
     }
 
 
-def _predicted(result: Result, run: Run, used: bool) -> RunEvidence:
-    cut = len(run.time) > LONGEST
-    shown = _beginning(run) if cut else run
-    try:
-        prediction = result.predict(shown)
-    except GtauError as refusal:
-        return RunEvidence(run, used, None, refusal=str(refusal), cut=cut)
-    return RunEvidence(run, used, prediction, torque_errors(result, prediction), cut=cut)
-
-
-def _beginning(run: Run) -> Run:
-    time, position, command, valid = (
-        np.asarray(each[:LONGEST]) for each in (run.time, run.position, run.command, run.valid)
-    )
-    return replace(run, time=time, position=position, command=command, valid=valid)
-
-
-def interval_parts(gain: Estimate) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Compute the 95 % interval of an estimate, and its random part alone where a model part is known too."""
-    whole = gain.interval()
-    if whole is None or not gain.model_std or gain.value is None or not gain.std:
-        return whole, None
-    half = (whole[1] - whole[0]) / 2 * (gain.random_std or 0.0) / gain.std
-    return whole, (gain.value - half, gain.value + half)
-
-
-def body_path(result: Result, run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Compute times (P,), s, from the start of a run, and positions (P, 3), m, of the body that carries the payload."""
-    import casadi as ca
-
-    from gtau.model.kinematics import frames
-    from gtau.signals.run import arrange
-
-    model = result.model
-    run = arrange(run, model.actuated)
-    shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
-    c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))
-    symbol = ca.SX.sym("c", model.layout.n_c)
-    place = ca.Function("p", [symbol], [frames(model.layout, symbol)[result.robot.tool].p_0])
-    return rows_at(run.time, shown) - run.time[0], np.asarray(place(c)).T
+def largest(errors: Sequence[TorqueError]) -> TorqueError | None:
+    """Find the largest torque error, relative to its signal."""
+    return max(errors, key=lambda each: each.relative, default=None)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from gtau.estimation.grades import by_grade
-from gtau.estimation.results.summary import same_in_several
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
 from gtau.signals.notes import Note
 
@@ -39,3 +39,16 @@ def _where(note: Note) -> str:
     share = None if note.share is None else f"{100 * note.share:.2g} % of the samples"
     time = None if note.time is None else f"{note.time:.4g} s"
     return ", ".join(part for part in (note.joint and joint_label(note.joint), time, share) if part)
+
+
+def same_in_several(notes: Sequence[Note]) -> list[Note]:
+    """Merge notes that say the same of several logs; they keep no time, as each log has its own."""
+    groups: dict[tuple[str, str], list[Note]] = {}
+    for note in notes:
+        groups.setdefault((note.what, note.action), []).append(note)
+    return [
+        replace(group[0], source=", ".join(dict.fromkeys(each.source for each in group if each.source)), time=None)
+        if len(group) > 1
+        else group[0]
+        for group in groups.values()
+    ]

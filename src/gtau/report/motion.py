@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -58,14 +59,10 @@ def distances_panel(distances: Distances, start: float) -> Panel | None:
     return Panel(TIME, Axis("distance to singularity", limits=(0.0, 1.05)), tuple(series), height=1.4)
 
 
-def distances_chart(distances: Sequence[Distances], starts: Mapping[str, float]) -> Chart | None:
+def distances_panels(distances: Sequence[Distances], starts: Mapping[str, float]) -> list[Panel]:
     """Draw distances to singular poses along runs that begin at ``starts``, s, by name."""
-    panels = []
-    for each in distances:
-        panel = distances_panel(each, starts.get(each.run, 0.0))
-        if panel is not None:
-            panels.append(Panel(panel.x, panel.y, panel.series, each.run, height=panel.height))
-    return Chart(tuple(panels)) if panels else None
+    panels = [(each.run, distances_panel(each, starts.get(each.run, 0.0))) for each in distances]
+    return [replace(panel, title=name) for name, panel in panels if panel is not None]
 
 
 def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:

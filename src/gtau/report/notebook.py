@@ -1,7 +1,4 @@
-"""How results show themselves in notebooks: the views that :mod:`gtau.display` finds.
-
-Each is a small page in a frame of its own, so that its styles touch nothing of the notebook's.
-"""
+"""How results show themselves in notebooks: the views that :mod:`gtau.display` finds."""
 
 from __future__ import annotations
 
@@ -13,35 +10,30 @@ from gtau.estimation.check_logs import ExperimentCheck
 from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named, PayloadEstimate, Prediction
 from gtau.estimation.results.result import Result
-from gtau.report.comparison_report import comparison_table, headline
-from gtau.report.evidence import Evidence, gather, settings_of
-from gtau.report.findings_section import findings_table
-from gtau.report.gain_sections import gains_section, interval_cell, payloads_section, verdict_section
-from gtau.report.html.document import asset, style
-from gtau.report.html.elements import Cell, Column, escape, number, table, text, verdict
-from gtau.report.html.series import Arrays, Line, chart, envelope, key, stretches, zoom_tools
+from gtau.report.check import check_page
+from gtau.report.comparison import comparison_page
+from gtau.report.evidence import gather, settings_of
+from gtau.report.gains import VALUE, gains_section, payloads_section, unknown_payloads, value_cells
+from gtau.report.identification import full_page, report_page, summary_page, verdict_section
+from gtau.report.page import Chart, Column, Kind, Page, Text, page, section, table
 from gtau.report.plots import Plots
-from gtau.report.provenance import Provenance
-from gtau.report.style import joint_label
+from gtau.report.provenance import Provenance, provenance_section
+from gtau.report.render.html import frame
+from gtau.report.render.html import html as rendered
+from gtau.report.render.terminal import plain
+from gtau.report.torques import torques_chart
 
-BUCKETS = 1000  # of a chart in a notebook
-FIT = "try { frameElement.style.height = document.body.getBoundingClientRect().height + 16 + 'px'; } catch (outside) {}"
+TERMINAL = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
 
 
 def html(shown: object) -> str:
-    """Write the markup of an object for a notebook: a frame with its view."""
-    arrays = Arrays()
-    body = view(shown, arrays)
-    scripts = [f"new ResizeObserver(() => {{ {FIT} }}).observe(document.body);"]
-    if arrays.drawn:
-        scripts = [asset("uPlot.iife.min.js"), asset("report.js"), *scripts]
-    code = "".join(f"<script>{script}</script>" for script in scripts)
-    styles = (asset("uPlot.min.css") if arrays.drawn else "") + style()
-    page = (
-        f'<!DOCTYPE html><html lang="en"><meta charset="utf-8"><style>{styles}</style><body class="embedded"><main>'
-        f"{body}</main>{arrays.script()}{code}</body></html>"
-    )
-    return f'<iframe srcdoc="{escape(page)}" style="width:100%;height:24em;border:0" title="gtau"></iframe>'
+    """Write the markup of an object for a notebook: a frame with its page."""
+    return frame(view(shown))
+
+
+def text(result: Result, verbose: bool) -> str:
+    """Write a result as text: all of it, or what can be believed, on one screen."""
+    return plain(full_page(result) if verbose else summary_page(result))
 
 
 def plots(result: Result) -> Plots:
@@ -51,87 +43,50 @@ def plots(result: Result) -> Plots:
 
 def write(result: Result, path: Path) -> None:
     """Write the report of a result, with the runs that it holds, to an HTML file."""
-    from gtau.report.identification_report import identification_report
-
-    evidence = gather(result, result.data)
-    write_atomically(path, identification_report(evidence, Provenance("", settings=settings_of(result))))
+    found = report_page(result, gather(result, result.data), {})
+    of = provenance_section(Provenance("", settings=settings_of(result)))
+    write_atomically(path, rendered(Page(found.title, (*found.sections, of), found.lead)))
 
 
 @singledispatch
-def view(shown: object, arrays: Arrays) -> str:
-    """Write the markup of an object, whose charts put what they draw into ``arrays``."""
-    return f"<pre>{escape(repr(shown))}</pre>"
+def view(shown: object) -> Page:
+    """Make the page of an object."""
+    return page("", section("", Text(repr(shown), style="command")))
 
 
 @view.register
-def _(shown: Result, arrays: Arrays) -> str:
-    evidence = Evidence(shown)
-    payloads = payloads_section([each for each in shown.payloads if set(each.parameters) - each.known])
-    sections = [verdict_section(evidence), gains_section(evidence), payloads]
-    return "".join(section.html for section in sections if section is not None)
+def _(shown: Result) -> Page:
+    return page(
+        "", verdict_section(shown), gains_section(shown, charts=False), payloads_section(unknown_payloads(shown))
+    )
 
 
 @view.register
-def _(shown: EstimatorComparison, arrays: Arrays) -> str:
-    return verdict("plain", headline(shown), []) + comparison_table(shown, {})
+def _(shown: EstimatorComparison) -> Page:
+    found = comparison_page(shown)
+    return Page("", found.sections[:2])
 
 
 @view.register
-def _(shown: PayloadEstimate, arrays: Arrays) -> str:
-    section = payloads_section([shown])
-    return "" if section is None else section.html
+def _(shown: PayloadEstimate) -> Page:
+    return page("", payloads_section([shown]))
 
 
 @view.register
-def _(shown: Named, arrays: Arrays) -> str:
+def _(shown: Named) -> Page:
+    columns = (Column("name", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL), Column("verdict", Kind.BADGE))
     rows = [
-        [
-            text(name, "mono"),
-            number(each.value, missing="not identifiable"),
-            interval_cell(each.interval()),
-            text(each.unit, "unit"),
-            text(each.verdict.outcome.value),
-        ]
-        for name, each in shown.items()
-    ]
-    columns = [Column("name"), Column("value", True), Column("95 % interval", True), Column("unit"), Column("verdict")]
-    return table(columns, rows)
+        (name, *value_cells(each), each.interval(), each.verdict.outcome.value) for name, each in shown.items()
+    ]  # fmt: skip
+    return page("", section("", table(columns, rows)))
 
 
 @view.register
-def _(shown: Prediction, arrays: Arrays) -> str:
-    time, thin = envelope(shown.time - shown.time[0], shown.measured, BUCKETS)
-    predicted = envelope(shown.time, shown.predicted, BUCKETS)[1]
-    shortest = float(time[-1]) / 1000
-    parts = [zoom_tools("torques"), key([("measured", "measured"), ("predicted", "predicted"), ("masked", "shade")])]
-    for j, joint in enumerate(shown.joints):
-        masked = stretches(shown.time - shown.time[0], ~shown.keep[:, j], shortest)
-        lines = [
-            Line("measured", thin[:, j], "measured", 2.6),
-            Line("predicted", predicted[:, j], "predicted", 1.2),
-        ]
-        parts.append(f"<h4>{escape(joint_label(joint))}</h4>")
-        parts.append(chart(arrays, time, lines, "N m or N", "torques", masked=masked, xlabel="time, s"))
-    return "".join(parts)
+def _(shown: Prediction) -> Page:
+    chart: Chart = torques_chart(shown, ["N m or N"] * len(shown.joints), "", shown.time - shown.time[0])
+    return page("", section("", chart))
 
 
 @view.register
-def _(shown: ExperimentCheck, arrays: Arrays) -> str:
-    rows = [
-        [
-            text(log.run.name),
-            text("validation" if log.validation else "identification"),
-            number(log.run.rate, 5),
-            number(float(log.run.time[-1] - log.run.time[0]), 4),
-            Cell(f"{100 * min(joint.usable for joint in log.joints):.0f}", True),
-        ]
-        for log in shown.logs
-    ]
-    columns = [
-        Column("log"),
-        Column("for"),
-        Column("rate, Hz", True),
-        Column("duration, s", True),
-        Column("samples used, % (least of the joints)", True),
-    ]
-    return table(columns, rows) + findings_table(shown.notes)
+def _(shown: ExperimentCheck) -> Page:
+    return Page("", tuple(each for each in check_page(shown).sections if each.id in TERMINAL))

@@ -151,8 +151,8 @@ class Axis:
 class Series:
     """A series of a panel: ``x`` and ``y`` (K,), a ``colour`` of the palette, and how it is drawn.
 
-    ``half`` (K,) are half the widths of intervals, along x where the ``mark`` is a disc or diamond. Of ``steps``, ``x``
-    (K + 1,) are edges; of ``spans``, ``x`` (K, 2) are beginnings and ends, and ``y`` (1,) is their height.
+    ``half`` (K,) are half the widths of intervals of discs and diamonds, along x, or y where ``upright``. Of ``steps``,
+    ``x`` (K + 1,) are edges; of ``spans``, ``x`` (K, 2) are beginnings and ends, and ``y`` (1,) is their height.
     """
 
     label: str
@@ -162,6 +162,7 @@ class Series:
     mark: Literal["line", "points", "disc", "diamond", "thick", "steps", "spans"] = "line"
     width: float = 1.3
     half: np.ndarray | None = None
+    upright: bool = False
 
 
 @dataclass(frozen=True)

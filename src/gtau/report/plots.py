@@ -12,8 +12,13 @@ from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Prediction
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import predict
-from gtau.report import result_figures
-from gtau.report.figures import torques_figure
+from gtau.report.evidence import RunEvidence
+from gtau.report.gains import gains_chart
+from gtau.report.motion import TIME, distances_panels
+from gtau.report.page import Axis, Chart, Panel, Series
+from gtau.report.parameters import correlation_chart, correlation_of, singular_values_chart
+from gtau.report.render.charts import figure_of
+from gtau.report.torques import part_of, residual_panels, stretch_title, torques_chart
 from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
 
@@ -37,39 +42,44 @@ class Plots:
 
     def gains(self, prior: Mapping[str, float] | None = None) -> Figure:
         """Draw drive gains with their 95 % intervals, in per cent of the gain, beside ``prior`` ones."""
-        return result_figures.gains_figure(self.result.drive_gains, prior or {})
+        chart = gains_chart(self.result.drive_gains, prior or {})
+        if chart is None:
+            raise GtauError("the drive gains were given, so there are no intervals to draw; give prior gains.")
+        return figure_of(chart)
 
     def torques(
         self, joint: str | None = None, run: str | Run | None = None, start: float = 0.0, stop: float | None = None
     ) -> Figure:
         """Plot measured and predicted torques and residuals of a joint or all of a run, ``start`` to ``stop`` in s."""
-        run, prediction, joints = self._predicted(joint, run)
-        units = [torque_unit(self.result.robot, name) for name in prediction.joints]
-        chosen = [prediction.joints.index(name) for name in joints]
-        part = Prediction(
-            joints,
-            prediction.time,
-            *(array[:, chosen] for array in (prediction.predicted, prediction.measured)),
-            *(array[:, chosen] for array in (prediction.keep, prediction.valid)),
-        )
-        origin = float(run.time[0])
-        length = float(run.time[-1]) - origin
-        stop = length if stop is None else stop
-        if not start < stop:
-            raise GtauError(f"the stretch from {start:g} to {stop:g} s is empty; give start below stop.")
-        return torques_figure(part, [units[k] for k in chosen], start, stop, run.name, run.kind, origin, length)
+        found, joints = self._evidence(joint, run)
+        assert found.prediction is not None
+        whole = found.prediction
+        chosen = [whole.joints.index(name) for name in joints]
+        arrays = (whole.predicted, whole.measured, whole.keep, whole.valid)
+        prediction = Prediction(joints, whole.time, *(each[:, chosen] for each in arrays))
+        length = float(found.run.time[-1] - found.run.time[0])
+        end = length if stop is None else stop
+        if not start < end:
+            raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
+        part, time = part_of(prediction, found.time, start, end)
+        title = found.run.name if start <= 0 and stop is None else stretch_title(found.run.name, start, end, length)
+        units = [torque_unit(self.result.robot, name) for name in joints]
+        return figure_of(torques_chart(part, units, found.run.kind, time, title=title))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
-        """Draw histogram, spectrum and autocorrelation of a joint's residuals along a run."""
-        run, prediction, (name,) = self._predicted(joint, run)
-        j = prediction.joints.index(name)
-        values = np.where(prediction.keep[:, j], prediction.measured[:, j] - prediction.predicted[:, j], np.nan)
-        unit = torque_unit(self.result.robot, name)
-        return result_figures.residuals_figure(prediction.time, values, f"{run.name}: {name}", unit)
+        """Draw a joint's residuals along a run, their histogram, spectrum and autocorrelation."""
+        found, _ = self._evidence(joint, run)
+        assert found.prediction is not None
+        j, unit = found.prediction.joints.index(joint), torque_unit(self.result.robot, joint)
+        values = found.residuals[:, j]
+        line = Series("", found.time, values, "residual", width=1.0)
+        panels = residual_panels({joint: [(found.time, values)]}, {joint: unit})
+        along = Panel(TIME, Axis(f"residual, {unit}"), (line,), height=2.0)
+        return figure_of(Chart((along, *panels), f"{found.run.name}: {joint}", columns=2))
 
     def correlation(self) -> Figure:
         """Draw the correlation matrix of all estimates."""
-        return result_figures.correlation_figure(self.result.covariance, self.result.covariance_names)
+        return figure_of(correlation_chart(*correlation_of(self.result)))
 
     def singular_values(self) -> Figure:
         """Draw the singular values of ``W_tot`` (eq. 33), with the gap before the smallest."""
@@ -78,14 +88,15 @@ class Plots:
                 "this result has no singular values: its gains were given, or it was loaded from a file; identify the "
                 "gains from the logs again."
             )
-        return result_figures.singular_values_figure(np.array(self.result.singular_values))
+        return figure_of(singular_values_chart(np.array(self.result.singular_values)))
 
     def distances(self) -> Figure:
         """Draw distances to singular poses along the runs."""
-        if not self.result.distances:
-            raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
         starts = {run.name: float(run.time[0]) for run in self.result.data}
-        return result_figures.distances_figure(self.result.distances, starts)
+        panels = distances_panels(self.result.distances, starts)
+        if not panels:
+            raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
+        return figure_of(Chart(tuple(panels)))
 
     def robot(self) -> Figure:
         """Draw the robot at home."""
@@ -93,12 +104,12 @@ class Plots:
 
         return robot_figure(self.result.robot)
 
-    def _predicted(self, joint: str | None, run: str | Run | None) -> tuple[Run, Prediction, tuple[str, ...]]:
+    def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, tuple[str, ...]]:
         joints = self.result.robot.actuated
         if joint is not None and joint not in joints:
             raise GtauError(f"there is no joint '{joint}'; choose from {', '.join(joints)}.")
         chosen = run if isinstance(run, Run) else self._run(run)
-        return chosen, predict(self.result, chosen), joints if joint is None else (joint,)
+        return RunEvidence(chosen, True, predict(self.result, chosen)), joints if joint is None else (joint,)
 
     def _run(self, name: str | None) -> Run:
         runs = {run.name: run for run in self.result.data}

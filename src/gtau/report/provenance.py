@@ -12,9 +12,7 @@ from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from gtau.report import page as pages
-from gtau.report.html.document import Section
-from gtau.report.html.elements import Column, escape, facts, folded, table, text
+from gtau.report.page import Column, Facts, Kind, Section, Text, section, table
 
 PACKAGES = ("numpy", "scipy", "polars", "casadi", "numba", "clarabel", "mujoco")
 LISTED = 12  # inputs that are shown unfolded
@@ -39,52 +37,25 @@ def command_line() -> str:
     return shlex.join(["gtau", *sys.argv[1:]])
 
 
-def section(of: Provenance) -> Section:
-    """Show the provenance as a section of a page."""
-    rows = []
-    for what, path in of.inputs:
-        size, digest = fingerprint(path)
-        rows.append([text(what), text(path), text(size), text(digest, "mono")])
-    command = f'<code class="command">{escape(of.command)}</code>'
-    parts = [
-        f"<h3>The command that reproduces this report</h3>{command}" if of.command else "",
-        facts(
-            {
-                "made on": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-                **({} if of.seconds is None else {"time taken": f"{of.seconds:.1f} s"}),
-                **versions(),
-            }
-        ),
-    ]
-    if of.settings:
-        parts += ["<h3>Settings</h3>", facts(of.settings)]
-    if rows:
-        columns = [Column("input"), Column("file"), Column("size"), Column("SHA-256")]
-        parts.append(
-            folded(f"Inputs: {len(rows)} files with their hashes", table(columns, rows), shown=len(rows) <= 12)
-        )
-    return Section("provenance", "Provenance", "\n".join(parts))
-
-
-def provenance_section(of: Provenance) -> pages.Section:
+def provenance_section(of: Provenance) -> Section:
     """Show what a report was made from."""
     made = {"made on": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")}
     made |= {} if of.seconds is None else {"time taken": f"{of.seconds:.1f} s"}
     rows = [(what, str(path), *fingerprint(path)) for what, path in of.inputs]
     columns = [
-        pages.Column("input"),
-        pages.Column("file"),
-        pages.Column("size"),
-        pages.Column("SHA-256", pages.Kind.NAME),
+        Column("input"),
+        Column("file"),
+        Column("size"),
+        Column("SHA-256", Kind.NAME),
     ]
-    command = pages.section("The command that reproduces this report", pages.Text(of.command, style="command"))
+    command = section("The command that reproduces this report", Text(of.command, style="command"))
     inputs = f"Inputs: {len(rows)} files with their hashes"
-    return pages.section(
+    return section(
         "Provenance",
         command if of.command else None,
-        pages.Facts(made | versions()),
-        pages.section("Settings", pages.Facts(of.settings)) if of.settings else None,
-        pages.section(inputs, pages.table(columns, rows), folded=len(rows) > LISTED) if rows else None,
+        Facts(made | versions()),
+        section("Settings", Facts(of.settings)) if of.settings else None,
+        section(inputs, table(columns, rows), folded=len(rows) > LISTED) if rows else None,
         id="provenance",
     )
 

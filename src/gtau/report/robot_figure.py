@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gtau.report.render.charts import new_figure, palette, styled
 from gtau.report.robot_scene import foot_of, platform_attachments, scene_of
-from gtau.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, new_figure, require_matplotlib, styled
 from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Joint, Robot
 
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+BLACK, BLUE, VERMILION, GREEN, ORANGE, SKY, GREY = (
+    palette()[name] for name in ("c3", "c0", "c1", "c2", "c4", "c5", "c7")
+)
+PALE = palette()["measured"]
 LETTER, AWAY = (
     (4.6, 9.0),
     6.0,
@@ -24,7 +28,6 @@ LETTER, AWAY = (
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of a joint, in which its name may stand
 WIDTH, LOWEST, HIGHEST, KEY = 4.2, 1.3, 3.8, 1.05  # inches, of the page, of the drawing and of the key below it
 LETTERS = 16  # of a name in the legend
-PALE = "#BDBDBD"
 SHAPES = {"revolute": "o", "prismatic": "s"}
 DRIVEN: dict[str, Any] = {"color": VERMILION, "markeredgecolor": BLACK, "markersize": 7.2}
 PASSIVE: dict[str, Any] = {"color": "white", "markeredgecolor": BLACK, "markersize": 5.1}
@@ -53,19 +56,16 @@ def robot_figure(robot: Robot) -> Figure:
     Raises
     ------
     GtauError
-        The loops close nowhere, or matplotlib is not installed.
+        The loops close nowhere.
     """
-    require_matplotlib()
     scene = scene_of(robot)
     robot, view, found, joints = scene.robot, scene.view, scene.found, scene.joints
     lines, rails, feet, low, high, size = scene.lines, scene.rails, scene.feet, scene.low, scene.high, scene.size
     height = float(np.clip(WIDTH * (high[1] - low[1] + 0.2 * size) / (1.2 * size), LOWEST, HIGHEST))
     with styled():
-        figure = new_figure(WIDTH, height + KEY)
-        rows = figure.add_gridspec(2, 1, height_ratios=(height, KEY))
-        drawing, key = figure.add_subfigure(rows[0]), figure.add_subfigure(rows[1])
-        axes = drawing.add_subplot(aspect="equal")
-        drawing.suptitle(robot.name, x=0.03, ha="left", fontsize=9.5, fontweight="bold")
+        figure, below = new_figure(WIDTH, height + KEY, layout=None), KEY / (height + KEY)
+        axes = figure.add_axes((0.02, below, 0.96, 0.92 - below), aspect="equal")
+        figure.text(0.03, 0.98, robot.name, va="top", fontsize=9.5, fontweight="bold")
         for foot in feet:
             _line(axes, view, found[GROUND][1], foot, **BASE)
             _stand(axes, view @ foot, 0.06 * size)
@@ -95,7 +95,7 @@ def robot_figure(robot: Robot) -> Figure:
         axes.margins(0.08)
         _scale(axes, low - [0.0, 0.15 * size], size)
         axes.set_axis_off()
-        left, right = key.subplots(1, 2, width_ratios=(1, 2.6))
+        left, right = (figure.add_axes((x, 0.0, width, below)) for x, width in ((0.02, 0.24), (0.28, 0.7)))
         axes_of = "world" if robot.floating else "base"
         _compass(left, view @ scene.upright, axes_of, bool(np.any(robot.gravity)))
         _legend(right, robot, joints, {body for body, _ in lines})

@@ -25,7 +25,6 @@ from gtau.simulation.motions import make_trajectory
 from gtau.simulation.simulation_file import Simulation, check_joints, read_simulation
 
 ERROR_ON_GAINS = 1.25  # the paper's 25 % on the manufacturer's gains
-WIDTH, LABEL = 80, 32  # characters of a table, and of the names of its rows
 STRATEGIES = (
     "simple PID",
     "advanced PID",
@@ -156,43 +155,6 @@ def controllers(
         for name, law in zip(STRATEGIES, laws, strict=False)
     }
     return pids | computed
-
-
-def table(comparison: ControlComparison) -> str:
-    """Print the paper's Table 4: largest and rms tracking errors in micrometres or microradians.
-
-    The two stand beside each other where they fit a terminal, else below each other, some joints at a time.
-    """
-    unit = {"m": "µm", "rad": "µrad"}
-    names = [f"{joint}, {unit[each]}" for joint, each in zip(comparison.joints, comparison.units, strict=True)]
-    rows = {
-        (each.trajectory, each.strategy): {
-            "largest error": [f"{1e6 * value:.0f}" for value in each.maximum],
-            "rms": [f"{1e6 * value:.0f}" for value in each.rms],
-        }
-        for each in comparison.tracking
-    }
-    titles, joints = ("largest error", "rms"), range(len(names))
-    width = 2 + max(map(len, (*names, *(text for row in rows.values() for title in titles for text in row[title]))))
-    many = max((WIDTH - LABEL) // width, 2)
-    together = [[(title, j) for title in titles for j in joints]]
-    apart = [[(title, j) for j in joints[k : k + many]] for title in titles for k in joints[::many]]
-    lines = []
-    for trajectory in comparison.references:
-        for columns in together if 2 * len(names) <= many else apart:
-            shown = [(title, sum(each == title for each, _ in columns)) for title in titles]
-            heads = "".join(f"{title:>{width * count}}" for title, count in shown if count)
-            lines += [
-                f"{trajectory:<{LABEL}}{heads}",
-                " " * LABEL + "".join(f"{names[j]:>{width}}" for _, j in columns),
-            ]
-            lines += [
-                f"  {strategy:<{LABEL - 2}}" + "".join(f"{row[title][j]:>{width}}" for title, j in columns)
-                for (of, strategy), row in rows.items()
-                if of == trajectory
-            ]
-            lines.append("")
-    return "\n".join(lines[:-1])
 
 
 def table_document(comparison: ControlComparison) -> list[dict[str, object]]:

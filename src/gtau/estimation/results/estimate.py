@@ -50,8 +50,8 @@ class Estimate:
             return "not identifiable"
         return f"{self.value:.5g}{'' if self.std is None else f' +- {self.std:.2g}'} {self.unit}"
 
-    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Compute the confidence interval by the t distribution, in ``unit``; None without value or standard deviation.
+    def half_interval(self, level: float = 0.95) -> float | None:
+        """Compute half the width of the confidence interval by Student's t, in ``unit``; None without value or std.
 
         Raises
         ------
@@ -65,14 +65,18 @@ class Estimate:
         from scipy.special import ndtri, stdtrit
 
         tail = (1 + level) / 2
-        half = self.std * float(ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail))
-        return self.value - half, self.value + half
+        return self.std * float(ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail))
+
+    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
+        """Compute the ends of the confidence interval; see :meth:`half_interval`."""
+        half = self.half_interval(level)
+        return None if half is None or self.value is None else (self.value - half, self.value + half)
 
     @property
     def half_width(self) -> float | None:
         """Half the width of the 95 % interval, per cent of the value."""
-        interval = self.interval()
-        return None if interval is None or not self.value else 50 * (interval[1] - interval[0]) / abs(self.value)
+        half = self.half_interval()
+        return None if half is None or not self.value else 100 * half / abs(self.value)
 
     @property
     def random_std(self) -> float | None:

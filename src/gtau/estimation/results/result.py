@@ -15,7 +15,6 @@ from gtau.estimation.results.estimates_table import estimates_frame
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_file import load, save
 from gtau.estimation.results.prediction import predict, torque_errors, torques
-from gtau.estimation.results.summary import short_summary, summary
 from gtau.signals.payload import Payload, as_payload
 from gtau.signals.run import Run
 
@@ -34,7 +33,8 @@ class Result(IdentifiedModel):
 
     def summary(self, verbose: bool = True) -> str:
         """Describe the result as text: all of it, or where not ``verbose`` what can be believed, on one screen."""
-        return summary(self) if verbose else short_summary(self)
+        text: str = display.views().text(self, verbose)
+        return text
 
     def torques(
         self,

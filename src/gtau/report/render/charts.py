@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -39,6 +39,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
+    "axes.grid": True,
     "axes.xmargin": 0.0,
     "grid.color": "#E4E4E4",
     "grid.linewidth": 0.7,
@@ -54,7 +55,8 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "gtau",
 }
-SVG_STYLE = STYLE | {"font.size": 7.5, "axes.labelsize": 7.5, "xtick.labelsize": 7.5, "ytick.labelsize": 7.5}
+SIZES = ("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize")
+SVG_STYLE = STYLE | dict.fromkeys(SIZES, 7.5)
 WIDTH, NARROW, WIDE = 7.2, 3.3, 5.2  # inches, of a figure, of panels beside each other on a page, and of one alone
 BUCKETS = 600  # of a line, each drawn by its extremes
 
@@ -81,9 +83,9 @@ def palette() -> dict[str, Any]:
     return found
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """Make an empty figure, inches, without a window and known to no pyplot; it shows itself in notebooks."""
-    return _shown_figure()(figsize=(width, height), layout="constrained")
+    return _shown_figure()(figsize=(width, height), layout=layout)
 
 
 @cache
@@ -151,7 +153,10 @@ def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
         _axis(axes, axis, which)
     axes.set_title(panel.title)
     axes.set_xlabel(panel.x.label if last else "")
-    axes.grid(panel.matrix is None, axis="x" if panel.y.names else "both")
+    if panel.matrix is not None:
+        axes.grid(False)
+    elif panel.y.names:
+        axes.grid(False, axis="y")
     if panel.y.names:
         axes.spines["left"].set_visible(False)
     if panel.equal:
@@ -159,7 +164,7 @@ def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
 
 
 def _axis(axes: Axes, axis: Axis, which: str) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
     ticks = axes.xaxis if which == "x" else axes.yaxis
     limits = axes.set_xlim if which == "x" else axes.set_ylim
@@ -169,6 +174,8 @@ def _axis(axes: Axes, axis: Axis, which: str) -> None:
         ticks.set_minor_locator(NullLocator())
         ticks.set_minor_formatter(NullFormatter())
         ticks.set_major_formatter(lambda value, _: f"{value:g}")
+    else:
+        ticks.set_major_locator(MaxNLocator(5))
     if axis.names:
         ticks.set_ticks(list(axis.names), list(axis.names.values()))
         if which == "x":
@@ -200,10 +207,9 @@ def _series(axes: Axes, series: Series) -> None:
             "diamond": {"marker": "D", "markerfacecolor": palette()["page"], "elinewidth": 0, "capsize": 0},
             "thick": {"marker": "", "elinewidth": 4, "capsize": 0},
         }
-        axes.errorbar(
-            series.x, series.y, xerr=half, color=colour, linestyle="none", markersize=4.5, **marks[series.mark], **look
-        )
-        axes.margins(x=0.06)
+        look |= {"yerr" if series.upright else "xerr": half, "color": colour, "linestyle": "none", "markersize": 4.5}
+        axes.errorbar(series.x, series.y, **marks[series.mark], **look)
+        axes.margins(x=0.06, y=0.1)
 
 
 def _matrix(axes: Axes, values: np.ndarray) -> None:

@@ -82,6 +82,8 @@ def autocorrelation(series: Series) -> Autocorrelation | None:
     whole = [(time, values) for time, values in series if np.isfinite(values).sum() >= FEWEST]
     if not whole:
         return None
+    from scipy.special import ndtri
+
     lags = min(LAGS, min(len(values) for _, values in whole) // 2)
     products, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
     for _, values in whole:
@@ -96,4 +98,4 @@ def autocorrelation(series: Series) -> Autocorrelation | None:
     if not variance > 0:
         return None
     value = products / np.maximum(pairs, 1) / variance
-    return Autocorrelation(step * np.arange(lags + 1), value, float(1.96 / np.sqrt(pairs[0])))
+    return Autocorrelation(step * np.arange(lags + 1), value, float(ndtri(0.975) / np.sqrt(pairs[0])))

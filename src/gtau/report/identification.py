@@ -1,0 +1,240 @@
+"""An identification: on a terminal, in short and in full, and as a report."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.results.headline import headline
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.remarks import VISIBLE, findings, remarks
+from gtau.estimation.results.result import Result
+from gtau.report.evidence import RunEvidence, body_path, largest
+from gtau.report.findings import findings_section, same_in_several
+from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
+from gtau.report.geometry import geometry_section
+from gtau.report.logs import logs_section
+from gtau.report.motion import distances_panels, paths_chart, singularities_section
+from gtau.report.page import Chart, Column, Drawing, Facts, Item, Kind, Page, Section, Text, page, section, table
+from gtau.report.parameters import (
+    alternatives_section,
+    correlation_section,
+    parameters_section,
+    singular_values_section,
+)
+from gtau.report.torques import fit_table, residuals_section, torques_section
+
+NOTES = 5  # that the short page shows
+MOVED = 0.5  # standard deviations: a smaller move is not worth a line
+LISTED = 12
+PATHS = 8  # runs whose path is drawn
+OF_TORQUES = " (the logs hold torques, whose gain is 1)"
+
+
+def summary_page(result: IdentifiedModel) -> Page:
+    """Show what can be believed, drive gains, payloads, fit and the notes that matter most, on one screen."""
+    notes = findings(result)
+    more = len(same_in_several(notes)) - NOTES
+    rest = "parameters and the fit of each joint: --verbose, or model.json."
+    return page(
+        "",
+        section("", Text(headline(result))),
+        gains_section(result, charts=False, short=True),
+        section("", masses_table(result.payloads)),
+        section("Torque fit", *_fit_words(result)),
+        findings_section(notes, NOTES) if notes else None,
+        section("", Text(f"{more} more notes, all {rest}" if more > 0 else f"All {rest}")),
+    )
+
+
+def full_page(result: IdentifiedModel) -> Page:
+    """Show all that an identification found, without charts."""
+    ratio = result.statistics.get("singular_ratio")
+    words = "" if ratio is None else f"ratio of the two smallest singular values of W_tot: {ratio:.2f}"
+    return page(
+        f"Identification of {result.robot.name}",
+        section("", Text(headline(result)), _settings(result)),
+        gains_section(result, charts=False),
+        _sensors_section(result),
+        payloads_section(unknown_payloads(result)),
+        parameters_section(result),
+        section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if words else None),
+        section("Singularities", *_only(singularities_section(result.singularities))),
+        geometry_section(result.geometry),
+        _consistency_section(result.consistency),
+        findings_section(findings(result)),
+    )
+
+
+def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float]) -> Page:
+    """Show all that an identification found, beside the runs it came from and those kept for validation."""
+    return page(
+        f"Identification of {result.robot.name}",
+        verdict_section(result, runs),
+        gains_section(result, prior),
+        _sensors_section(result),
+        payloads_section(unknown_payloads(result)),
+        torques_section(result, runs),
+        residuals_section(result, runs),
+        parameters_section(result),
+        correlation_section(result),
+        singular_values_section(result),
+        motion_section(result, runs),
+        geometry_section(result.geometry),
+        _consistency_section(result.consistency),
+        logs_section([each.run for each in runs], result.robot, result.preparation),
+        alternatives_section(result),
+        findings_section(findings(result)),
+        lead=[f"Estimator: {ESTIMATORS[result.method].description}. Runs: {', '.join(result.runs)}."],
+    )
+
+
+def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section:
+    """Show the verdict in words, and the figures that a reader asks for first."""
+    outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
+    style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
+    if outcomes[Outcome.CONTRADICTORY] or outcomes[Outcome.NOT_IDENTIFIABLE]:
+        style = "bad"
+    said = tuple(map(str, remarks(result)))
+    words = (headline(result), said) if style == "good" else (counts(result), (headline(result), *said))
+    facts = {
+        "robot": result.robot.name,
+        "estimator": result.method,
+        "runs used": str(len(result.runs)),
+        **_worst_errors(result, runs),
+        "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
+    }
+    return section("Verdict", Text(*words, style), Facts(facts), id="verdict")  # type: ignore[arg-type]
+
+
+def counts(result: IdentifiedModel) -> str:
+    """Count the verdicts on the drive gains, in one sentence."""
+    outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
+    (first, count), *others = outcomes.most_common()
+    more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
+    return f"{count} of {len(result.drive_gains)} drive gains {'is' if count == 1 else 'are'} {first.value}{more}."
+
+
+def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[str, str]:
+    """Find the largest torque error of the fit, and on the runs kept for validation."""
+    found = {}
+    if worst := largest(result.residuals):
+        found["largest torque error of the fit"] = f"{worst.relative:.2f} % ({worst.joint})"
+    if worst := largest([error for run in runs if not run.used for error in run.errors]):
+        more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % with reversals"
+        found["largest torque error of validation"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
+    return found
+
+
+def _settings(result: IdentifiedModel) -> Facts:
+    preparation = result.preparation
+    low_pass = "none" if preparation.cutoff is None else f"{preparation.cutoff:.3g} Hz"
+    given = f"; by hand: {', '.join(preparation.given)}" if preparation.given else ""
+    return Facts(
+        {
+            "Method": ESTIMATORS[result.method].description + (OF_TORQUES if result.kind == "torque" else ""),
+            "Runs": ", ".join(result.runs),
+            **({"Payload": f"on '{result.robot.tool}'"} if result.payloads else {}),
+            "Signals": f"bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, decimation "
+            f"{preparation.decimator.factor} ({preparation.decimator.kind}){given}",
+        }
+    )
+
+
+def _fit_words(result: IdentifiedModel) -> list[Item]:
+    worst = largest(result.residuals)
+    if worst is None:
+        return []
+    best = min(each.relative for each in result.residuals)
+    found: list[Item] = [
+        Text(f"Torque residuals: {best:.2f} to {worst.relative:.2f} % rms, the largest at '{worst.joint}'.")
+    ]
+    if result.consistency is not None:
+        cost = _growth(_overall(result.consistency))
+        found.append(Text(f"Physically consistent parameters: torque residuals {cost}."))
+    return found
+
+
+def _sensors_section(result: IdentifiedModel) -> Section | None:
+    """Show the fit of the torque sensors, and their scale by all other data."""
+    if not result.sensors:
+        return None
+    columns = (
+        Column("joint"),
+        Column("ratio", Kind.NUMBER, 5),
+        Column("std", Kind.NUMBER, 2),
+        Column("verdict", Kind.BADGE),
+    )
+    rows = [
+        (each.joint, each.ratio.value, each.ratio.std, each.ratio.verdict.outcome.value)
+        for each in result.sensors
+        if each.ratio is not None
+    ]
+    words = "ratio: torque from all other data, over the sensor's reading"
+    return section(
+        "Torque sensors",
+        table(columns, rows) if rows else None,
+        Text(words, style="soft") if rows else None,
+        fit_table([each.residual for each in result.sensors], "sensor of"),
+        id="sensors",
+    )
+
+
+def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
+    """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
+    used = any(run.used for run in runs)
+    paths = [(each.run.name, body_path(result, each.run)) for each in runs if each.used == used][:PATHS]
+    starts = {each.run.name: float(each.run.time[0]) for each in runs}
+    of_path = f"Path of the frame of '{result.robot.tool}', the body that carries the payload"
+    distances = distances_panels(result.distances, starts) if used else []
+    return section(
+        "Robot and motion",
+        Drawing(result.robot),
+        section(of_path, paths_chart(paths)) if paths else None,
+        singularities_section(result.singularities) if used else None,
+        *(section(each.title, Chart((each,), live=True), folded=k > 0) for k, each in enumerate(distances)),
+        id="robot",
+    )
+
+
+def _consistency_section(found: Consistency | None) -> Section | None:
+    """Show what physical consistency changes: the moves worth a line, and its cost."""
+    if found is None:
+        return None
+    moved = [move for move in found.moves if move.deviations >= MOVED]
+    gains = [f"gain_{joint}" for joint in found.gains]
+    shown = [move for move in moved if move.name not in gains][:LISTED]
+    shown += [move for name in gains for move in found.moves if move.name == name]
+    columns = (
+        Column("estimate", Kind.NAME),
+        Column("free", Kind.NUMBER, 5),
+        Column("consistent", Kind.NUMBER, 5),
+        Column("moved, std", Kind.NUMBER, decimals=2),
+    )
+    joint = max(found.loss, key=lambda name: found.loss[name])
+    words = (
+        f"{len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more; torque errors "
+        f"{_growth(_overall(found))}, those of the worst joint, {joint}, {_growth(found.loss[joint])}. model.json has "
+        "every standard parameter under 'standard'; what the data leave open was chosen."
+    )
+    rows = [(move.name, move.free, move.consistent, move.deviations) for move in shown]
+    return section("Physically consistent parameters", table(columns, rows), Text(words), id="consistency")
+
+
+def _overall(found: Consistency) -> float:
+    """Compute by how much the residuals of all joints together grow, per cent."""
+    return float(100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) - 1))
+
+
+def _growth(loss: float) -> str:
+    """Describe by how much torque errors grow, ``loss`` in per cent."""
+    return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
+
+
+def _only(found: Section | None) -> tuple[Item, ...]:
+    return () if found is None else found.items

@@ -1,0 +1,167 @@
+"""Parameters, their correlations, singular values and alternative models, on pages."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate
+from gtau.estimation.results.estimates_table import Row, estimates_table
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.report.gains import VALUE, value_cells
+from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Text, joint_label, section, table
+
+STRONG = 0.9  # correlation from which on a pair is listed
+LISTED = 20
+SHOWN = 60  # estimates whose names fit beside a matrix
+GROUPS = ("base parameter", "friction", "torque sensor")
+
+
+def parameters_section(result: IdentifiedModel) -> Section:
+    """Show base, friction and sensor parameters in one table that sorts and searches."""
+    listed = [row for row in estimates_table(result) if row.group.startswith(GROUPS)]
+    columns = (
+        Column("parameter", Kind.NAME),
+        *VALUE,
+        Column("role"),
+        Column("regroups", Kind.NAME, wide=True),
+    )
+    rows = [
+        (
+            row.estimate.name,
+            *value_cells(row.estimate),
+            _role(row),
+            row.estimate.regrouping if row.estimate.regrouping != row.estimate.name else "",
+        )
+        for row in listed
+    ]
+    faint = frozenset(k for k, row in enumerate(listed) if row.estimate.essential is False)
+    essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
+    words = (
+        f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
+        f"{len(result.parameters) - essential} raises the torque error of the worst joint by {loss:.2g} %. A standard "
+        "deviation above 100 % belongs to a parameter that the torques need but that is known only in sums."
+    )
+    return section(
+        "Parameters",
+        Text(words),
+        table(columns, rows, name="parameter-table", faint=faint),
+        reference_text(result),
+        id="parameters",
+    )
+
+
+def _role(row: Row) -> str:
+    each: Estimate = row.estimate
+    if each.value is None:
+        return "not identifiable"
+    if each.essential is None:
+        return "by BIC" if row.group == "friction" else row.group
+    return "essential" if each.essential else "not essential"
+
+
+def reference_text(result: IdentifiedModel) -> Text | None:
+    """Name the temperatures to which the friction parameters refer, where friction depends on them."""
+    warm = result.temperatures
+    if warm is None or not any(name.split("_", 1)[0] in TEMPERATURE_TERMS for name in result.friction):
+        return None
+    listed = ", ".join(f"'{joint}' {value:.4g}" for joint, value in warm.of_joint.items())
+    same = len(set(warm.of_joint.values())) == 1
+    at = f"{next(iter(warm.of_joint.values())):.4g}" if same else listed
+    return Text(f"fvt, fst: viscous and Coulomb friction per {warm.per} above the mean, {at} {warm.unit}")
+
+
+def correlation_of(result: IdentifiedModel) -> tuple[tuple[str, ...], np.ndarray]:
+    """Compute names and correlations (m, m) of all estimates that have a variance."""
+    covariance = result.covariance
+    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    known = np.flatnonzero(std > 0)
+    part = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
+    return tuple(result.covariance_names[k] for k in known), np.clip(part, -1.0, 1.0)
+
+
+def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
+    """Draw a correlation matrix; names stand beside it where they fit."""
+    shown = {float(k): name for k, name in enumerate(names)} if len(names) <= SHOWN else {}
+    label = "" if shown else "number of the estimate"
+    return Chart((Panel(Axis(label, names=shown), Axis(label, names=shown), matrix=matrix, height=5.2),))
+
+
+def correlation_section(result: IdentifiedModel) -> Section | None:
+    """Show the correlation matrix of the estimates, and the pairs that are strongly correlated."""
+    names, matrix = correlation_of(result)
+    if len(names) < 2:
+        return None
+    upper = np.triu(np.abs(matrix), 1)
+    strongest = np.argsort(upper, axis=None)[::-1]
+    pairs = [np.unravel_index(k, upper.shape) for k in strongest if upper.flat[k] >= STRONG]
+    rows = [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:LISTED]]
+    columns = (Column("estimate", Kind.NAME), Column("and", Kind.NAME), Column("correlation", Kind.NUMBER, 3))
+    words = (
+        f"{len(names)} estimates in the order of model.json: parameters, then drive gains, then delays. "
+        f"{len(pairs) or 'No'} pair{'' if len(pairs) == 1 else 's'} with a correlation of {STRONG:g} or more"
+        + (f", the {LISTED} strongest listed. " if len(pairs) > LISTED else ". ")
+        + "Blue: positive, orange: negative; the fuller the colour, the stronger."
+    )
+    shown = correlation_chart(names, matrix)
+    return section("Correlation", Text(words), shown, table(columns, rows) if rows else None, id="correlation")
+
+
+def singular_values_chart(values: np.ndarray) -> Chart:
+    """Draw singular values (K,) in falling order, the smallest apart."""
+    order = np.arange(1.0, len(values) + 1)
+    series = (
+        Series("singular values", order[:-1], values[:-1], "predicted", "points"),
+        Series("the smallest", order[-1:], values[-1:], "residual", "points", width=2.5),
+    )
+    return Chart((Panel(Axis("number"), Axis("singular value", log=True), series, height=2.2),))
+
+
+def singular_values_section(result: IdentifiedModel) -> Section | None:
+    """Show singular values in falling order with the gap before the smallest; None where the result has none."""
+    values = np.array(result.singular_values)
+    if len(values) < 2 or values[-1] <= 0:
+        return None
+    words = (
+        "Of W_tot (eq. 33), rows weighted by the residuals and columns of unit length. The smallest belongs to the "
+        f"solution; the next is {values[-2] / values[-1]:.3g} times larger. A ratio near 1 comes from parameters that "
+        "the motion hardly excites, those with large standard deviations, and makes total least squares unreliable."
+    )
+    return section("Singular values", Text(words), singular_values_chart(values), id="singular-values")
+
+
+def alternatives_section(result: IdentifiedModel) -> Section | None:
+    """Show other models of the same data, and by how much each moves the gains; None where the result lists none."""
+    if not result.alternatives:
+        return None
+    motors = result.robot.motors
+    ranked = sorted(result.alternatives, key=lambda each: -each.probability * _largest(each))
+    rows = [
+        (
+            each.subject,
+            each.probability,
+            *(each.moves.get(joint) for joint in motors),
+            "not identifiable" if each.std is None else f"{each.size:.2g} ± {each.std:.2g}",
+            each.unit,
+            each.share,
+        )
+        for each in ranked
+    ]
+    columns = (
+        Column("alternative"),
+        Column("probability, %", Kind.SHARE, decimals=1),
+        *(Column(f"moves {joint_label(joint)} by, %", Kind.NUMBER, decimals=2) for joint in motors),
+        Column("size", Kind.NUMBER),
+        Column("unit"),
+        Column("share of the residual, %", Kind.SHARE, decimals=1),
+    )
+    words = (
+        "Each alternative has one unknown more than the model. Its size is what the data find, its probability how "
+        "well they support it; what they leave open of it widens the intervals of the gains. The alternatives that "
+        "matter most come first: probable ones that would move a gain."
+    )
+    return section("Alternatives", Text(words), table(columns, rows, name="alternatives-table"), id="alternatives")
+
+
+def _largest(each: AlternativeMoves) -> float:
+    return max(map(abs, each.moves.values()), default=0.0)

@@ -1,0 +1,152 @@
+"""How well a model predicts other runs, and what payloads weigh: pages, documents and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gtau.estimation.results.estimate import PayloadEstimate
+from gtau.estimation.results.model_document import torque_error
+from gtau.estimation.results.result import Result
+from gtau.report.check import unique_names
+from gtau.report.evidence import RunEvidence, largest, worst_stretch
+from gtau.report.gains import gains_section, masses_section, payloads_section
+from gtau.report.identification import motion_section
+from gtau.report.logs import logs_section
+from gtau.report.page import Chart, Drawing, Page, Text, page, section
+from gtau.report.torques import (
+    REVERSALS,
+    errors_table,
+    part_of,
+    stretch_title,
+    torques_chart,
+    torques_section,
+    units_of,
+)
+
+CAUTION = (
+    "A small error does not prove the gains: both sides carry them. Weigh a known payload ('gtau payload') for that."
+)
+SHOWN = 10.0  # s of a run in its figure
+
+
+def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
+    """Describe torque errors as JSON: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent."""
+    return {
+        "runs": [
+            {"log": each.run.name, "joints": list(map(torque_error, each.errors)), "notes": list(each.notes)}
+            for each in runs
+        ]
+    }
+
+
+def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[str] = ()) -> Page:
+    """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
+    said = [f"run '{each.run.name}': {note}" for each in runs for note in each.notes]
+    verdict = Text(headline(runs), (*said, *notes, CAUTION), "neutral")
+    return page(
+        f"Validation of {result.robot.name}",
+        section("Verdict", verdict, id="verdict"),
+        section("Torque errors", errors_table(runs), Text(REVERSALS), id="errors"),
+        lead=[f"Model identified from {', '.join(result.runs)}; validated on {', '.join(r.run.name for r in runs)}."],
+    )
+
+
+def validation_report(
+    result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float], notes: Sequence[str] = ()
+) -> Page:
+    """Add torques, gains, motion and logs to the page."""
+    short = validation_page(result, runs, notes)
+    more = page(
+        "",
+        torques_section(result, runs),
+        gains_section(result, prior),
+        motion_section(result, runs),
+        logs_section([each.run for each in runs], result.robot, result.preparation),
+    )
+    return replace(short, sections=(short.sections[0], *more.sections))
+
+
+def headline(runs: Sequence[RunEvidence]) -> str:
+    """Summarise the torque errors over all runs in one sentence."""
+    errors = [error for run in runs for error in run.errors]
+    worst = largest(errors)
+    if worst is None:
+        return "No joint moves in these runs, so there is no torque error."
+    words = (
+        f"The predicted torques differ from the measured ones by {min(error.relative for error in errors):.2f} to "
+        f"{worst.relative:.2f} % away from reversals, most at {worst.joint}"
+    )
+    whole = [error.relative_all for error in errors if error.relative_all is not None]
+    return words + (f"; over all samples by {min(whole):.2f} to {max(whole):.2f} %." if whole else ".")
+
+
+def validation_chart(result: Result, evidence: RunEvidence) -> Chart:
+    """Draw measured and predicted torques of a run around the largest residual."""
+    assert evidence.prediction is not None
+    start, stop = worst_stretch(evidence, SHOWN)
+    part, time = part_of(evidence.prediction, evidence.time, start, stop)
+    length = float(evidence.run.time[-1] - evidence.run.time[0])
+    title = (
+        evidence.run.name if stop - start >= 0.95 * length else stretch_title(evidence.run.name, start, stop, length)
+    )
+    return torques_chart(part, units_of(result, part), evidence.run.kind, time, title=title)
+
+
+def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
+    """Write a figure of measured and predicted torques for each run, around the largest residual.
+
+    Raises
+    ------
+    GtauError
+        Where a file cannot be written.
+    """
+    from gtau.report.render.charts import save
+
+    names = unique_names([each.run.name for each in runs])
+    return [
+        save(validation_chart(result, each), folder / f"torques_{name}.png")
+        for name, each in zip(names, runs, strict=True)
+    ]
+
+
+# Payloads
+
+
+def weighing_page(result: Result, payloads: Sequence[PayloadEstimate], gains: str) -> Page:
+    """Show what payloads weigh with the ``gains`` (identified or prior)."""
+    said = [f"Weighed with the {gains} drive gains."]
+    if gains == "prior":
+        said.append("the standard deviations do not contain the uncertainty of the prior gains")
+    return page(
+        f"Payloads of {result.robot.name}",
+        section("Verdict", Text(masses_words(payloads), tuple(said), "neutral"), id="verdict"),
+        masses_section(payloads),
+        payloads_section(payloads, "Inertial parameters"),
+    )
+
+
+def weighing_report(
+    result: Result, payloads: Sequence[PayloadEstimate], gains: str, prior: Mapping[str, float]
+) -> Page:
+    """Add the drive gains and the robot to the page."""
+    short = weighing_page(result, payloads, gains)
+    more = (gains_section(result, prior), section("Robot", Drawing(result.robot), id="robot"))
+    return replace(short, sections=(*short.sections, *more))
+
+
+def masses_words(payloads: Sequence[PayloadEstimate]) -> str:
+    """Summarise the masses in one sentence."""
+    parts = []
+    for each in payloads:
+        mass = each.parameters.get("m")
+        if mass is None or mass.value is None:
+            parts.append(f"the mass of '{each.name}' is not identifiable")
+            continue
+        ends = mass.interval()
+        between = "" if ends is None else f" (95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
+        parts.append(f"'{each.name}' weighs {mass.value:.4g} kg{between}")
+    words = "; ".join(parts)
+    return f"{words[:1].upper()}{words[1:]}."

@@ -1,0 +1,41 @@
+"""Residual statistics of the reports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gtau.report.residual_statistics import autocorrelation, histogram, spectrum
+
+
+def test_autocorrelation_of_a_first_order_process_with_masked_samples(rng: np.random.Generator) -> None:
+    series = []
+    for _ in range(4):
+        values = np.zeros(20_000)
+        for k in range(1, len(values)):
+            values[k] = 0.7 * values[k - 1] + rng.normal()
+        values[rng.random(len(values)) < 0.3] = np.nan
+        series.append((np.arange(len(values)) / 50, values))
+    found = autocorrelation(series)
+    assert found is not None
+    np.testing.assert_allclose(found.value[:6], 0.7 ** np.arange(6), atol=0.03)
+    assert found.lag[1] == pytest.approx(1 / 50)
+    assert found.band == pytest.approx(1.96 / np.sqrt(0.7 * 80_000), rel=0.02)
+
+
+def test_power_of_the_spectrum_is_the_variance_with_masked_samples(rng: np.random.Generator) -> None:
+    values = rng.normal(scale=3.0, size=40_000)
+    values[rng.random(len(values)) < 0.4] = np.nan
+    found = spectrum([(np.arange(len(values)) / 200, values)])
+    assert found is not None
+    assert found.density.sum() * (found.frequency[1] - found.frequency[0]) == pytest.approx(9.0, rel=0.05)
+
+
+def test_a_histogram_is_a_density_with_the_deviation_of_what_is_kept(rng: np.random.Generator) -> None:
+    values = rng.normal(loc=0.5, scale=2.0, size=20_000)
+    values[::7] = np.nan
+    found = histogram([(np.arange(20_000.0), values)])
+    assert found is not None
+    assert np.sum(found.density * np.diff(found.edges)) == pytest.approx(1.0)
+    assert found.std == pytest.approx(np.nanstd(values))
+    assert histogram([(np.arange(5.0), np.ones(5))]) is None
