@@ -9,14 +9,10 @@ import typer
 from typer.core import TyperCommand
 
 from gtau import __version__
-from gtau.cli.excitation import excite
 from gtau.cli.export import export, use
-from gtau.cli.fleet import fleet
-from gtau.cli.identification import compare, identify, payload, validate
-from gtau.cli.init import init
-from gtau.cli.logs import check
-from gtau.cli.robots import robot
-from gtau.cli.simulations import compare_control, demo, simulate, tutorial
+from gtau.cli.identification import compare, fleet, identify, payload, validate
+from gtau.cli.logs import check, init
+from gtau.cli.robots import compare_control, demo, excite, robot, simulate, tutorial
 
 
 def show_version(wanted: bool) -> None:

@@ -1,15 +1,133 @@
-"""The command that looks at logs before anything is identified."""
+"""Commands that look at logs before anything is identified: init, check."""
 
 from __future__ import annotations
 
+import sys
+import textwrap
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, print_json, progress_bar, refusals, show
+from gtau.cli.console import ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show
 from gtau.documents.files import folder_of, refuse_as_folder
+from gtau.errors import GtauError
+
+if TYPE_CHECKING:
+    from gtau.robots.robot import Robot
+    from gtau.signals.discovery import Draft
+
+WIDTH = 80
+
+
+def init(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG",
+            help="One log per run, all of one layout; or the logs of positions, then as many of commands.",
+            show_default=False,
+        ),
+    ],
+    robot: Annotated[
+        str | None, typer.Option("--robot", metavar="ROBOT", help="Name in the catalog, or path of a robot file.")
+    ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option("--base", metavar="fixed|ROLL,PITCH,YAW", help="Fix a floating base, or turned by angles in rad."),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")] = Path("experiment.yaml"),
+    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; mark in the file what to confirm.")] = False,
+    json_: Json = False,
+) -> None:
+    """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
+    with refusals(json_):
+        from gtau.documents.files import write_atomically
+        from gtau.model.home import load_robot
+        from gtau.signals.discovery import UNSURE, discover, draft_text
+
+        if out.exists():
+            raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
+        ask = not (yes or json_) and _on_terminal()
+        if robot is None and ask:
+            robot = typer.prompt("Robot (name in the catalog or path of a file; empty if unknown)", default="") or None
+        if base is not None and robot is None:
+            raise GtauError("--base places a robot; name it too (--robot ROBOT).")
+        known: Robot | None = None if robot is None else load_robot(robot, base=base_choice(base))
+        if known is not None and known.floating:
+            raise GtauError(
+                f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
+                "floats is not drafted; start from docs/experiment-file.md, 'A base that floats'."
+            )
+        draft = discover(logs, known, robot, base_choice(base))
+        if ask:
+            draft = _answered(draft)
+        write_atomically(out, draft_text(draft, out.parent))
+        open_ = [UNSURE[key] for key in draft.open]
+        if json_:
+            print_json(
+                {
+                    "file": str(out),
+                    "time": list(draft.time) or {"rate": draft.rate},
+                    "position": dict(draft.position),
+                    draft.kind: dict(draft.command),
+                    "units": dict(draft.units),
+                    "to_confirm": open_,
+                }
+            )
+            return
+        typer.echo(_page(draft, out, open_))
+
+
+def _on_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _answered(draft: Draft) -> Draft:
+    """Ask on the terminal what the logs do not say."""
+    settled = set()
+    if "rate" in draft.open:
+        draft = replace(draft, rate=typer.prompt("Sampling rate of the logs, Hz", type=float))
+        settled.add("rate")
+    if "kind" in draft.open:
+        named = ", ".join(list(draft.command.values())[:3])
+        kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.kind)
+        draft = replace(draft, kind="torque" if kind.lower().startswith("t") else "current")
+        settled.add("kind")
+    masses = dict(draft.masses)
+    if draft.kind == "current":
+        for run in draft.logs:
+            known = masses.get(run[0])
+            answer = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known or 0.0, type=float)
+            masses.pop(run[0], None)
+            if answer > 0:
+                masses[run[0]] = answer
+    return replace(draft, masses=masses, open=tuple(key for key in draft.open if key not in settled))
+
+
+def _page(draft: Draft, out: Path, open_: list[str]) -> str:
+    rate = f"{draft.rate:g} Hz" if draft.rate else "rate unknown"
+    clock = " and ".join(draft.time) or f"no column, {rate}"
+    why = draft.reasons.get("time")
+    rows = {
+        "time": clock + (f" ({why})" if why else ""),
+        "position": ", ".join(f"{joint}: {column}" for joint, column in draft.position.items()),
+        draft.kind: ", ".join(f"{joint}: {column}" for joint, column in draft.command.items()),
+        "units": ", ".join(f"{key} in {unit}" for key, unit in draft.units.items()),
+        "to check": ", ".join((*draft.motion, *draft.wrenches)),
+        "not used": "; ".join(draft.others),
+    }
+    lines = [f"written: {out}, with these columns of the logs"]
+    for name, words in rows.items():
+        if words:
+            lines += textwrap.wrap(words, WIDTH, initial_indent=f"  {name:<10}", subsequent_indent=" " * 12)
+    if open_:
+        lines += ["", "Before you go on, edit its lines marked CHECK:"]
+        for each in open_:
+            lines += textwrap.wrap(f"- {each}", WIDTH, subsequent_indent="  ")
+    return "\n".join([*lines, "", f"Then: gtau check {out}"])
 
 
 def check(

@@ -1,13 +1,16 @@
-"""The command that reads, shows and converts robots."""
+"""Commands about robots, without logs of their own: robot, excite, simulate, compare-control, demo, tutorial."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, base_choice, print_json, progress_bar, refusals, show
+from gtau.cli.console import ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show
+from gtau.cli.interruption import stop_request
+from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
 
@@ -88,3 +91,176 @@ def _list_catalog(as_json: bool) -> None:
 
     rows = [(name, f"{len(robot.motors)}", robot.source) for name, robot in robots.items()]
     show(page("", section("Catalog", table((Column("robot"), Column("motors"), Column("source")), rows))))
+
+
+STOPPING = "stopping the search and writing the best motion so far; Ctrl-C again stops at once."
+
+
+def excite(
+    context: typer.Context,
+    design: Annotated[
+        Path, typer.Argument(metavar="DESIGN.yaml", help="Robot, runs, limits, prior knowledge.", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for report.html, the trajectory and design.json.")
+    ],
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="CRITERION",
+            help="gains, condition, logdet, trace, or names of parameters to estimate best (gain_11,m_PR).",
+        ),
+    ] = "gains",
+    payload_mass: Annotated[
+        list[float] | None,
+        typer.Option(metavar="KG [KG...]", help="Also show the effect of payloads of other masses."),
+    ] = None,
+    starts: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Number of searches, each from the best of some random motions.")
+    ] = 2,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the random motions.")] = 0,
+    json_: Json = False,
+) -> None:
+    """Design the motion that is most informative about the drive gains, and predict their standard deviations.
+
+    The best motion so far is kept in DIR; Ctrl-C stops the search and takes it.
+    """
+    with refusals(json_):
+        masses = _masses(payload_mass or [], context.args)
+        refuse_as_folder(out)
+        start = perf_counter()
+        with progress_bar() as progress:
+            from gtau.excitation.design import Design, Stopped
+            from gtau.excitation.design import design as run
+            from gtau.excitation.design_file import read_design
+            from gtau.report.design import (
+                design_document,
+                design_page,
+                design_report,
+                write_design,
+                write_trajectories,
+            )
+            from gtau.report.write import write_report
+
+            task, assumed = read_design(design)
+
+            def keep(best: Design) -> None:
+                write_trajectories(best, folder_of(out))
+
+            try:
+                with stop_request(STOPPING) as stop:
+                    found = run(task, criterion, starts, seed, progress, keep, stop)
+            except Stopped as stopped:
+                raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
+            progress("predicting standard deviations", 0, 1)
+            document = design_document(found, assumed, masses)
+            page, inputs = design_report(found, document), (("design", design),)
+            report = write_report(page, folder_of(out), perf_counter() - start, inputs)
+            written = (report, *write_design(found, document, out))
+        if json_:
+            print_json(document)
+        else:
+            show(design_page(document), written)
+
+
+def _masses(first: list[float], words: list[str]) -> list[float]:
+    """Collect all masses of ``--payload-mass``: those that click took, and the others that follow."""
+    for word in words:
+        try:
+            first = [*first, float(word)] if first else first
+        except ValueError:
+            first = []
+        if not first:
+            raise GtauError(
+                f"'{' '.join(words)}' is superfluous; give one design file, and masses (kg) after --payload-mass."
+            )
+    for mass in first:
+        if not 0 < mass < float("inf"):
+            raise GtauError(f"--payload-mass {mass:g} is not a mass; write one in kg, above 0.")
+    return first
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for logs, model, tables and figures.")],
+    json_: Json = False,
+) -> None:
+    """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
+    with refusals(json_):
+        refuse_as_folder(out)
+        with progress_bar() as progress:
+            from gtau.demo.run import demo as run
+
+            document, page = run(folder_of(out), progress)
+        if json_:
+            print_json(document)
+        else:
+            show(page)
+
+
+def tutorial(
+    out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the logs.", show_default=False)],
+    json_: Json = False,
+) -> None:
+    """Copy the logs of the ten-minute tutorial (docs/tutorial.md) to a folder, and say how to go on."""
+    with refusals(json_):
+        from gtau.demo.tutorial import write_tutorial
+
+        written = write_tutorial(out)
+        if json_:
+            print_json({"files": [str(path) for path in written]})
+            return
+        typer.echo("\n".join(f"written: {path}" for path in written))
+        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar")
+
+
+SimulationFile = Annotated[
+    Path, typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False)
+]
+
+
+def simulate(
+    simulation: SimulationFile,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the logs and experiment.yaml.")],
+    json_: Json = False,
+) -> None:
+    """Simulate a robot under control; write its logs and the experiment file for 'gtau identify'."""
+    with refusals(json_):
+        refuse_as_folder(out)
+        with progress_bar() as progress:
+            from gtau.model.home import load_robot
+            from gtau.robots.plausibility import massless
+            from gtau.simulation.experiment_files import simulate_experiment
+            from gtau.simulation.simulation_file import read_simulation
+
+            written = simulate_experiment(simulation, out, progress)
+        described = read_simulation(simulation)
+        light = massless(load_robot(described.robot), described.parameters)
+        if json_:
+            print_json({"files": [str(path) for path in written], "massless": light})
+        else:
+            typer.echo("\n".join(f"written: {path}" for path in written))
+            if light:
+                typer.echo(f"without mass and inertia, as 'parameters' names none of theirs: {', '.join(light)}")
+
+
+def compare_control(
+    simulation: SimulationFile,
+    experiment: ExperimentFile,
+    json_: Json = False,
+) -> None:
+    """Compare PID and computed torque with three sets of drive gains on a simulated robot (the paper's Table 4).
+
+    The models of computed torque are identified from the logs of EXPERIMENT.yaml, those that 'gtau simulate' wrote.
+    """
+    with refusals(json_):
+        with progress_bar() as progress:
+            from gtau.simulation.control_comparison import compare_control as run
+            from gtau.simulation.control_comparison import table_document
+
+            comparison = run(simulation, experiment, progress)
+        if json_:
+            print_json({"tracking": table_document(comparison)})
+        else:
+            from gtau.report.control import control_page
+
+            show(control_page(comparison))
