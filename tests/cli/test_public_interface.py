@@ -16,7 +16,7 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 from programs import wait_until
 
 import gtau
-from gtau.cli.progress_display import _lines
+from gtau.cli.console import _lines
 from gtau.estimation.compare import EstimatorComparison, Row
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
