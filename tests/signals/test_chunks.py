@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -165,6 +166,22 @@ def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         working_with(Sizes(in_memory=10)),
     ):
         store([np.ones(100)])
+
+
+def test_checks_hold_no_more_of_a_longer_log(tmp_path: Path, rng: np.random.Generator) -> None:
+    peaks, joints = [], "abcdef"
+    signals = {"time": "t", "position": {j: f"q{j}" for j in joints}, "current": {j: f"v{j}" for j in joints}}
+    for samples in (300_000, 900_000):
+        time = np.arange(samples) / 1000
+        table = {"t": time} | {f"v{j}": np.cos(3 * time) for j in joints}
+        table |= {f"q{j}": np.sin(3 * time) + 1e-5 * rng.standard_normal(samples) for j in joints}
+        pl.DataFrame(table).write_parquet(tmp_path / "log.parquet")
+        del table
+        tracemalloc.start()
+        read_run(tmp_path / "log.parquet", signals)
+        peaks.append(tracemalloc.get_traced_memory()[1] / 2**20)
+        tracemalloc.stop()
+    assert peaks[1] - peaks[0] < 10  # six columns of the further samples take 27 MiB
 
 
 ROBOT = """

@@ -67,8 +67,8 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[G
     for numbers, time, position, mine in _blocks(samples, instants, held):
         if len(numbers) > 2 * REACH:
             off = np.abs(cubic_residuals(time, position, float(np.diff(time).mean())))
-            usual.append(off[mine[REACH:-REACH]][::stride])
-            steps.append(np.diff(time)[mine[1:]][::stride])
+            usual.append(off[mine[REACH:-REACH]][::stride].copy())  # a view would keep all of it
+            steps.append(np.diff(time)[mine[1:]][::stride].copy())
     if not any(map(len, usual)):
         return ()
     period = float(np.median(np.concatenate(steps)))
@@ -227,7 +227,7 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
         change[~np.all([whole[k : len(whole) - 4 + k] for k in range(5)], axis=0)] = 0.0
         three = np.stack([change[:-2], change[1:-1], change[2:]])
         change = np.where((np.sign(three) == np.sign(three[1])).all(axis=0), np.abs(three).min(axis=0), 0.0)
-        usual.append(change[::stride])
+        usual.append(change[::stride].copy())
         at = np.argmax(change, axis=0)
         for j, k in enumerate(at):
             if change[k, j] > largest[j]:
