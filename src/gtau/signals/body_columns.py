@@ -1,7 +1,7 @@
 """Columns of a log on bodies: wrenches, the motion of a floating base, and a pose that tests the geometry.
 
-The pose of a base and the wrenches on it become positions and forces of the six joints by which it moves (see
-:mod:`gtau.robots.floating`), row by row, so that all that follows treats them as any joint's.
+The pose of a base becomes positions of the six joints by which it moves (see :mod:`gtau.robots.floating`), row by row,
+so that all that follows treats them as any joint's; the wrenches on it are wrenches on a body.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.validation import Keys
 from gtau.errors import GtauError
-from gtau.robots.floating import WRENCH, WrenchFrame
+from gtau.robots.floating import WrenchFrame
 from gtau.robots.geometry import turn
 from gtau.robots.robot import base_rows
 from gtau.signals.units import checked_unit, si_factor
@@ -91,11 +91,6 @@ def at_origins(wrenches: Sequence[BodyWrench], values: np.ndarray, yaw: float = 
     return np.hstack(found) if found else np.zeros((len(values), 0))
 
 
-def components(wrenches: Sequence[BodyWrench]) -> int:
-    """Count the components of all wrenches together."""
-    return len(WRENCH) * len(wrenches)
-
-
 STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times those of the base
 UNIT = 0.01  # by which the length of a quaternion may differ from 1: logs round to 2 digits and more
 
@@ -140,6 +135,20 @@ class BaseColumns(Keys):
         return (*(self.position or ()), *(self.quaternion or ()))
 
     @property
+    def acting(self) -> tuple[BodyWrench, ...]:
+        """The wrenches on the base, as those on any body."""
+        return tuple(
+            BodyWrench(
+                force=each.force,
+                moment=each.moment,
+                at=each.at,
+                body=self.body,
+                axes="world" if each.axes == "world" else "body",
+            )
+            for each in self.wrenches
+        )
+
+    @property
     def forces(self) -> tuple[str, ...]:
         """Columns of the wrenches, (w,)."""
         return tuple(column for each in self.wrenches for column in each.columns)
@@ -151,14 +160,13 @@ class BaseColumns(Keys):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Columns behind the positions of the six joints, then those behind their forces, for messages (12,)."""
+        """Columns behind the positions of the six joints, for messages."""
         places = self.position or ("no column",) * 3
         turned = "quaternion" if self.quaternion is None else ", ".join(self.quaternion)
-        acting = ", ".join(self.forces) or "no wrench"
-        return (*places, *(turned,) * 3, *(acting,) * 6)
+        return (*places, *(turned,) * 3)
 
-    def converted(self, pose: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Convert a pose (M, p) and wrenches (M, w) to positions and forces (M, 6) of the six joints.
+    def positions(self, pose: np.ndarray) -> np.ndarray:
+        """Convert a pose (M, p) to positions (M, 6) of the six joints.
 
         Raises
         ------
@@ -168,25 +176,7 @@ class BaseColumns(Keys):
         """
         p = pose[:, :3] if self.position else np.zeros((len(pose), 3))
         angles = np.zeros((len(pose), 3)) if self.quaternion is None else self._angles(pose[:, -4:])
-        yaw = turn(VERTICAL, self.yaw)
-        p = p @ yaw.T
-        R = _rotations(angles)
-        force, moment = np.zeros((2, len(pose), 3))
-        start = 0
-        for each in self.wrenches:
-            values, start = forces[:, start : start + len(each.columns)], start + len(each.columns)
-            turned = np.broadcast_to(yaw, R.shape) if each.axes == "world" else R
-            f = np.einsum("mij,mj->mi", turned, values[:, :3])
-            arm = np.einsum("mij,j->mi", turned, each.at) - (p if each.axes == "world" else 0.0)
-            force += f
-            moment += np.cross(arm, f)
-            if each.moment:
-                moment += np.einsum("mij,mj->mi", turned, values[:, 3:])
-        # axes of the turns in the world: x, the turned y, and z of the base
-        a, zero = angles[:, 0], np.zeros(len(angles))
-        second = np.stack([zero, np.cos(a), np.sin(a)], axis=1)
-        turns = [moment[:, 0], np.sum(second * moment, axis=1), np.sum(R[:, :, 2] * moment, axis=1)]
-        return np.hstack([p, angles]), np.hstack([force, np.stack(turns, axis=1)])
+        return np.hstack([p @ turn(VERTICAL, self.yaw).T, angles])
 
     def _angles(self, quaternion: np.ndarray) -> np.ndarray:
         """Convert quaternions to angles (M, 3) about x, the rotated y and the twice rotated z; NaN stays NaN."""
@@ -215,17 +205,6 @@ class BaseColumns(Keys):
                 "'base', or leave out the part of the log in which the base turns over ('from', 'to')."
             )
         return np.stack([np.arctan2(-R[1, 2], R[2, 2]), pitch, np.arctan2(-R[0, 1], R[0, 0])], axis=1)
-
-
-def _rotations(angles: np.ndarray) -> np.ndarray:
-    """Compute the orientations (M, 3, 3) of a base rotated by the angles (M, 3) of its joints."""
-    (ca, cb, cc), (sa, sb, sc) = np.cos(angles).T, np.sin(angles).T
-    rows = [
-        [cb * cc, -cb * sc, sb],
-        [ca * sc + sa * sb * cc, ca * cc - sa * sb * sc, -sa * cb],
-        [sa * sc - ca * sb * cc, sa * cc + ca * sb * sc, ca * cb],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 AXES = "xyz"

@@ -125,6 +125,11 @@ class Signals(Keys):
         )
 
     @property
+    def all_wrenches(self) -> tuple[BodyWrench, ...]:
+        """Wrenches on all bodies, those on a floating base last."""
+        return (*self.wrenches, *(self.base.acting if self.base else ()))
+
+    @property
     def temperature_columns(self) -> dict[str, str]:
         """Columns of temperatures by joint, or of the time since start; empty where there are none."""
         if isinstance(self.temperature, str):

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.body_columns import BaseColumns, BodyWrench, at_origins, components
+from gtau.robots.floating import WRENCH
+from gtau.signals.body_columns import BaseColumns, BodyWrench, at_origins
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Kind, Note
@@ -78,19 +79,17 @@ class Logged:
             yield np.column_stack([self._converted(found * self.scale), time])
 
     def _converted(self, values: np.ndarray) -> np.ndarray:
-        """Prepend the base's six coordinates and generalised forces; move the wrenches to the origins of their bodies.
+        """Prepend the base's six coordinates, whose commands are 0; move the wrenches to the origins of their axes.
 
-        The columns (M, .) are those of positions, pose, commands and sensors, wrenches, and wrenches on the base.
+        The columns (M, .) are those of positions, pose, commands and sensors, and wrenches.
         """
         base, joints = self.base, len(self.source.joints) - len(self.source.base)
         ends = [0, joints, len(base.pose) if base else 0, joints + len(self.source.sensors)]
-        ends.append(sum(len(each.columns) for each in self.wrenches))
-        q, pose, commands, wrenches, held = np.split(values, np.cumsum(ends)[1:], axis=1)
+        q, pose, commands, wrenches = np.split(values, np.cumsum(ends)[1:], axis=1)
         wrenches = at_origins(self.wrenches, wrenches, base.yaw if base else 0.0)
         if base is None:
             return np.hstack([q, commands, wrenches])
-        six, forces = base.converted(pose, held)
-        return np.hstack([six, q, forces, commands, wrenches])
+        return np.hstack([base.positions(pose), q, np.zeros((len(values), 6)), commands, wrenches])
 
 
 def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
@@ -99,12 +98,12 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     times, stamps = signals.time_columns, signals.command_time_columns
     positions, commands, base = list(signals.position.values()), list(signals.measured), signals.base
-    channels = list(commands[: len(commands) - sum(len(each.columns) for each in signals.wrenches)])
-    channels += [label for each in signals.wrenches for label in each.labels]
-    labels = (*positions, *channels)
+    wrenches = [label for each in signals.all_wrenches for label in each.labels]
+    motors = commands[: len(commands) - sum(len(each.columns) for each in signals.wrenches)]
+    labels = (*positions, *motors, *wrenches)
     position_scale, command_scale, time_scale = units.scale(signals)
     if base is not None:
-        labels = (*base.labels[:6], *positions, *base.labels[6:], *channels)
+        labels = (*base.labels, *positions, *("no motor",) * 6, *motors, *wrenches)
         position_scale, command_scale = (
             position_scale + base.scale(units.base),
             command_scale + [factor for each in base.wrenches for factor in units.wrenches.scale(each)],
@@ -136,7 +135,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         line_word=first.line_word,
         sensors=signals.sensors,
         base=() if base is None else base.joints,
-        components=components(signals.wrenches),
+        components=len(WRENCH) * len(signals.all_wrenches),
     )
     notes = [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
     return Logged(
@@ -150,7 +149,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         aligned=aligned,
         notes=(*notes, *([aligned.note] if aligned and aligned.note else [])),
         base=base,
-        wrenches=signals.wrenches,
+        wrenches=signals.all_wrenches,
     )
 
 

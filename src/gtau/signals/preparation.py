@@ -139,10 +139,14 @@ class PreparedRun:
         c = len(rows)
         mine = slice(at.start - begin, at.stop - begin)
         command, command_d, command_dd = (each[mine] for each in (command, *differentiate(command, run.rate)))
-        if run.wrenches:  # their noise is in the model's side of the equations, as that of the positions
-            wrenches = position_filter(run.command[:, c:], run.rate, preparation.cutoff, at.start, at.stop)
-            for each, filtered in zip((command, command_d, command_dd), wrenches, strict=True):
-                each[:, c:] = filtered
+        wrenches = [(frame, slice(c + 6 * k, c + 6 * k + 6)) for k, frame in enumerate(run.wrenches)]
+        for frame, six in wrenches:
+            if frame.body in run.base:
+                continue
+            # noise of other wrenches is on the model's side of the equations, as that of the positions
+            along = position_filter(run.command[:, six], run.rate, preparation.cutoff, at.start, at.stop)
+            for each, filtered in zip((command, command_d, command_dd), along, strict=True):
+                each[:, six] = filtered
         limit = preparation.speed_fraction * np.sqrt(
             np.einsum("yi,ij,yj->y", self.motor_to_joint_speed, self.speeds, self.motor_to_joint_speed)
         )
@@ -151,8 +155,10 @@ class PreparedRun:
         # joints without friction may rest
         moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
         valid = self.valid(start, stop)
-        # a wrench acts on all joints
-        usable = moving[:, rows] & valid[:, :c] & valid[:, c:].all(axis=1, keepdims=True)
+        # a wrench acts on all joints, one on a floating base on its rows alone
+        usable, base = moving[:, rows] & valid[:, :c], np.array([run.joints[row] in run.base for row in rows])
+        for frame, six in wrenches:
+            usable &= valid[:, six].all(axis=1, keepdims=True) | (frame.body in run.base) & ~base
         return SampleWindow(
             block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
         )  # fmt: skip

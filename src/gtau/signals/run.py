@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.floating import WRENCH, WrenchFrame
+from gtau.robots.robot import base_rows
 from gtau.signals.channel import Channel, sensor_channels, wrench_channels
 from gtau.signals.checks import check
 from gtau.signals.columns import EXACT, Calibration, Signals, Units, as_signals, as_units
@@ -38,8 +39,9 @@ class Run:
     """Sampled positions and commands of the actuated joints, and torques of sensors behind their gears.
 
     ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, c), the current references in A or,
-    where ``kind`` says so, torques in N m (forces in N), then those of the torque ``sensors`` (names of joints), and
-    then moments and forces of the ``wrenches`` on bodies, six of each about the origin of its axes. Where ``valid``
+    where ``kind`` says so, torques in N m (forces in N), 0 for the joints of a floating base, then those of the torque
+    ``sensors`` (names of joints), and then moments and forces of the ``wrenches`` on bodies, six of each about the
+    origin of its axes; ``channels`` list them. Where ``valid``
     (N, c) is false the sample was interpolated or clipped. ``notes`` say what was repaired, ``settings`` what is given
     of the preparation, ``temperature`` that of the joints, ``calibration`` the accuracy of sensors, ``log`` where it
     was read.
@@ -78,10 +80,18 @@ class Run:
             )
 
     @property
+    def base(self) -> tuple[str, ...]:
+        """The six joints of a floating base, whose columns of ``command`` are 0; empty for a fixed one."""
+        return next((rows for joint in self.joints if set(rows := base_rows(joint)) <= set(self.joints)), ())
+
+    @property
     def channels(self) -> tuple[Channel, ...]:
         """What the columns of ``command`` are."""
-        motors = (Channel(joint, "motor", joint, row) for row, joint in enumerate(self.joints))
-        return (*motors, *sensor_channels(self.joints, self.sensors), *wrench_channels(self.wrenches))
+        joints = (
+            Channel(joint, "base" if joint in self.base else "motor", joint, row)
+            for row, joint in enumerate(self.joints)
+        )
+        return (*joints, *sensor_channels(self.joints, self.sensors), *wrench_channels(self.wrenches))
 
     @property
     def rate(self) -> float:
@@ -145,7 +155,7 @@ def read_run(
         settings=settings,
         sensors=signals.sensors,
         temperature=read_temperature(paths, signals, units, part),
-        wrenches=tuple(each.frame for each in signals.wrenches),
+        wrenches=tuple(each.frame for each in signals.all_wrenches),
         calibration=signals.calibration,
         log=Log(paths, signals, units),
     )

@@ -81,7 +81,7 @@ class Dataset:
             self.runs[0].sensors,
             self.priors,
             None if self.temperatures is None else self.temperatures.of_stretches,
-            tuple(dict.fromkeys(frame.body for frame in self.runs[0].wrenches)),
+            tuple(dict.fromkeys(b for b, _ in self.runs[0].wrenches if b != self.robot.floating)),
         )
 
     def reduced(
@@ -199,7 +199,7 @@ def check_wrenches(robot: Robot, run: Run) -> None:
             f"run '{run.name}': the payload '{run.payload.name}' is on '{robot.tool}', whose wrench is measured: "
             "the sensor feels it already; remove the 'payload', or the sensor from 'wrenches'."
         )
-    bodies = [body for body in robot.bodies if body not in robot.base]
+    bodies = [body for body in robot.bodies if body not in robot.base[:-1]]
     for frame in run.wrenches:
         if frame.body not in bodies:
             close = get_close_matches(frame.body, bodies, n=1)
