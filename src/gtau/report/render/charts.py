@@ -57,7 +57,7 @@ STYLE: dict[Any, Any] = {
 }
 SIZES = ("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize")
 SVG_STYLE = STYLE | dict.fromkeys(SIZES, 7.5)
-WIDTH, NARROW, WIDE = 7.2, 3.3, 5.2  # inches, of a figure, of panels beside each other on a page, and of one alone
+WIDTH, NARROW, WIDE = 7.2, 3.3, 4.5  # inches, of a figure, of panels beside each other on a page, and of one alone
 BUCKETS = 600  # of a line, each drawn by its extremes
 
 
