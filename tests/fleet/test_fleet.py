@@ -261,6 +261,6 @@ def test_nothing_identified_is_still_a_table(tmp_path: Path) -> None:
     (tmp_path / "e.yaml").write_text(ONE)
     result = run(str(tmp_path / "e.yaml"), "--out", str(tmp_path / "out"))
     assert result.exit_code == 3
-    assert "0 robots identified, 1 refused" in result.stdout
+    assert "No robot could be identified." in result.stdout
     assert pl.read_parquet(tmp_path / "out" / "gains.parquet")["outcome"].to_list() == ["refused"]
     assert not (tmp_path / "out" / "gains.png").exists()
