@@ -26,12 +26,12 @@ lint: $(TOOLS)
 
 $(READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing gtau into .venv (once, about a minute)"
-	$(INSTALL) -e '.[plot]'
+	$(INSTALL) -e .
 	@touch $@
 
 $(TOOLS): $(READY)
 	@echo "installing what the tests need into .venv (once, a few minutes)"
-	$(INSTALL) -e '.[plot,test,dev]'
+	$(INSTALL) -e '.[test,dev]'
 	@touch $@
 
 $(BIN)/python:

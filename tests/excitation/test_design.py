@@ -307,10 +307,19 @@ def test_what_a_design_prints_fits_a_terminal() -> None:
         "duration": 20.0,
         "criterion": "gains",
         "motions": "one",
+        "period": 20.0,
+        "repetitions": 1,
+        "gains_rms": 2.5,
         "gains": [parameter | {"name": joint, "unit": "N m/A"} for joint in joints],
         "parameters": [parameter | {"name": f"xx_{joint}R", "unit": "N m s/rad"} for joint in joints],
         "limits": [
-            {"used": 0.999, "limit": f"distance of '{joint}' from '{joints[0]}' and the floor"} for joint in joints
+            {
+                "used": 0.999,
+                "limit": f"distance of '{joint}' from '{joints[0]}' and the floor",
+                "value": 0.1,
+                "unit": "m",
+            }
+            for joint in joints
         ],
         "cut_short": False,
         "weak": [{"name": f"xx_{joint}", "rel_std": 2e3, "advice": "no motion helps"} for joint in joints],

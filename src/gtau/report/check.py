@@ -155,7 +155,7 @@ def _logs_table(checked: ExperimentCheck) -> Table:
         Column("rate, Hz", Kind.NUMBER, 5),
         Column("duration, s", Kind.NUMBER),
         Column("rows a joint", Kind.NUMBER),
-        Column("repaired, %", Kind.SHARE, 2),
+        Column("repaired, %", Kind.SHARE, 2, wide=True),
     )
     rows = [
         (

@@ -190,7 +190,7 @@ def _verdict(document: dict[str, Any]) -> Text:
     )
     weak: dict[str, list[str]] = {}
     for each in document["weak"]:
-        share = f"> {MOST}" if (each["rel_std"] or np.inf) > MOST else f"{each['rel_std']:.3g}"
+        share = f">\N{NO-BREAK SPACE}{MOST}" if (each["rel_std"] or np.inf) > MOST else f"{each['rel_std']:.3g}"
         weak.setdefault(each["advice"], []).append(f"{each['name']} ({share} %)")
     said = [
         f"not identified (30 % or more, of the value or of a typical one): {', '.join(names)}; {advice}"

@@ -9,8 +9,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Prediction, TorqueError
-from gtau.estimation.results.prediction import torque_errors
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.prediction import predict, torque_errors
 from gtau.progress import Progress, silent
 from gtau.signals.run import Run
 from gtau.signals.storage import rows_at
@@ -50,7 +50,7 @@ class RunEvidence:
 
 
 def gather(
-    result: Result, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
+    result: IdentifiedModel, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
 ) -> tuple[RunEvidence, ...]:
     """Predict the runs that a result was identified from, and those kept for validation.
 
@@ -68,10 +68,10 @@ def gather(
     return tuple(found)
 
 
-def predicted(result: Result, run: Run, used: bool = False, longest: int | None = LONGEST) -> RunEvidence:
+def predicted(result: IdentifiedModel, run: Run, used: bool = False, longest: int | None = LONGEST) -> RunEvidence:
     """Predict a run, or its beginning; raises GtauError where it does not suit the model."""
     cut = longest is not None and len(run.time) > longest
-    prediction = result.predict(_beginning(run, longest or 0) if cut else run)
+    prediction = predict(result, _beginning(run, longest or 0) if cut else run)
     errors = torque_errors(result, prediction)
     return RunEvidence(run, used, prediction, errors, cut=cut, notes=_unknown_payload(result, run))
 
@@ -83,7 +83,7 @@ def _beginning(run: Run, count: int) -> Run:
     return replace(run, time=time, position=position, command=command, valid=valid)
 
 
-def _unknown_payload(result: Result, run: Run) -> tuple[str, ...]:
+def _unknown_payload(result: IdentifiedModel, run: Run) -> tuple[str, ...]:
     """Note where the model has not seen the payload of a run, and the run gives only its mass."""
     payload = run.payload
     if payload is None or payload.mass is None or payload.parameters or result.payload(payload.name):
@@ -109,7 +109,7 @@ def worst_stretch(evidence: RunEvidence, duration: float) -> tuple[float, float]
     return start, min(max(start, float(time[0])) + duration, float(time[-1]))
 
 
-def body_path(result: Result, run: Run) -> np.ndarray:
+def body_path(result: IdentifiedModel, run: Run) -> np.ndarray:
     """Compute positions (P, 3), m, along a run of the body that carries the payload."""
     import casadi as ca
 
@@ -125,7 +125,7 @@ def body_path(result: Result, run: Run) -> np.ndarray:
     return np.asarray(place(c)).T
 
 
-def settings_of(result: Result) -> dict[str, str]:
+def settings_of(result: IdentifiedModel) -> dict[str, str]:
     """List the settings of an identification by name."""
     preparation = result.preparation
     cutoff = preparation.cutoff

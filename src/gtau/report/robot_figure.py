@@ -168,6 +168,7 @@ def _names(
         )  # fmt: skip
         label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6})
         marks = np.vstack([marks, centres[best] + np.linspace(-half, half, 9)])  # no name hides another
+        axes.update_datalim([centres[best] - half, centres[best] + half])  # none leaves the figure
 
 
 def _within(points: np.ndarray, centre: np.ndarray, half: np.ndarray) -> int:

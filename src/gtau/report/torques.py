@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gtau.estimation.results.estimate import Prediction, TorqueError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
@@ -94,7 +94,7 @@ def largest_errors_table(runs: Sequence[RunEvidence]) -> Table:
     return table(columns, rows)
 
 
-def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
+def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
     """Show measured and predicted torques of every joint along every run, used and not used."""
     if not runs:
         return None
@@ -117,7 +117,7 @@ def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | No
     return section("Torques", Text(words), largest_errors_table(runs), every, *parts, id="torques")
 
 
-def units_of(result: Result, prediction: Prediction) -> list[str]:
+def units_of(result: IdentifiedModel, prediction: Prediction) -> list[str]:
     """List the units of the predicted torques."""
     return [torque_unit(result.robot, joint) for joint in prediction.joints]
 
@@ -165,7 +165,7 @@ def stretch_title(name: str, start: float, stop: float, length: float) -> str:
     return f"{name}, {start:.4g} to {stop:.4g} s of {length:.4g} s"
 
 
-def residuals_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
+def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
     """Show histogram, spectrum and autocorrelation of the residuals of each joint, over all runs used."""
     used = [each for each in runs if each.used and each.prediction is not None]
     if not used:

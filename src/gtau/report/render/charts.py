@@ -57,7 +57,8 @@ STYLE: dict[Any, Any] = {
 }
 SIZES = ("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize")
 SVG_STYLE = STYLE | dict.fromkeys(SIZES, 7.5)
-WIDTH, NARROW, WIDE = 7.2, 3.3, 5.2  # inches, of a figure, of panels beside each other on a page, and of one alone
+WIDTH, NARROW, WIDE = 7.2, 3.3, 4.5  # inches, of a figure, of panels beside each other on a page, and of one alone
+NAMES = 220.0  # points, that the names at an axis share
 BUCKETS = 600  # of a line, each drawn by its extremes
 
 
@@ -164,6 +165,7 @@ def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
 
 
 def _axis(axes: Axes, axis: Axis, which: str) -> None:
+    from matplotlib import rcParams
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
     ticks = axes.xaxis if which == "x" else axes.yaxis
@@ -177,7 +179,8 @@ def _axis(axes: Axes, axis: Axis, which: str) -> None:
     else:
         ticks.set_major_locator(MaxNLocator(5))
     if axis.names:
-        ticks.set_ticks(list(axis.names), list(axis.names.values()))
+        size = min(rcParams["font.size"], NAMES / len(axis.names))
+        ticks.set_ticks(list(axis.names), list(axis.names.values()), fontsize=size)
         if which == "x":
             axes.tick_params(axis="x", rotation=90)
     if any(end is not None for end in axis.limits):
@@ -200,6 +203,7 @@ def _series(axes: Axes, series: Series) -> None:
         axes.plot(x, y[:, 0], color=colour, linewidth=series.width, linestyle=DASHES[k % len(DASHES)], **look)
     elif series.mark == "points":
         axes.plot(series.x, series.y, color=colour, marker="o", linestyle="none", markersize=2 + series.width, **look)
+        axes.margins(x=0.03)
     else:
         half = np.zeros(len(series.x)) if series.half is None else series.half
         marks: dict[str, dict[str, Any]] = {

@@ -1,4 +1,4 @@
-/* The page's behaviour: theme, charts, tables, correlation matrix. It needs nothing but uPlot and the page itself. */
+/* The page's behaviour: theme, charts, tables. It needs nothing but uPlot and the page itself. */
 "use strict";
 (() => {
   const root = document.documentElement;
@@ -16,7 +16,7 @@
   const isDark = () => (root.dataset.theme || (dark.matches ? "dark" : "light")) === "dark";
   const themeButton = document.getElementById("theme");
   const label = () => { if (themeButton) themeButton.textContent = isDark() ? "Light theme" : "Dark theme"; };
-  const repaint = () => { label(); plots.forEach((plot) => plot.redraw(false)); document.querySelectorAll(".matrix").forEach(drawMatrix); };
+  const repaint = () => { label(); plots.forEach((plot) => plot.redraw(false)); };
   themeButton?.addEventListener("click", () => { root.dataset.theme = isDark() ? "light" : "dark"; repaint(); });
   dark.addEventListener("change", repaint);
 
@@ -187,32 +187,6 @@
     search();
   }
 
-  // ---- correlation matrix
-  function drawMatrix(element) {
-    const canvas = element.querySelector("canvas"), names = JSON.parse(element.dataset.names), n = names.length;
-    element.values ??= new Int8Array(bytes(element.dataset.values).buffer);
-    const values = element.values, context = canvas.getContext("2d"), cell = Math.max(1, Math.floor(1200 / n));
-    canvas.width = canvas.height = n * cell;
-    context.fillStyle = colour("page");
-    context.fillRect(0, 0, canvas.width, canvas.height);
-    for (let i = 0; i < n; i += 1) for (let j = 0; j < n; j += 1) {
-      const r = values[i * n + j] / 100;
-      context.globalAlpha = Math.abs(r);
-      context.fillStyle = colour(r < 0 ? "negative" : "positive");
-      context.fillRect(j * cell, i * cell, cell, cell);
-    }
-    context.globalAlpha = 1;
-    if (element.dataset.drawn) return;
-    element.dataset.drawn = "yes";
-    const output = element.querySelector("output"), hint = output.textContent;
-    canvas.addEventListener("pointermove", (event) => {
-      const box = canvas.getBoundingClientRect();
-      const i = Math.floor(((event.clientY - box.top) / box.height) * n), j = Math.floor(((event.clientX - box.left) / box.width) * n);
-      if (i >= 0 && j >= 0 && i < n && j < n) output.textContent = `${names[i]} and ${names[j]}: ${(values[i * n + j] / 100).toFixed(2)}`;
-    });
-    canvas.addEventListener("pointerleave", () => { output.textContent = hint; });
-  }
-  document.querySelectorAll(".matrix").forEach(drawMatrix);
   label();
   root.dataset.ready = "yes";
 })();
