@@ -154,8 +154,7 @@ def _ripple(values: Values) -> Sentence:
     base = bool(values["base"])
     where = "of the base '{subject}'" if base else "at joint '{joint}'"
     cause = "a wrench is wrong or missing" if base else "ripple of the motors, cables or springs, which the model lacks"
-    digits = ".0f%" if values["move"] >= 0.995 else ".2g%"
-    of_gain = f" (that of the gain of joint '{{moved}}' {{move:{digits}}})" if values["move"] else ""
+    of_gain = " (that of the gain of joint '{moved}' {move:.3g%})" if values["move"] else ""
     return (
         f"residuals repeat at the same positions ({{share:.0f%}} of the variance {where}): {cause}. They repeat in "
         "every run, so the scatter between blocks does not show them; the standard deviations include how far the "
