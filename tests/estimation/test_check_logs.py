@@ -34,7 +34,7 @@ def test_every_kind_has_a_grade_and_repairs_are_graded_by_what_they_cost() -> No
     assert set(EXIT_CODES) == set(Grade)
     small, large = (Note(Kind.REPAIR, f"interpolated {share}", share=share) for share in (0.001, 0.04))
     stuck = Note(Kind.REFUSED, "stuck", "record it again")
-    assert (grade_of(small), grade_of(large)) == (Grade.INFORMATION, Grade.MEND)
+    assert (grade_of(small), grade_of(large)) == (Grade.INFORMATION, Grade.WARNING)
     assert list(by_grade([small, large, stuck])) == list(Grade)  # the worst first
     assert by_grade([small, small]) == {Grade.INFORMATION: [small]}
 
@@ -49,8 +49,8 @@ def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
 def test_what_several_logs_share_is_said_once_and_no_more_than_asked_for() -> None:
     notes = [Note(Kind.RATE, "slow", "log faster", source=name) for name in ("a", "b")]
     notes.insert(0, Note(Kind.REST, "rests", source="a"))
-    slow = ("worth mending", "a, b", "", "slow", "log faster")
-    assert findings_table(notes).rows == (slow, ("for information", "a", "", "rests", ""))
+    slow = ("warning", "a, b", "", "slow", "log faster")
+    assert findings_table(notes).rows == (slow, ("information", "a", "", "rests", ""))
     assert findings_table(notes, 1).rows == (slow,)
 
 
@@ -80,12 +80,12 @@ def test_every_log_that_is_refused_is_a_finding_in_the_words_of_identify(folder:
     checked = check_logs(path)
     with pytest.raises(GtauError) as refused:
         identify(path)
-    stops = by_grade(checked.notes)[Grade.STOPS]
+    stops = by_grade(checked.notes)[Grade.ERROR]
     assert str(refused.value) == f"{stops[0]}."
     assert "is stuck at 0.5" in stops[0].what
     assert stops[0].action.startswith("give the column")
     assert "back.csv, line 1002: time goes back from" in stops[1].what
-    assert (checked.worst, checked.logs, checked.preparation) == (Grade.STOPS, (), None)
+    assert (checked.worst, checked.logs, checked.preparation) == (Grade.ERROR, (), None)
 
 
 def test_what_is_wrong_with_all_logs_is_listed_once_with_their_names(folder: Path) -> None:
@@ -95,20 +95,20 @@ def test_what_is_wrong_with_all_logs_is_listed_once_with_their_names(folder: Pat
     said = " ".join(done.stdout.split())
     assert said.count("there is no column 'v9'; the columns are t, q1, q2, v1, v2") == 1
     assert f"- {folder / 'free.csv'}, {folder / 'loaded.csv'}: there is no column" in said
-    assert "1 finding to resolve first" in said
+    assert "1 error to resolve first" in said
 
 
 def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(folder: Path) -> None:
     robot = (Path(gtau.__file__).parent / "robots/catalog/five-bar.yaml").read_text()
     speeds = [joint.speed_rms for log in check_logs(folder / "good.yaml").logs for joint in log.joints]
-    for limit, worst in ((f"{0.9 * min(speeds):.4f}", Grade.MEND), (f"{0.3 * min(speeds):.4f}", Grade.STOPS)):
+    for limit, worst in ((f"{0.9 * min(speeds):.4f}", Grade.WARNING), (f"{0.3 * min(speeds):.4f}", Grade.ERROR)):
         (folder / "limited.yaml").write_text(robot.replace("velocity: 6", f"velocity: {limit}"))
         path = damaged(folder, "fast", "five-bar", "limited.yaml")
         checked = check_logs(path)
         assert checked.worst == worst
         limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in str(note)]
         assert len(limits) >= 2
-        if worst == Grade.MEND:
+        if worst == Grade.WARNING:
             assert set(limits) <= set(findings(identify(path)))
         else:
             with pytest.raises(GtauError, match=f"times its limit of {float(limit):.4g} rad/s"):

@@ -65,7 +65,7 @@ def test_torques_are_judged_alike_and_the_grade_follows_what_is_lost() -> None:
     strong, weak = (logged(lag, kind="torque") for lag in (0.02, 0.005))
     (found,) = command_lag(strong, strong.system(Friction()))
     assert (found.kind, found.values["kind"]) == (F.COMMAND_LAG, "torque")
-    assert (note(found).kind, grade_of(note(found))) == (Kind.FILTERED, Grade.MEND)
+    assert (note(found).kind, grade_of(note(found))) == (Kind.FILTERED, Grade.WARNING)
     (found,) = command_lag(weak, weak.system(Friction()))
     assert (found.kind, grade_of(note(found))) == (F.SLIGHT_COMMAND_LAG, Grade.INFORMATION)
 

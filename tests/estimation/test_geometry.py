@@ -293,7 +293,7 @@ def test_check_says_what_poses_say(folder: Path) -> None:
     (change,) = wrong.geometry.explained_by
     assert change.name == "l2 at all 2 places"
     assert change.value + change.change == pytest.approx(0.35, abs=max(5 * change.std, 2e-6))
-    assert grade_of(wrong.geometry.note) == Grade.MEND
+    assert grade_of(wrong.geometry.note) == Grade.WARNING
     page = plain(check_page(wrong))
     assert "l2 at all 2 places 355 -> 350" in page
     assert "correct the robot file" in page

@@ -92,11 +92,12 @@ def test_every_threshold_says_what_it_rests_on() -> None:
 
 def test_no_threshold_stands_outside_the_tables() -> None:
     """Where outcomes are decided, numbers are compared with counts, factors of units and imported constants alone."""
-    plain = {0, 1, 2, 3, 100, 1000, 0.001, 99.5, 0.999, 0.005}  # the last three are where printed per cents round
+    plain = {0, 1, 2, 3, 100, 1000, 0.001, 0.999}  # the last is where printed per cents round
     numerical = {"pose_fit.py", "score_test.py"}  # whose constants are tolerances of their arithmetic
-    named = {"NORMAL", "THOUSAND"}  # the normal distribution, and the factor between A and mA
+    words = {"sentences.py"}  # which decide nothing
+    named = {"NORMAL"}  # the normal distribution
     decide = {*(SOURCE / "diagnostics").rglob("*.py"), SOURCE / "regression" / "motion_limits.py"}
-    decide = sorted(path for path in decide if path.name not in numerical)
+    decide = sorted(path for path in decide if path.name not in numerical | words)
     assert len(decide) > 15
     for path in decide:
         tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -101,7 +101,7 @@ def test_metres_and_radians_declared_as_mm_and_deg(folder: Path) -> None:
     with pytest.raises(GtauError, match=r"look like rad declared as deg; write rad under units\.position") as refused:
         identify(folder / "deg.yaml")
     checked = check_logs(folder / "deg.yaml")
-    assert checked.worst == Grade.STOPS
+    assert checked.worst == Grade.ERROR
     assert f"{checked.notes[0]}." == str(refused.value)  # the same finding in the same words
 
 

@@ -187,6 +187,16 @@ SENTENCES = [  # finding, reason, advice
      "estimates by instrumental variables or estimates with a bandwidth 0.7 times as large could not be made for "
      "comparison: the loops do not close at 1.2 s",
      ""),
+    (Finding(F.AUTOCORRELATED, values={"factor": 2.34}),
+     "residuals are autocorrelated: standard errors are 2.3 times those of white noise, so the model lacks something, "
+     "such as friction of another kind, ripple of the motors, cables or elasticity",
+     ""),
+    (Finding(F.IMPOSSIBLE_PARAMETERS, values={"parameters": [["fv_1", -1.0, "N m s"]] * 4}),
+     "physically impossible parameters: fv_1 = -1 N m s, fv_1 = -1 N m s, fv_1 = -1 N m s and 1 more",
+     "check the signs of positions and currents, the sampling rate, the units and 'preparation'"),
+    (Finding(F.NOT_SEPARATED, values={"parameters": ["mx_1", "my_1"]}),
+     "these motions cannot separate mx_1, my_1 from the other base parameters: no value is given",
+     "add runs that move all joints in other ways"),
     (Finding(F.COMMAND_LAG, values={"kind": "current", "lag": 0.012, "std": 0.001, "bandwidth": 10.0}),
      "the currents lag behind the motion by 12 ms (+-1 ms), so they look low-passed, held or logged late; a "
      "low-pass of that time constant attenuates them by 20 % at the bandwidth of the motion, 10 Hz",

@@ -349,7 +349,7 @@ def test_a_check_counts_rows_and_repairs(folder: Path) -> None:
     assert 0.4 < log["joints"][0]["usable"] < 1.0
     assert log["joints"][0]["unit"] == "rad"
     findings = [(each["grade"], each["source"]) for each in document["findings"] if "line 701" in each["what"]]
-    assert findings == [("for information", "resting")]
+    assert findings == [("information", "resting")]
     assert log["samples"] == 5000
     assert log["rate"] == pytest.approx(500.0)
     text = run("check", str(folder / "resting.yaml"))
@@ -360,5 +360,5 @@ def test_a_check_counts_rows_and_repairs(folder: Path) -> None:
 def test_a_check_names_where_the_loops_do_not_close(folder: Path) -> None:
     (folder / "swapped.yaml").write_text(EXPERIMENT.replace("left: q1, right: q2", "left: q2, right: q1"))
     findings = json.loads(run("check", str(folder / "swapped.yaml"), "--json", code=2))["findings"]
-    refused = [each["what"] for each in findings if each["grade"] == "stops the identification"]
+    refused = [each["what"] for each in findings if each["grade"] == "error"]
     assert "of run 'free'" in refused[0]

@@ -124,12 +124,12 @@ def test_a_path_stays_in_one_piece() -> None:
 
 def test_findings_are_listed_by_grade() -> None:
     columns = (Column("grade", Kind.BADGE), Column("where"), Column("what", Kind.SENTENCE), Column("do", Kind.SENTENCE))
-    rows = [("worth mending", "free", "it is held", "log faster"), ("for information", "", "a clock", "")]
+    rows = [("warning", "free", "it is held", "log faster"), ("information", "", "a clock", "")]
     text = plain(page("", section("Findings", table(columns, rows, listed=True))))
     assert text.splitlines()[1:] == [
-        "Worth mending:",
+        "Warning:",
         "- free: it is held; log faster",
-        "For information:",
+        "Information:",
         "- a clock",
     ]
 

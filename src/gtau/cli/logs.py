@@ -146,9 +146,9 @@ def check(
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Check the logs before identifying: whether they can be used, what is worth mending, what was repaired.
+    """Check the logs before identifying: errors, warnings, and what was repaired.
 
-    The exit code follows the worst finding: 2 if it stops the identification, 3 if it is worth mending, otherwise 0.
+    The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
     """
     with refusals(json_):
         refuse_as_folder(out)

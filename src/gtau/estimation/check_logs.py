@@ -160,7 +160,7 @@ def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck
     except GtauError as error:
         notes.append(refusal(error, Kind.REFUSED))
     notes += few_rows([log for log in checked if not log.validation])
-    if not any(grade_of(note) == Grade.STOPS for note in notes):
+    if not any(grade_of(note) == Grade.ERROR for note in notes):
         dataset = reduce_runs(
             robot,
             [each.run for each in prepared_runs],

@@ -13,26 +13,26 @@ from gtau.signals.notes import Kind, Note
 class Grade(StrEnum):
     """How much a finding matters, the worst first."""
 
-    STOPS = "stops the identification"
-    MEND = "worth mending"
-    INFORMATION = "for information"
+    ERROR = "error"
+    WARNING = "warning"
+    INFORMATION = "information"
 
 
 GRADES: Mapping[Kind, Grade] = {
-    Kind.REFUSED: Grade.STOPS,
-    Kind.ROWS: Grade.STOPS,
-    Kind.SCALE: Grade.STOPS,
-    Kind.VALIDATION: Grade.MEND,
-    Kind.SEPARATION: Grade.MEND,
-    Kind.MODEL: Grade.MEND,
-    Kind.CLIPPED: Grade.MEND,
-    Kind.FILTERED: Grade.MEND,
-    Kind.HELD: Grade.MEND,
-    Kind.NOISE: Grade.MEND,
-    Kind.RATE: Grade.MEND,
-    Kind.LIMITS: Grade.MEND,
-    Kind.SINGULARITY: Grade.MEND,
-    Kind.GEOMETRY: Grade.MEND,
+    Kind.REFUSED: Grade.ERROR,
+    Kind.ROWS: Grade.ERROR,
+    Kind.SCALE: Grade.ERROR,
+    Kind.VALIDATION: Grade.WARNING,
+    Kind.SEPARATION: Grade.WARNING,
+    Kind.MODEL: Grade.WARNING,
+    Kind.CLIPPED: Grade.WARNING,
+    Kind.FILTERED: Grade.WARNING,
+    Kind.HELD: Grade.WARNING,
+    Kind.NOISE: Grade.WARNING,
+    Kind.RATE: Grade.WARNING,
+    Kind.LIMITS: Grade.WARNING,
+    Kind.SINGULARITY: Grade.WARNING,
+    Kind.GEOMETRY: Grade.WARNING,
     Kind.REPAIR: Grade.INFORMATION,
     Kind.READING: Grade.INFORMATION,
     Kind.REST: Grade.INFORMATION,
@@ -41,14 +41,14 @@ GRADES: Mapping[Kind, Grade] = {
 }
 """Grade of each kind of note."""
 
-EXIT_CODES: Mapping[Grade, int] = {Grade.STOPS: 2, Grade.MEND: 3, Grade.INFORMATION: 0}
+EXIT_CODES: Mapping[Grade, int] = {Grade.ERROR: 2, Grade.WARNING: 3, Grade.INFORMATION: 0}
 """Exit code of ``gtau check`` by the worst grade; 0 without findings."""
 
 
 def grade_of(note: Note) -> Grade:
     """Grade a note: by its kind, and repairs by the share of the samples that they cost."""
     if note.kind == Kind.REPAIR and (note.share or 0.0) > COSTLY_REPAIR:
-        return Grade.MEND
+        return Grade.WARNING
     return GRADES[note.kind]
 
 

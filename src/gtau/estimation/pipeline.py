@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import examine, uncertainty_of
-from gtau.estimation.diagnostics.payload_checks import weigh_known
+from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.estimators.essential_parameters import reduce_fit
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.friction_selection import select_friction

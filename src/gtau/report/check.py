@@ -116,7 +116,7 @@ def check_page(checked: ExperimentCheck) -> Page:
 
 def _verdict(checked: ExperimentCheck) -> Section:
     used = [log for log in checked.logs if not log.validation]
-    style = {Grade.STOPS: "bad", Grade.MEND: "weak", Grade.INFORMATION: "good"}[checked.worst]
+    style = {Grade.ERROR: "bad", Grade.WARNING: "weak", Grade.INFORMATION: "good"}[checked.worst]
     time = sum(logs.seconds(log.run) for log in used)
     said = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
     words = Text(gate_words(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
@@ -126,10 +126,10 @@ def _verdict(checked: ExperimentCheck) -> Section:
 def gate_words(notes: Sequence[Note]) -> str:
     """Say in one sentence what to expect of an identification from these logs."""
     found = by_grade(same_in_several(notes))
-    if stops := found.get(Grade.STOPS):
-        return f"gtau identify will refuse these logs: {counted(len(stops), 'finding')} to resolve first."
-    if mend := found.get(Grade.MEND):
-        return f"gtau identify can read these logs; {counted(len(mend), 'finding')} worth mending before."
+    if errors := found.get(Grade.ERROR):
+        return f"gtau identify will refuse these logs: {counted(len(errors), 'error')} to resolve first."
+    if warnings := found.get(Grade.WARNING):
+        return f"gtau identify can read these logs; {counted(len(warnings), 'warning')} to look into first."
     return "gtau identify can use these logs as they are."
 
 

@@ -23,9 +23,9 @@ BADGES = {
     "not identifiable": "bad",
     "contradictory": "bad",
     "refused": "bad",
-    "stops the identification": "bad",
-    "worth mending": "weak",
-    "for information": "neutral",
+    "error": "bad",
+    "warning": "weak",
+    "information": "neutral",
 }
 """Outcomes and grades of findings to the style that they are shown in; what is not listed is weak."""
 

@@ -9,7 +9,6 @@ import numpy as np
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, model_covariance, support
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.gain_change import gain_changes
 from gtau.estimation.diagnostics.lengths import other_length
 from gtau.estimation.diagnostics.log_checks import lack_of_fit, swapped_channels
 from gtau.estimation.diagnostics.other_estimators import (
@@ -18,6 +17,7 @@ from gtau.estimation.diagnostics.other_estimators import (
     two_stage_difference,
 )
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
+from gtau.estimation.diagnostics.score_test import gain_changes
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom

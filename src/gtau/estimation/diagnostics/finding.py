@@ -53,6 +53,9 @@ class FindingKind(StrEnum):
     RIPPLE = "position ripple"
     SMALL_REFUTATION = "description refuted, gains unmoved"
     UNTESTED = "other estimators not tried"
+    AUTOCORRELATED = "autocorrelated residuals"
+    IMPOSSIBLE_PARAMETERS = "impossible parameters"
+    NOT_SEPARATED = "parameters not separated"
     COMMAND_LAG = "command lag"
     SLIGHT_COMMAND_LAG = "slight command lag"
     # what the model may lack, or the description have wrong

@@ -20,6 +20,7 @@ Fields in braces are the values of the finding, its ``subject``, its first ``joi
 ``estimate`` that it is about, the ``cause`` and what ``to_do`` about it.
 """
 
+LISTED = 3  # parameters that are named
 THOUSAND = 2.0  # a factor between 1000 / 2 and 1000 * 2 is one of a thousand
 WRENCHES = (
     "check the signs, axes, point ('at') and body of each wrench, that none is missing, and that they share the "
@@ -154,8 +155,7 @@ def _ripple(values: Values) -> Sentence:
     base = bool(values["base"])
     where = "of the base '{subject}'" if base else "at joint '{joint}'"
     cause = "a wrench is wrong or missing" if base else "ripple of the motors, cables or springs, which the model lacks"
-    digits = ".0f%" if values["move"] >= 0.995 else ".2g%"
-    of_gain = f" (that of the gain of joint '{{moved}}' {{move:{digits}}})" if values["move"] else ""
+    of_gain = " (that of the gain of joint '{moved}' {move:.3g%})" if values["move"] else ""
     return (
         f"residuals repeat at the same positions ({{share:.0f%}} of the variance {where}): {cause}. They repeat in "
         "every run, so the scatter between blocks does not show them; the standard deviations include how far the "
@@ -326,6 +326,22 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "{to_do}",
     ),
     F.UNTESTED: ("{cause} could not be made for comparison: {refusal}", ""),
+    F.AUTOCORRELATED: (
+        "residuals are autocorrelated: standard errors are {factor:.1f} times those of white noise, so the model lacks "
+        "something, such as friction of another kind, ripple of the motors, cables or elasticity",
+        "",
+    ),
+    F.IMPOSSIBLE_PARAMETERS: lambda values: (
+        "physically impossible parameters: "
+        + ", ".join(f"{name} = {value:.3g} {unit}" for name, value, unit in values["parameters"][:LISTED])
+        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
+        IMPOSSIBLE,
+    ),
+    F.NOT_SEPARATED: lambda values: (
+        f"these motions cannot separate {', '.join(values['parameters'])} from the other base parameters: no value is "
+        "given",
+        "add runs that move all joints in other ways",
+    ),
     F.COMMAND_LAG: _command_lag,
     F.SLIGHT_COMMAND_LAG: _command_lag,
     F.CUBIC_FRICTION: ("cubic friction of '{joint}'", OTHER_FRICTION),
@@ -371,5 +387,6 @@ NOTES: Mapping[F, Kind] = {
     F.COMMAND_LAG: Kind.FILTERED,
     F.SLIGHT_COMMAND_LAG: Kind.READING,
     F.UNTESTED: Kind.READING,
+    F.NOT_SEPARATED: Kind.SEPARATION,
 }
 """Kinds of the notes that are not on the model."""

@@ -45,7 +45,7 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
             f"add a run without payload, {other}."
         )
     if problem.wrenches and problem.free.all() and not (len(problem.known) or weighed):
-        own, answered = own_of_wrenches(problem)
+        own, answered = unexplained_wrench_share(problem)
         if own < OWN_BODY and answered < ANSWERED:
             raise GtauError(_always_carried(problem.wrenches, other))
     if problem.n_theta in independent_columns(_with_scale(problem))[0]:
@@ -88,7 +88,7 @@ def _hidden(stated: Sequence[str], other: str) -> GtauError:
     )
 
 
-def own_of_wrenches(problem: Problem) -> tuple[float, float]:
+def unexplained_wrench_share(problem: Problem) -> tuple[float, float]:
     """Compute the share of the torque of wrenches that no parameter explains, and the share of that in the currents.
 
     What a tool that is always carried does to its sensor is what unknown inertia of the body would do. That leaves

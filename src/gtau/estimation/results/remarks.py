@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.sentences import note
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
@@ -14,7 +17,6 @@ from gtau.signals.columns import Signals
 from gtau.signals.notes import Kind, Note
 
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
-LISTED = 3
 
 
 def findings(result: IdentifiedModel) -> list[Note]:
@@ -28,24 +30,23 @@ def remarks(result: IdentifiedModel) -> list[Note]:
     for payload in {each.name: each for each in result.payloads}.values():
         if payload.verdict.outcome != Outcome.GOOD:
             what = f"payload '{payload.name}' {payload.verdict.outcome.value}: {payload.verdict.why}"
-            notes.append(Note(Kind.MODEL, what, payload.verdict.advice))
+            notes.append(_of_verdict(what, payload.verdict))
     for sensor in result.sensors:
         if sensor.verdict.outcome != Outcome.GOOD:
             what = f"the torque sensor of '{sensor.joint}' {sensor.verdict.outcome.value}: {sensor.verdict.why}"
-            notes.append(Note(Kind.MODEL, what, sensor.verdict.advice))
+            notes.append(_of_verdict(what, sensor.verdict))
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
-        what = (
-            f"residuals are autocorrelated: standard errors are {lack:.1f} times those of white noise, so the model "
-            "lacks something, such as friction of another kind, ripple of the motors, cables or elasticity"
-        )
-        notes.append(Note(Kind.MODEL, what))
+        notes.append(note(Finding(F.AUTOCORRELATED, values={"factor": lack})))
     absurd = [each for each in result.parameters.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
     if absurd:
-        listed = ", ".join(f"{each.name} = {each.value:.3g} {each.unit}" for each in absurd[:LISTED])
-        more = f" and {len(absurd) - LISTED} more" if len(absurd) > LISTED else ""
-        notes.append(Note(Kind.MODEL, f"physically impossible parameters: {listed}{more}", absurd[0].verdict.advice))
+        listed = [(each.name, each.value, each.unit) for each in absurd]
+        notes.append(note(Finding(F.IMPOSSIBLE_PARAMETERS, values={"parameters": listed})))
     return notes + not_separated([name for name, each in result.parameters.items() if each.value is None])
+
+
+def _of_verdict(what: str, verdict: Verdict) -> Note:
+    return Note(Kind.MODEL, what, verdict.advice, finding="" if verdict.finding is None else verdict.finding.kind)
 
 
 def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
@@ -65,8 +66,7 @@ def not_separated(names: Sequence[str]) -> list[Note]:
     """Note base parameters that the motions cannot separate from others, if there are any."""
     if not names:
         return []
-    what = f"these motions cannot separate {', '.join(names)} from the other base parameters: no value is given"
-    return [Note(Kind.SEPARATION, what, "add runs that move all joints in other ways")]
+    return [note(Finding(F.NOT_SEPARATED, values={"parameters": list(names)}))]
 
 
 def near_singularities(nearest: Iterable[NearestPose]) -> list[Note]:

@@ -8,7 +8,7 @@ from gtau.estimation.thresholds import NONE, Threshold
 
 COSTLY_REPAIR = Threshold(
     0.02,
-    "share of the samples that a repair drops or interpolates, from which it is worth mending",
+    "share of the samples that a repair drops or interpolates, from which it is a warning",
     "up to 0.001 (shared logs, but for those recorded by polling)",
     "0.05 and more are refused",
     "a choice between the two",
