@@ -24,6 +24,7 @@ from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.home import load_robot
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.data_sheets import Drive, data_sheet_notes
 from gtau.signals.experiment import Experiment, Prior, check_robot, read_experiment
@@ -126,7 +127,7 @@ def identify(
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
-    gains = {f"gain_{joint}": gain for joint, gain in result.drive_gains.items() if gain.std is not None}
+    gains = {Parameter("gain", joint).name: gain for joint, gain in result.drive_gains.items() if gain.std is not None}
     found = {name: (each.value, each.std) for name, each in (gains | dict(result.parameters)).items()}
     return data_sheet_notes(drives, result.robot, found)
 

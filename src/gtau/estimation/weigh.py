@@ -21,6 +21,7 @@ from gtau.estimation.results.payload_estimates import payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
+from gtau.robots.parameter import Parameter
 from gtau.signals.run import without_sensors
 
 
@@ -69,7 +70,7 @@ def weigh(
         g_tau, covariance = given_gains(robot, runs, described.expected_gains, "wls"), None
     else:
         g_tau = model.gains
-        rows = [model.covariance_names.index(f"gain_{joint}") for joint in robot.actuated]
+        rows = [model.covariance_names.index(Parameter("gain", joint).name) for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
     runs = tuple(without_sensors(run) for run in runs)  # the model's gains say as much
     dataset = reduce_runs(robot, runs, at_rate_of(runs, model.preparation), progress=progress)

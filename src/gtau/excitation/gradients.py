@@ -26,6 +26,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
 from gtau.robots.geometry import characteristic_length
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
 
 
@@ -264,8 +265,8 @@ def smooth_regressor(model: InverseDynamics, names: Sequence[str], width: np.nda
     chi = {name: ca.SX.sym(name) for name in model.parameter_names}
     tau = torques(layout, c, yd, ydd, J, {name: each for name, each in chi.items() if not name.startswith("fs_")})
     for k, joint in enumerate(joints):
-        if f"fs_{joint.name}" in chi:
-            tau += J[k, :].T * chi[f"fs_{joint.name}"] * yd[k] / ca.sqrt(yd[k] ** 2 + wide[k] ** 2)
+        if Parameter("fs", joint.name).name in chi:
+            tau += J[k, :].T * chi[Parameter("fs", joint.name).name] * yd[k] / ca.sqrt(yd[k] ** 2 + wide[k] ** 2)
     W = ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names)))
     rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
     entries = ca.vec(W.nz[:])

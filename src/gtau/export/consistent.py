@@ -14,6 +14,7 @@ from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.export.identified import identified, torques_of
 from gtau.model.random_states import random_motion
+from gtau.robots.parameter import Parameter
 
 STATES = 500
 
@@ -35,7 +36,7 @@ class ConsistentModel:
 
     def of(self, kind: str, joint: str) -> float:
         """Return a parameter of a joint, 0 where it has none."""
-        return self.standard.get(f"{kind}_{joint}", 0.0)
+        return self.standard.get(Parameter(kind, joint).name, 0.0)
 
     def cubic(self, joint: str) -> float:
         """Return the friction cubic in speed (f3) of a joint, 0 where it has none."""
@@ -52,12 +53,12 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
         )
     standard, cubics, straight = dict(found.standard), {}, []
     for joint in result.robot.joints:
-        name, term = joint.name, f"f3_{joint.name}"
+        name, term = joint.name, Parameter("f3", joint.name).name
         cubic = (result.friction[term].value or 0.0) if term in result.friction else 0.0
-        viscous, coulomb = (standard.get(f"{kind}_{name}", 0.0) for kind in ("fv", "fs"))
+        viscous, coulomb = (standard.get(Parameter(kind, name).name, 0.0) for kind in ("fv", "fs"))
         if min(viscous, coulomb, cubic) < 0:
             viscous, coulomb = result.friction_law.straight(viscous, coulomb, cubic, name)
-            standard |= {f"fv_{name}": viscous, f"fs_{name}": coulomb}
+            standard |= {Parameter("fv", name).name: viscous, Parameter("fs", name).name: coulomb}
             straight.append(name)
         elif cubic:
             cubics[name] = cubic

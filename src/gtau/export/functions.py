@@ -15,6 +15,7 @@ from gtau.estimation.results.friction_law import carried
 from gtau.export.identified import Identified
 from gtau.model.closures import closure_maps
 from gtau.model.dynamics import torques
+from gtau.robots.parameter import Parameter
 
 OUTPUTS = {
     "torques": "inverse dynamics: torques of the actuated joints",
@@ -121,6 +122,6 @@ class _Friction:
 
     def _on_motors(self, forces: ca.SX, scales: ca.SX) -> ca.SX:
         joints = self.model.result.robot.joints
-        offsets = ca.vertcat(*(self._values.get(f"off_{joint.name}", 0.0) for joint in joints))
+        offsets = ca.vertcat(*(self._values.get(Parameter("off", joint.name).name, 0.0) for joint in joints))
         acting = forces * scales
         return self.J[: len(joints), :].T @ (acting[: len(joints)] + offsets) + acting[len(joints) :]

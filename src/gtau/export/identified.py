@@ -14,12 +14,13 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL
 from gtau.robots.units import torque_unit
 
 
 @dataclass(frozen=True, eq=False)
-class Parameter:
+class ExportedParameter:
     """A parameter of the exported torques: value and standard deviation in ``unit``, and what it regroups."""
 
     name: str
@@ -39,7 +40,7 @@ class Identified:
         The identification it comes from.
     name : str
         The robot's name as an identifier of C, MATLAB and Python.
-    parameters : tuple of Parameter
+    parameters : tuple of ExportedParameter
         Base parameters, then the friction terms f3 and fl.
     payloads : dict
         Name of each identified or known payload to the values of all parameters (n_p,) with it.
@@ -51,7 +52,7 @@ class Identified:
 
     result: Result
     name: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ExportedParameter, ...]
     payloads: Mapping[str, np.ndarray]
     gains: np.ndarray
     units: tuple[str, ...]
@@ -86,7 +87,7 @@ def identified(result: Result) -> Identified:
         raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
     parameters = []
     for each in (*(result.parameters[name] for name in base.names), *_terms(result)):
-        parameters.append(Parameter(each.name, each.value or 0.0, each.std, each.unit, each.regrouping))
+        parameters.append(ExportedParameter(each.name, each.value or 0.0, each.std, each.unit, each.regrouping))
     gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
     values = np.array([each.value for each in parameters])
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
@@ -134,7 +135,7 @@ def torques_of(model: Identified, motion: Motion, values: np.ndarray) -> np.ndar
 
 
 def _terms(result: Result) -> list[Estimate]:
-    offered = [f"{kind}_{joint}" for kind in TERMS for joint in result.robot.actuated]
+    offered = [Parameter(kind, joint).name for kind in TERMS for joint in result.robot.actuated]
     return [result.friction[name] for name in offered if name in result.friction]
 
 
@@ -146,7 +147,9 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
         if "m" in found:
             with_it = values.copy()
             for kind in INERTIAL:
-                with_it[: base.count] += found.get(kind, 0.0) * base.matrix[:, place[f"{kind}_{result.robot.tool}"]]
+                with_it[: base.count] += (
+                    found.get(kind, 0.0) * base.matrix[:, place[Parameter(kind, result.robot.tool).name]]
+                )
             loaded[name] = with_it
     return loaded
 
@@ -159,7 +162,7 @@ def notes_on(model: Identified) -> tuple[str, ...]:
     if not bent:
         return not_known(model)
     law = result.friction_law
-    joints = dict.fromkeys(name.split("_", 1)[1].removesuffix("R") for name in bent)
+    joints = dict.fromkeys(parameter_of(name).body.removesuffix("R") for name in bent)
     listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in joints if joint in result.robot.actuated)
     found = f"friction is extrapolated beyond the logged speeds along its slope there, or held: {listed}"
     return (*not_known(model), *([found] if listed else []))

@@ -11,6 +11,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
+from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import Mdh, Robot
 
 SYMBOLS = {"ia": "ia", "fv": "fv", "fs": "fs", "f3": "f_3", "f0": "f_0", "fl": r"f_{\ell}"}
@@ -33,7 +34,7 @@ def export(result: Result, out: Path) -> Exported:
 
 def symbol(name: str) -> str:
     """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R."""
-    kind, _, index = name.partition("_")
+    kind, index, _ = parameter_of(name)
     plain = re.sub(r"R$", "", index) if index else ""
     subscript = r"\mathrm{" + _escaped(plain) + "}" + ("R" if index.endswith("R") else "")
     if kind == "off":

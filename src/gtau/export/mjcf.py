@@ -22,6 +22,7 @@ from gtau.export.consistent import (
 )
 from gtau.export.exported import Exported, written
 from gtau.export.identified import identifier
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, STIFFNESS, Robot
 from gtau.simulation.mujoco_plant import LIGHTEST, STEP, platform_coordinates, robot_spec, spring_attributes
 
@@ -106,7 +107,7 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
     _draw(mujoco, robot, spec)
     _add_couplings(mujoco, spec, robot)
     _add_actuators(mujoco, spec, model)
-    unable = {f"off_{joint.name}" for joint in robot.joints if not joint.actuated}
+    unable = {Parameter("off", joint.name).name for joint in robot.joints if not joint.actuated}
     return spec, {name: value for name, value in model.standard.items() if name not in unable}
 
 
@@ -213,7 +214,7 @@ def _couplings(spec: Any) -> list[Any]:
 def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> list[str]:
     """List what the file lacks: friction terms, offsets, massless bodies."""
     result = model.result
-    unlike = [] if cubic else [f"f3_{joint}" for joint in model.cubics]
+    unlike = [] if cubic else [Parameter("f3", joint).name for joint in model.cubics]
     said = term_notes(model, "MJCF", [*unlike, *(name for name in result.friction if not name.startswith("f3"))])
     unable = [name for name, value in model.standard.items() if name not in expressed and value]
     if unable:

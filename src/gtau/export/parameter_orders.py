@@ -14,6 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.export.rigid_body import RigidBody, inertial_parameters, rigid_body
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
 
 _ENTRIES = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
@@ -83,7 +84,7 @@ def to_order(chi: Mapping[str, float], body: str, program: str) -> dict[str, flo
         Where the body has no mass and the program gives a centre of mass, or there is no such program.
     """
     order = _order(program)
-    kinds = {kind: chi.get(f"{kind}_{body}", 0.0) for kind in INERTIAL}
+    kinds = {kind: chi.get(Parameter(kind, body).name, 0.0) for kind in INERTIAL}
     if order.moments:
         values = [kinds[kind] for kind in ("m", "mx", "my", "mz", *order.inertia)]
         return _named(order, values)
@@ -114,7 +115,7 @@ def from_order(values: Mapping[str, float] | Sequence[float], body: str, program
         if order.about == "origin":
             tensor -= m * (first @ first * np.eye(3) - np.outer(first, first))
         found = inertial_parameters(RigidBody(m, first, tensor))
-    return {f"{kind}_{body}": float(found[kind]) for kind in INERTIAL}
+    return {Parameter(kind, body).name: float(found[kind]) for kind in INERTIAL}
 
 
 def _order(program: str) -> Order:

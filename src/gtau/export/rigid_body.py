@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
 
 
@@ -33,7 +34,7 @@ class RigidBody:
 
 def rigid_body(chi: Mapping[str, float], body: str) -> RigidBody:
     """Make the body called ``body`` from standard parameters by name; those missing are zero."""
-    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(f"{kind}_{body}", 0.0) for kind in INERTIAL)
+    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(Parameter(kind, body).name, 0.0) for kind in INERTIAL)
     center = np.array([mx, my, mz]) / m if m else np.zeros(3)
     about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return RigidBody(m, center, about_origin - m * (center @ center * np.eye(3) - np.outer(center, center)))

@@ -12,6 +12,7 @@ from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
 from gtau.robots.geometry import identical_legs
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DRIVE, INERTIAL, Robot
 
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
@@ -59,23 +60,23 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
 
     Joints on the way to a motor stand before the others, so that no coupling bar takes up what belongs to a motor.
     """
-    order = [f"{kind}_{platform.name}" for platform in robot.platforms for kind in INERTIAL]
-    kinds = list(dict.fromkeys(name.split("_", 1)[0] for name in names))
+    order = [Parameter(kind, platform.name).name for platform in robot.platforms for kind in INERTIAL]
+    kinds = list(dict.fromkeys(parameter_of(name).kind for name in names))
     towards_motors: set[str] = set()
     for joint in reversed(robot.joints):
         if joint.name in robot.driven or joint.name in towards_motors:
             towards_motors |= {joint.name, joint.antecedent}
     joints = [alike for group in identical_legs(robot) for alike in zip(*group, strict=True)]
     for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
-        order += [f"{kind}_{joint}" for kind in kinds for joint in alike]
-    order += [f"{kind}_{spring.name}" for spring in robot.springs for kind in spring.parameters]
+        order += [Parameter(kind, joint).name for kind in kinds for joint in alike]
+    order += [Parameter(kind, spring.name).name for spring in robot.springs for kind in spring.parameters]
     wanted = set(names)
     return [name for name in order if name in wanted]
 
 
 def of_drive(name: str, joint: str) -> bool:
     """Decide whether a standard parameter belongs to the drive of a joint."""
-    kind, body = name.split("_", 1)
+    kind, body, _ = parameter_of(name)
     return kind in DRIVE and body == joint
 
 
@@ -111,7 +112,7 @@ def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] 
     position = {name: k for k, name in enumerate(idm.parameter_names)}
     R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed), sensors)
     kept, coefficients, idle = independent_columns(R)
-    inertial = [k for k, name in enumerate(order) if name.split("_", 1)[0] in INERTIAL]
+    inertial = [k for k, name in enumerate(order) if parameter_of(name).kind in INERTIAL]
     matrix = np.zeros((len(kept), len(position)))
     for row in range(len(kept)):
         for column, name in enumerate(order):

@@ -18,6 +18,7 @@ from gtau.model.kinematics import Coordinates, coordinates
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate
 from gtau.robots.floating import WRENCH, WrenchFrame
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 
 PATH = 65536  # samples whose loops are closed together, in parallel segments
@@ -189,7 +190,7 @@ class InverseDynamics:
             inputs, J = self._inputs
             wrench = ca.SX.sym("w", 6 * len(frames))
             matrix = ca.jacobian(wrench_torques(self.layout, inputs[0], J, frames, wrench), wrench)
-            names = tuple(f"{kind}_{frame.body}" for frame in frames for kind in WRENCH)
+            names = tuple(Parameter(kind, frame.body).name for frame in frames for kind in WRENCH)
             self._wrenches[frames] = _regressor(names, inputs, matrix)
         return self._wrenches[frames]
 

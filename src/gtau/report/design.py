@@ -35,6 +35,7 @@ from gtau.report.page import (
     section,
     table,
 )
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.units import position_unit, torque_unit, unit_of
 
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
@@ -56,7 +57,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
         columns = {"t": np.round(time, DIGITS)}
         for kind, rows in zip(("q", "qd", "qdd"), joints, strict=False):
             columns |= {
-                f"{kind}_{joint}": np.round(row, DIGITS)
+                Parameter(kind, joint).name: np.round(row, DIGITS)
                 for joint, row in zip(design.task.model.actuated, rows, strict=True)
             }
         write_atomically(path, pl.DataFrame(columns).write_csv())
@@ -114,7 +115,7 @@ def _entry(each: Expected, unit: str, assumed: bool) -> dict[str, Any]:
 
 
 def _unit(name: str, task: DesignProblem) -> str:
-    kind, body = task.base.standard[task.base.names.index(name)].split("_", 1)
+    kind, body, _ = parameter_of(task.base.standard[task.base.names.index(name)])
     return unit_of(kind, task.model.robot, body)
 
 

@@ -28,6 +28,7 @@ from gtau.report.parameters import (
     singular_values_section,
 )
 from gtau.report.torques import fit_table, residuals_section, torques_section
+from gtau.robots.parameter import Parameter
 
 NOTES = 5  # that the short page shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
@@ -207,7 +208,7 @@ def _consistency_section(found: Consistency | None) -> Section | None:
     if found is None:
         return None
     moved = [move for move in found.moves if move.deviations >= MOVED]
-    gains = [f"gain_{joint}" for joint in found.gains]
+    gains = [Parameter("gain", joint).name for joint in found.gains]
     shown = [move for move in moved if move.name not in gains][:LISTED]
     shown += [move for name in gains for move in found.moves if move.name == name]
     columns = (

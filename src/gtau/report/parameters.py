@@ -10,6 +10,7 @@ from gtau.estimation.results.estimates_table import Row, estimates_table
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.report.gains import VALUE, value_cells
 from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Text, joint_label, section, table
+from gtau.robots.parameter import parameter_of
 
 STRONG = 0.9  # correlation from which on a pair is listed
 LISTED = 20
@@ -63,7 +64,7 @@ def _role(row: Row) -> str:
 def reference_text(result: IdentifiedModel) -> Text | None:
     """Name the temperatures to which the friction parameters refer, where friction depends on them."""
     warm = result.temperatures
-    if warm is None or not any(name.split("_", 1)[0] in TEMPERATURE_TERMS for name in result.friction):
+    if warm is None or not any(parameter_of(name).kind in TEMPERATURE_TERMS for name in result.friction):
         return None
     listed = ", ".join(f"'{joint}' {value:.4g}" for joint, value in warm.of_joint.items())
     same = len(set(warm.of_joint.values())) == 1

@@ -11,6 +11,7 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
 from gtau.report.page import Column, Facts, Kind, Page, Table, Text, page, section, table
+from gtau.robots.parameter import parameter_of
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot, base_rows
 from gtau.robots.units import position_unit, unit_of
@@ -175,7 +176,7 @@ def _base_table(base: dict[str, Any]) -> Table:
 
 
 def _unit(parameter: str, robot: Robot) -> str:
-    kind, body = parameter.split("_", 1)
+    kind, body, _ = parameter_of(parameter)
     return unit_of(kind, robot, body)
 
 

@@ -7,6 +7,7 @@ from math import pi
 
 import numpy as np
 
+from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Placement, Robot
 
 TURNS = 2  # a link that turns further either way has its limits in degrees, perhaps
@@ -43,7 +44,7 @@ def tool_note(robot: Robot) -> tuple[str, ...]:
 
 def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
     """List links and platforms of which ``parameters`` names no mass, moment or inertia, so that they have none."""
-    named = {name.split("_", 1)[1] for name in parameters if name.split("_", 1)[0] in INERTIAL}
+    named = {parameter_of(name).body for name in parameters if parameter_of(name).kind in INERTIAL}
     links = [joint.name for joint in robot.joints if joint.has_mass]
     return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)
 

@@ -10,6 +10,7 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit, unit_of
 from gtau.signals.notes import Kind, Note
@@ -93,8 +94,8 @@ def data_sheet_notes(
     said = []
     for joint, drive in drives.items():
         rows = (
-            ("gain", drive.gain, f"gain_{joint}", f"{torque_unit(robot, joint)}/A"),
-            ("rotor inertia", drive.inertia, f"ia_{joint}", unit_of("ia", robot, joint)),
+            ("gain", drive.gain, Parameter("gain", joint).name, f"{torque_unit(robot, joint)}/A"),
+            ("rotor inertia", drive.inertia, Parameter("ia", joint).name, unit_of("ia", robot, joint)),
         )
         for what, expected, name, unit in rows:
             value, std = found.get(name, (None, None))

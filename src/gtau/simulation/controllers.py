@@ -15,6 +15,7 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
+from gtau.robots.parameter import Parameter
 from gtau.signals.payload import Payload
 from gtau.simulation.trajectories import Trajectory
 
@@ -119,5 +120,5 @@ def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
     if payload is not None:
         place = {name: k for k, name in enumerate(model.parameter_names)}
         for kind, value in {**result.payload(payload.name), **known_values(payload)}.items():
-            chi = chi + value * base.matrix[:, place[f"{kind}_{model.robot.tool}"]]
+            chi = chi + value * base.matrix[:, place[Parameter(kind, model.robot.tool).name]]
     return chi

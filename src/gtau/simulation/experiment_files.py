@@ -15,6 +15,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.floating import refuse_floating
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import Engine, Hardware, Simulated, hardware, simulate, write_log
@@ -32,7 +33,7 @@ def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> d
     chi = dict(chi)
     if payload is not None:
         for kind, value in {"m": payload.mass or 0.0, **payload.parameters}.items():
-            name = f"{kind}_{robot.tool}"
+            name = Parameter(kind, robot.tool).name
             chi[name] = chi.get(name, 0.0) + value
     return chi
 

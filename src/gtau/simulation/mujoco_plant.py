@@ -17,6 +17,7 @@ from gtau.errors import GtauError, missing_extra
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import PlatformSlots
 from gtau.model.loop_paths import follow
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import (
     DAMPING,
     GROUND,
@@ -73,8 +74,8 @@ class MujocoPlant:
         self._position = np.array([joint.qposadr[0] for joint in joints])
         self._rate = np.array([joint.dofadr[0] for joint in joints])
         self._actuated = layout.actuated
-        self._coulomb = np.array([chi.get(f"fs_{joint.name}", 0.0) for joint in robot.joints])
-        self._offset = np.array([chi.get(f"off_{joint.name}", 0.0) for joint in robot.joints])
+        self._coulomb = np.array([chi.get(Parameter("fs", joint.name).name, 0.0) for joint in robot.joints])
+        self._offset = np.array([chi.get(Parameter("off", joint.name).name, 0.0) for joint in robot.joints])
         self._width = np.array([width[joint.kind] for joint in robot.joints])
 
     def start(self, q: np.ndarray) -> PlantState:
@@ -151,8 +152,8 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
             name=joint.name,
             type=hinge if joint.kind == "revolute" else slide,
             axis=joint.axis,
-            armature=chi.get(f"ia_{joint.name}", 0.0),
-            damping=chi.get(f"fv_{joint.name}", 0.0),
+            armature=chi.get(Parameter("ia", joint.name).name, 0.0),
+            damping=chi.get(Parameter("fv", joint.name).name, 0.0),
         )
         if joint.spring is not None:
             stiffness = chi.get(f"{STIFFNESS}_{joint.name}", 0.0)
@@ -194,7 +195,7 @@ def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any
 
     A tendon's stiffness and length at rest are not negative, so no tendon is a gas spring of constant force.
     """
-    f0, k, c = (chi.get(f"{kind}_{spring.name}", 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING))
+    f0, k, c = (chi.get(Parameter(kind, spring.name).name, 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING))
     if k < 0 or c < 0 or f0 < 0 or (f0 and not k):
         return None
     rest = f0 / k if k else 0.0
@@ -214,7 +215,7 @@ def _add_spring(
         for name, value in attributes.items():  # numbers, or the first coefficients of polynomials
             setattr(tendon, name, (value, 0.0, 0.0) if np.size(getattr(tendon, name)) == 3 else value)
         return
-    bias = [chi.get(f"{kind}_{spring.name}", 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING)]
+    bias = [chi.get(Parameter(kind, spring.name).name, 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING)]
     actuator = spec.add_actuator(name=spring.name, target=spring.name, trntype=mujoco.mjtTrn.mjTRN_TENDON)
     actuator.gainprm[0] = 0.0
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -222,7 +223,7 @@ def _add_spring(
 
 
 def _add_body(mujoco: ModuleType, parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
-    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(f"{kind}_{name}", 0.0) for kind in INERTIAL)
+    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(Parameter(kind, name).name, 0.0) for kind in INERTIAL)
     center = np.array([mx, my, mz]) / m if m else np.zeros(3)
     about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     about_center = about_origin - m * (center @ center * np.eye(3) - np.outer(center, center))

@@ -26,6 +26,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Loops
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PRELOAD, STIFFNESS
 
 
@@ -205,16 +206,16 @@ class Plant:
         c = ca.SX.sym("c", layout.n_c)
         potential = ca.SX(0)
         for body, frame in frames(layout, c).items():
-            if f"m_{body}" in self.chi:
-                m, *ms = (self.chi[f"{kind}_{body}"] for kind in ("m", "mx", "my", "mz"))
+            if Parameter("m", body).name in self.chi:
+                m, *ms = (self.chi[Parameter(kind, body).name] for kind in ("m", "mx", "my", "mz"))
                 potential -= ca.dot(ca.SX(ca.DM(layout.robot.gravity)), m * frame.p_0 + frame.R_0 @ ca.SX(ca.DM(ms)))
         for row, joint in enumerate(layout.robot.joints):
-            potential += self.chi.get(f"off_{joint.name}", 0.0) * c[row]
+            potential += self.chi.get(Parameter("off", joint.name).name, 0.0) * c[row]
             if joint.spring is not None:
                 potential += self.chi.get(f"{STIFFNESS}_{joint.name}", 0.0) * (c[row] - joint.spring) ** 2 / 2
         for spring in layout.robot.springs:
             length, _ = spring_length(spring, frames(layout, c))
-            f0, k = (self.chi.get(f"{kind}_{spring.name}", 0.0) for kind in (PRELOAD, STIFFNESS))
+            f0, k = (self.chi.get(Parameter(kind, spring.name).name, 0.0) for kind in (PRELOAD, STIFFNESS))
             potential += k * length**2 / 2 - f0 * length
         return ca.Function("potential", [c], [potential])
 
@@ -226,7 +227,7 @@ class Plant:
         J = self._selection(layout.actuated) + self._selection(layout.passive) @ J_passive
         smooth = {name: ca.SX(value) for name, value in self.chi.items() if not name.startswith("fs_")}
         coulomb = [
-            self.chi.get(f"fs_{joint.name}", 0.0) * ca.tanh(yd[row] / width[joint.kind])
+            self.chi.get(Parameter("fs", joint.name).name, 0.0) * ca.tanh(yd[row] / width[joint.kind])
             for row, joint in enumerate(joints)
         ]
         friction = ca.vertcat(*coulomb, ca.SX(layout.n_y - len(joints), 1))

@@ -12,6 +12,7 @@ from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
+from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
@@ -168,7 +169,7 @@ class Simulation(Keys):
     @classmethod
     def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name, value in parameters.items():
-            if name.split("_", 1)[0] in ("fv", "fs", DAMPING) and value < 0:
+            if parameter_of(name).kind in ("fv", "fs", DAMPING) and value < 0:
                 raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
         return parameters
 

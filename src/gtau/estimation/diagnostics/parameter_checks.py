@@ -27,6 +27,7 @@ from gtau.estimation.thresholds.estimates import (
 from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 from gtau.model.base_parameters import BaseParameters
 from gtau.robots.geometry import identical_legs
+from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import Robot
 
 NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
@@ -219,13 +220,13 @@ def _by_meaning(leg: tuple[str, ...], base: BaseParameters, names: Sequence[str]
     found = {}
     for position, name in enumerate(names):
         words = base.regroupings[name].split()
-        if words[0].split("_", 1)[1] in leg:
+        if parameter_of(words[0]).body in leg:
             found[" ".join(_in_leg(word, leg) for word in words)] = position
     return found
 
 
 def _in_leg(word: str, leg: tuple[str, ...]) -> str:
-    kind, _, joint = word.partition("_")
+    kind, joint, _ = parameter_of(word)
     return f"{kind}_[{leg.index(joint)}]" if joint in leg else re.sub(r"^(\d+\.\d{3})\d*$", r"\1", word)
 
 

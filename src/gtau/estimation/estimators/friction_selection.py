@@ -20,6 +20,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TERM_STD
 from gtau.progress import Progress
+from gtau.robots.parameter import Parameter
 
 LOAD_PASSES = 6  # of the logs, at most, for friction that depends on the torques transmitted
 LOAD_SETTLED = 1e-4  # relative change of the gains that ends them
@@ -75,7 +76,9 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
     for j, channel in enumerate(problem.channels):
         position = {name: k for k, name in enumerate(problem.parameters)}
         kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.free else BEARING
-        offered = [f"{term}_{channel.name}" for term in kinds if f"{term}_{channel.name}" in position]
+        offered = [
+            Parameter(term, channel.name).name for term in kinds if Parameter(term, channel.name).name in position
+        ]
         rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
         current = delayed_signal(problem.triangles[j], problem.own_delays[j])
         rows = problem.total_rows[j]

@@ -18,6 +18,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.experiment import Prior
 
@@ -50,15 +51,15 @@ def standard_unknowns(
     names = list(dataset.model.parameter_names)
     position = {name: k for k, name in enumerate(names)}
     bodies = [
-        Body(body, np.array([position[f"{kind}_{body}"] for kind in INERTIAL]), np.zeros(10))
+        Body(body, np.array([position[Parameter(kind, body).name] for kind in INERTIAL]), np.zeros(10))
         for body in robot.bodies
-        if f"m_{body}" in position
+        if Parameter("m", body).name in position
     ]
     for each in system.payloads:
         known = known_values(each.payload)
         label = f"L{each.run + 1}"
         first = len(names)
-        names += [f"{kind}_{label}" for kind in each.free]
+        names += [Parameter(kind, label).name for kind in each.free]
         places = [first + each.free.index(kind) if kind in each.free else -1 for kind in INERTIAL]
         bodies.append(Body(label, np.array(places), np.array([known.get(kind, 0.0) for kind in INERTIAL])))
     carried = {name for each in system.payloads for name in each.unknown}
@@ -84,7 +85,7 @@ def standard_unknowns(
         plausible[9] = mass / len(robot.bodies)
         centre[body.places[body.places >= 0]] = plausible[body.places >= 0]
     for k, name in enumerate(names):
-        if name.split("_", 1)[0] in ("ia", "fv", "fs", "fl", DAMPING) and "@" not in name:
+        if parameter_of(name).kind in ("ia", "fv", "fs", "fl", DAMPING) and parameter_of(name).run is None:
             lower[k] = 0.0
     for name, prior in priors.items():
         if name not in column:  # a base parameter: see known_equations
@@ -115,7 +116,7 @@ def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: floa
 
 
 def _natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
-    kind, body = name.split("@", 1)[0].split("_", 1)
+    kind, body, _ = parameter_of(name)
     if kind in INERTIAL:
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
     if any(spring.name == body for spring in robot.springs):

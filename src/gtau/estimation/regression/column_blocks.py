@@ -17,6 +17,7 @@ from gtau.estimation.regression.factors import EXTRA
 from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS, Friction
 from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL
 from gtau.signals.channel import Channel
 from gtau.signals.payload import Payload
@@ -75,7 +76,9 @@ def carried_payload(idm: InverseDynamics, base: BaseParameters, run: int, payloa
     """Express the parameters of a ``payload`` on the robot's tool in base columns (eq. 18)."""
     values = known_values(payload)
     free = [kind for kind in INERTIAL if kind not in values]
-    of_tool = {kind: base.matrix[:, idm.parameter_names.index(f"{kind}_{idm.robot.tool}")] for kind in INERTIAL}
+    of_tool = {
+        kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool).name)] for kind in INERTIAL
+    }
     columns = np.reshape([of_tool[kind] for kind in free], (len(free), base.count)).T
     kept, coefficients, _ = independent_columns(columns)
     formulas = {
@@ -113,7 +116,7 @@ def column_blocks(
     runs : int
         Number of runs.
     """
-    offsets = tuple(f"off_{channel.name}" for channel in channels if channel.kind == "sensor")
+    offsets = tuple(Parameter("off", channel.name).name for channel in channels if channel.kind == "sensor")
     return [
         ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
         *(_payload_block(base, each) for each in carried),
@@ -140,20 +143,15 @@ def _payload_block(base: BaseParameters, carried: CarriedPayload) -> ColumnBlock
 
 def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> ColumnBlock:
     """Let friction differ from its mean in every run; the differences of all runs add up to zero."""
-    kinds = {f"{kind}_{joint}" for kind in DRIFTING for joint in joints}
+    kinds = {Parameter(kind, joint).name for kind in DRIFTING for joint in joints}
     drifting = [k for k, name in enumerate(base.names) if name in kinds] if runs > 1 else []
     units = np.eye(base.count)[:, drifting]
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
         return _felt(base, channel, np.hstack([units * ((k == run) - (run == runs - 1)) for k in range(runs - 1)]))
 
-    names = tuple(drift_name(base.names[k], run) for run in range(runs - 1) for k in drifting)
+    names = tuple(parameter_of(base.names[k])._replace(run=run).name for run in range(runs - 1) for k in drifting)
     return ColumnBlock(names, columns) if names else ColumnBlock((), lambda *_: np.zeros((base.count + EXTRA, 0)))
-
-
-def drift_name(name: str, run: int) -> str:
-    """Name the difference of a friction parameter from its mean, in a run."""
-    return f"{name}@{run + 1}"
 
 
 def _own_block(base: BaseParameters, names: tuple[str, ...]) -> ColumnBlock:
@@ -165,7 +163,7 @@ def _own_block(base: BaseParameters, names: tuple[str, ...]) -> ColumnBlock:
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
         found = np.zeros((*above.shape, base.count + EXTRA, len(names)))
         for k, name in enumerate(names):
-            kind, owner = name.split("_", 1)
+            kind, owner, _ = parameter_of(name)
             if owner != channel.name:
                 continue
             if kind in TERMS:

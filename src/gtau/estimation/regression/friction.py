@@ -28,6 +28,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.equations import STRETCHES
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.signals.channel import Channel
 from gtau.signals.preparation import PreparedRun
 
@@ -63,22 +64,24 @@ def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
 
 def all_terms(joints: tuple[str, ...]) -> tuple[str, ...]:
     """List every term of every joint."""
-    return tuple(f"{term}_{joint}" for joint in joints for term in TERMS)
+    return tuple(Parameter(term, joint).name for joint in joints for term in TERMS)
 
 
 def temperature_terms(joints: Sequence[str]) -> tuple[str, ...]:
     """List the temperature-dependent friction terms of the joints with a temperature."""
-    return tuple(f"{term}_{joint}" for joint in joints for term in TEMPERATURE_TERMS)
+    return tuple(Parameter(term, joint).name for joint in joints for term in TEMPERATURE_TERMS)
 
 
 def bearing_terms(channels: Sequence[Channel]) -> tuple[str, ...]:
     """List all friction terms that the bearings of torque sensors may have of their own."""
-    return tuple(f"{kind}_{channel.name}" for channel in channels if channel.kind == "sensor" for kind in BEARING)
+    return tuple(
+        Parameter(kind, channel.name).name for channel in channels if channel.kind == "sensor" for kind in BEARING
+    )
 
 
 def transmitted(names: Sequence[str]) -> np.ndarray:
     """Mark the base parameters whose torque a joint transmits by 1, friction and offsets by 0, (n_b,)."""
-    return np.array([name.split("_", 1)[0] not in ("fv", "fs", "off") for name in names], dtype=float)
+    return np.array([parameter_of(name).kind not in ("fv", "fs", "off") for name in names], dtype=float)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from gtau.estimation.regression.friction import Friction, transmitted
 from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.parameter import parameter_of
 from gtau.signals.channel import channels_of_model
 from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
@@ -78,7 +79,7 @@ class System:
         """Return the base columns' values in ``run``, with its payload and its own friction, (n_b,)."""
         joints = self.whole.joints
         of_joints = self.map(run)[: len(joints), : self.base.count, : KNOWN + 1] @ self.full(theta)
-        bodies = [name.split("_", 1)[1] for name in self.base.standard]
+        bodies = [parameter_of(name).body for name in self.base.standard]
         rows = [joints.index(body) if body in joints else 0 for body in bodies]  # whose own friction it may be
         return np.asarray(of_joints[rows, np.arange(len(rows))])
 

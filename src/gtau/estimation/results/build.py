@@ -30,6 +30,7 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.payload_estimates import named_freedoms, named_values, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit, unit_of
 
@@ -79,7 +80,7 @@ def build_result(
     model_part = {name: min(float(model_std[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
 
     def parameter(k: int) -> Estimate:
-        name, (kind, body) = base.names[k], base.standard[k].split("_", 1)
+        name, (kind, body, _) = base.names[k], parameter_of(base.standard[k])
         value, deviation = found.get(name, (None, None))
         unit = unit_of(kind, robot, body)
         verdict = judge_parameter(value, deviation, base.regroupings[name])
@@ -148,8 +149,8 @@ def build_result(
         ),
         covariance_names=(
             *problem.parameters,
-            *(f"gain_{joint}" for joint in joints),
-            *(f"delay_{channel.name}" for channel in problem.channels),
+            *(Parameter("gain", joint).name for joint in joints),
+            *(Parameter("delay", channel.name).name for channel in problem.channels),
         ),
         covariance=covariance[np.ix_(named, named)],
         preparation=dataset.preparation,
@@ -215,7 +216,7 @@ def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
 def _terms(system: System, robot: Robot, temperatures: ReferenceTemperatures | None) -> list[tuple[str, str]]:
     """List further friction terms and their units."""
     kinds = (*TERMS, *TEMPERATURE_TERMS)
-    split = [(name, *name.split("_", 1)) for name in system.friction.terms if name.split("_", 1)[0] in kinds]
+    split = [(name, *parameter_of(name)[:2]) for name in system.friction.terms if parameter_of(name).kind in kinds]
     per = "" if temperatures is None else f"/{temperatures.per}"
     return [
         (name, UNITS[robot.joint(joint).kind][term] + (per if term in TEMPERATURE_TERMS else ""))
@@ -246,7 +247,7 @@ def _sensors(
                 freedom=free.get(name),
             )
             for kind in ("off", *BEARING)
-            if (name := f"{kind}_{channel}") in found
+            if (name := Parameter(kind, channel).name) in found
         }
         delay = Estimate(
             joint,
@@ -269,7 +270,8 @@ def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
     """Compute the standard deviation between runs of each friction parameter that may drift."""
     deviations: dict[str, list[float]] = {}
     for name, value in zip(system.problem.parameters, theta, strict=True):
-        if "@" in name:
-            deviations.setdefault(name.split("@")[0], []).append(float(value))
+        kind, body, run = parameter_of(name)
+        if run is not None:
+            deviations.setdefault(Parameter(kind, body).name, []).append(float(value))
     # the deviations of all runs add up to zero, and the last is not listed
     return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in deviations.items()}

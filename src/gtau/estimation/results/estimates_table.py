@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.robots.parameter import parameter_of
 
 if TYPE_CHECKING:
     import polars as pl
@@ -35,7 +36,7 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
 
     yield from rows("drive gain", result.drive_gains.values())
     yield from rows("delay", result.delays.values())
-    of_friction = {name: name.split("_", 1)[0] in FRICTION for name in result.parameters}
+    of_friction = {name: parameter_of(name).kind in FRICTION for name in result.parameters}
     yield from rows("base parameter", (each for name, each in result.parameters.items() if not of_friction[name]))
     yield from rows("friction", (each for name, each in result.parameters.items() if of_friction[name]))
     yield from rows("friction", result.friction.values())

@@ -29,6 +29,7 @@ from gtau.estimation.regression.dataset import motor_to_joint_speed
 from gtau.estimation.regression.friction import TERMS
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING
 
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
@@ -86,11 +87,11 @@ class FrictionLaw:
         joints = self.model.robot.joints
         forces, speeds = [], [yd[row] for row in range(len(joints))]
         for joint, speed in zip(joints, speeds, strict=True):
-            viscous, coulomb = (values.get(f"{kind}_{joint.name}", 0.0) for kind in ("fv", "fs"))
+            viscous, coulomb = (values.get(Parameter(kind, joint.name).name, 0.0) for kind in ("fv", "fs"))
             forces.append(viscous * speed + coulomb * math.sign(speed))
         for j, name in enumerate(self.model.actuated):
             speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
-            cubic, of_load = (values.get(f"{term}_{name}", 0.0) for term in TERMS)
+            cubic, of_load = (values.get(Parameter(term, name).name, 0.0) for term in TERMS)
             within = math.fmax(math.fmin(speed, top), -top)
             slope = math.fmax(3 * top**2 * cubic, -self._viscous(values, j))  # with fv, at least 0
             forces.append(
@@ -149,14 +150,14 @@ class FrictionLaw:
         forces, speeds = (np.stack(each) for each in self.forces(np, values, motion.yd, load))
         forces = forces * self.scales(np, forces, speeds)
         for row, joint in enumerate(joints):
-            forces[row] += values.get(f"off_{joint.name}", 0.0)
+            forces[row] += values.get(Parameter("off", joint.name).name, 0.0)
         of_joints = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
         return np.asarray(of_joints + forces[len(joints) :])
 
     def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
         """Sum the viscous friction that the motor of actuated joint ``j`` feels."""
         of_joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
-        return sum(values.get(f"fv_{joint.name}", 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
+        return sum(values.get(Parameter("fv", joint.name).name, 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
 
 
 def carried(math: ModuleType, standard: tuple[str, ...], chi: Any) -> list[Any]:
@@ -164,7 +165,7 @@ def carried(math: ModuleType, standard: tuple[str, ...], chi: Any) -> list[Any]:
 
     Dampers of springs that propel do not count.
     """
-    kinds = [name.split("_", 1)[0] for name in standard]
+    kinds = [parameter_of(name).kind for name in standard]
     zero = {"fv", "fs", "off"}
     return [
         0.0 * chi[k] if kind in zero else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]

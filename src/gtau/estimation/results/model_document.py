@@ -17,6 +17,7 @@ from gtau.estimation.results.estimate import (
     TorqueError,
 )
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.robots.parameter import parameter_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.robots.units import unit_of
@@ -82,7 +83,7 @@ def _standard(found: Consistency, robot: Robot) -> dict[str, Any]:
             {
                 "name": name,
                 "value": value,
-                "unit": unit_of(name.split("_", 1)[0], robot, name.split("_", 1)[1]),
+                "unit": unit_of(parameter_of(name).kind, robot, parameter_of(name).body),
                 "open": name in found.open,
             }
             for name, value in found.standard.items()

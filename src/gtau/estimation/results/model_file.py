@@ -27,6 +27,7 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_document import SCHEMA, to_document
 from gtau.estimation.results.singularity_distances import NearestPose
+from gtau.robots.parameter import Parameter
 from gtau.robots.readers.native import parse_native
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import Preparation
@@ -119,7 +120,7 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
     size = len(result.covariance_names)
     if result.covariance.shape != (size, size) or not np.isfinite(result.covariance).all():
         yield "the covariance does not have the size of its names"
-    if not {f"gain_{joint}" for joint in robot.motors} <= set(result.covariance_names):
+    if not {Parameter("gain", joint).name for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
     if result.kind not in ("current", "torque"):
         yield f"the kind '{result.kind}' is neither current nor torque"

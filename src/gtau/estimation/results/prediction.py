@@ -16,6 +16,7 @@ from gtau.estimation.results.estimate import Prediction, TorqueError
 from gtau.estimation.results.friction_law import carried
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.loops import Motion
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import prepare
@@ -87,15 +88,17 @@ def friction_values(
     At the temperatures that a run has at ``time`` (N,), else at those of reference.
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
-    values |= {name: each.value or 0.0 for name, each in result.friction.items() if name.split("_", 1)[0] in TERMS}
+    values |= {name: each.value or 0.0 for name, each in result.friction.items() if parameter_of(name).kind in TERMS}
     if result.temperatures is None or run is None or run.temperature is None or time is None:
         return values
     for joint, reference in result.temperatures.of_joint.items():
         if joint in run.temperature.of_joint:
             above = run.temperature.at(joint, time) - reference
             for term, kind in TEMPERATURE_TERMS.items():
-                if f"{term}_{joint}" in result.friction:
-                    values[f"{kind}_{joint}"] += (result.friction[f"{term}_{joint}"].value or 0.0) * above
+                if Parameter(term, joint).name in result.friction:
+                    values[Parameter(kind, joint).name] += (
+                        result.friction[Parameter(term, joint).name].value or 0.0
+                    ) * above
     return values
 
 
@@ -144,7 +147,7 @@ def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier:
             "'mass'."
         )
     for kind, value in {**identified, **known_values(payload)}.items():
-        chi = chi + value * base.matrix[:, tool[f"{kind}_{result.robot.tool}"]]
+        chi = chi + value * base.matrix[:, tool[Parameter(kind, result.robot.tool).name]]
     return chi
 
 

@@ -13,6 +13,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
+from gtau.robots.parameter import parameter_of
 from gtau.signals.columns import Signals
 from gtau.signals.notes import Kind, Note
 
@@ -52,7 +53,7 @@ def _of_verdict(what: str, verdict: Verdict) -> Note:
 def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
     """Note the temperature assumed of logs without one where the model's friction depends on it."""
     warm = result.temperatures
-    depends = {name.split("_", 1)[1] for name in result.friction if name.split("_", 1)[0] in TEMPERATURE_TERMS}
+    depends = {parameter_of(name).body for name in result.friction if parameter_of(name).kind in TEMPERATURE_TERMS}
     if warm is None or not depends or signals.temperature is not None:
         return []
     listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))

@@ -39,6 +39,7 @@ from gtau.estimation.thresholds.estimates import (
     PLAUSIBLE_STRIBECK,
     STRIBECK_SPEED,
 )
+from gtau.robots.parameter import Parameter
 from gtau.signals.filters import differentiate
 from gtau.signals.preparation import InMemoryRun
 
@@ -49,7 +50,10 @@ def _friction_shape(fit: Fit) -> Candidates:
     level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
     model, base = fit.dataset.model, fit.dataset.base
     regressor, acting = model.columns(base.standard), transmitted(base.names)
-    absent = {term: np.array([f"{term}_{j}" not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")}
+    absent = {
+        term: np.array([Parameter(term, j).name not in fit.system.friction.terms for j in joints])
+        for term in ("f3", "fl")
+    }
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
         of = window.samples()
@@ -79,7 +83,9 @@ FRICTION_SHAPE = Hypothesis(
 def _friction_drift(fit: Fit) -> Candidates:
     joints, terms = fit.dataset.model.actuated, fit.system.friction.terms
     # friction that depends on the temperature has a slope of its own for this
-    fv, fs = friction_levels(fit) * np.array([f"fvt_{j}" not in terms and f"fst_{j}" not in terms for j in joints])
+    fv, fs = friction_levels(fit) * np.array(
+        [Parameter("fvt", j).name not in terms and Parameter("fst", j).name not in terms for j in joints]
+    )
     spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:

@@ -14,6 +14,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Labels, configurations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
+from gtau.robots.parameter import Parameter
 from gtau.signals.preparation import InMemoryRun
 
 
@@ -74,7 +75,7 @@ def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
     def of(kind: str) -> np.ndarray:
         joints = fit.dataset.model.actuated
-        return np.array([abs(values.get(f"{kind}_{j}", values.get(f"{kind}_{j}R", 0.0))) for j in joints])
+        return np.array([abs(values.get(Parameter(kind, j).name, values.get(f"{kind}_{j}R", 0.0))) for j in joints])
 
     return of("fv"), of("fs")
 
