@@ -199,9 +199,9 @@ def check_wrenches(robot: Robot, run: Run) -> None:
             f"run '{run.name}': the payload '{run.payload.name}' is on '{robot.tool}', whose wrench is measured: "
             "the sensor feels it already; remove the 'payload', or the sensor from 'wrenches'."
         )
-    bodies = [body for body in robot.bodies if body not in robot.base[:-1]]
+    bodies = [body for body in robot.bodies if body not in robot.base]
     for frame in run.wrenches:
-        if frame.body not in bodies:
+        if frame.body not in (*bodies, robot.floating):
             close = get_close_matches(frame.body, bodies, n=1)
             hint = f" (did you mean '{close[0]}'?)" if close else ""
             raise GtauError(
