@@ -178,6 +178,17 @@ def test_a_figure_shows_the_series_of_its_chart(whole: Page) -> None:
     assert axes.get_lines()[1].get_color() == palette()["c1"]
 
 
+def test_a_long_series_is_thinned_to_its_extremes_and_a_path_is_not() -> None:
+    angle = np.linspace(0.0, 6.0, 5000)
+    series, path = (
+        Series("", x, np.where(angle == angle[777], 9.0, np.sin(angle))) for x in (angle, np.cos(angle))
+    )  # fmt: skip
+    along, around = figure_of(Chart(tuple(Panel(Axis("x"), Axis("y"), (each,)) for each in (series, path)))).axes
+    assert len(along.get_lines()[0].get_xdata()) <= 1200
+    assert max(along.get_lines()[0].get_ydata()) == 9.0
+    np.testing.assert_array_equal(around.get_lines()[0].get_xydata(), np.column_stack([path.x, path.y]))
+
+
 def test_a_figure_draws_a_matrix_spans_and_steps() -> None:
     x, y = Axis("x"), Axis("y")
     panels = (

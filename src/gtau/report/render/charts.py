@@ -199,8 +199,10 @@ def _series(axes: Axes, series: Series) -> None:
         axes.broken_barh(spans, (float(series.y[0]) - 0.35, 0.7), color=colour, linewidth=0)
     elif series.mark == "line":
         k = int(series.colour[1:]) if series.colour[1:].isdigit() else 0
-        x, y = envelope(series.x, series.y[:, None], BUCKETS)
-        axes.plot(x, y[:, 0], color=colour, linewidth=series.width, linestyle=DASHES[k % len(DASHES)], **look)
+        x, y = series.x, series.y
+        if np.all(np.diff(x) >= 0):  # along time or frequency, not a path
+            x, y = (each.reshape(-1) for each in envelope(x, y[:, None], BUCKETS))
+        axes.plot(x, y, color=colour, linewidth=series.width, linestyle=DASHES[k % len(DASHES)], **look)
     elif series.mark == "points":
         axes.plot(series.x, series.y, color=colour, marker="o", linestyle="none", markersize=2 + series.width, **look)
         axes.margins(x=0.03)
