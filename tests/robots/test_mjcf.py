@@ -215,7 +215,7 @@ BAD: list[tuple[str, str, str]] = [
     ("unknown element", BODY % ("<bodi/>", ""), ": MuJoCo refuses the file ("),
     ("unknown attribute", BODY % ('<body posn="0 0 0"/>', ""), ": MuJoCo refuses the file ("),
     ("short vector", BODY % ('<body pos="0 0"/>', ""), ": MuJoCo refuses the file ("),
-    ("not a number", BODY % ('<body pos="0 0 x"/>', ""), ": MuJoCo refuses the file ("),
+    ("not a number", BODY % ('<body pos="0 0 x"/>', ""), ": line 1: pos of <body> is '0 0 x'; write plain"),
     ("zero axis", BODY % ('<body><joint axis="0 0 0"/></body>', ""), ": MuJoCo refuses the file ("),
     ("two joints of a name", BODY % ('<body name="b"><joint name="j"/></body>', ""), ": MuJoCo refuses the file ("),
     ("no joints", "<mujoco/>", ": it has no joints except those of free bodies"),
@@ -249,6 +249,32 @@ def test_bad_mjcf(text: str, sentence: str, tmp_path: Path) -> None:
     assert said.startswith(str(tmp_path / "robot.xml"))
     assert sentence in said
     assert "\n" not in said
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "1e300", "1_0", "\uff11", "0x10"])
+@pytest.mark.parametrize(
+    ("element", "key"),
+    [
+        ('<option gravity="0 0 {}"/>', "gravity of <option>"),
+        ('<worldbody><body pos="{} 0 0"/></worldbody>', "pos of <body>"),
+        ('<worldbody><body quat="{} 0 0 0"/></worldbody>', "quat of <body>"),
+        ('<worldbody><body><joint axis="{} 0 1"/></body></worldbody>', "axis of <joint>"),
+        ('<equality><connect body1="a" anchor="{} 0 0"/></equality>', "anchor of <connect>"),
+        ('<keyframe><key name="home" qpos="{}"/></keyframe>', "qpos of <key>"),
+    ],
+)
+def test_numbers_that_no_robot_has(
+    element: str, key: str, number: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(GtauError, match=f"robot.xml: line 1: {key} is '.*{number}.*'; write plain decimal numbers, at"):
+        load(BODY % ("", element.format(number)), tmp_path)
+    assert capfd.readouterr() == ("", "")  # MuJoCo warns of some
+
+
+@pytest.mark.parametrize("ends", ["-inf inf", "-1e300 1e300"])
+def test_infinite_limits_are_none(ends: str, tmp_path: Path) -> None:
+    text = (BODY % ("", "")).replace('name="j"', f'name="j" limited="true" range="{ends}"')
+    assert load(text, tmp_path).joint("j").limits.position is None
 
 
 def test_inactive_equalities_are_left_out_and_said(tmp_path: Path) -> None:

@@ -237,6 +237,44 @@ def test_mimic_joints_are_coupled(tmp_path: Path, rng: np.random.Generator) -> N
     assert InverseDynamics(robot).torques(q, qd, qdd, chi) == pytest.approx(whole @ ratio.T, rel=1e-9)
 
 
+MIMIC = """<robot name="r"><link name="base"/><link name="a"/><link name="b"/>
+  <joint name="one" type="revolute"><parent link="base"/><child link="a"/><limit lower="{low}" upper="{high}"
+    velocity="inf" effort="1e300"/>{first}</joint>
+  <joint name="two" type="revolute"><parent link="a"/><child link="b"/><origin xyz="{x} 0 0"/>{second}</joint></robot>
+"""
+
+
+def mimicking(tmp_path: Path, **changed: str) -> Robot:
+    values = {"low": "-1", "high": "1", "x": "0.3", "first": "", "second": '<mimic joint="one"/>'}
+    (tmp_path / "r.urdf").write_text(MIMIC.format(**{**values, **changed}))
+    return load_robot(tmp_path / "r.urdf")
+
+
+@pytest.mark.parametrize(("low", "high"), [("-inf", "inf"), ("-1e16", "1e16"), ("0", "Infinity")])
+def test_infinite_limits_are_none(low: str, high: str, tmp_path: Path) -> None:
+    assert mimicking(tmp_path, low=low, high=high).joint("one").limits == Limits()
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        *(
+            ({"x": x}, f"the xyz of joint 'two' is '{x} 0 0'; write 3 plain")
+            for x in ("\uff11", "1_000", "nan", "1e300")
+        ),
+        ({"low": "nan"}, "the lower of joint 'one' is 'nan'; write a plain"),
+        ({"second": '<mimic joint="one" multiplier="1e30"/>'}, "the multiplier of <mimic> of joint 'two' is '1e30'"),
+        ({"second": '<mimic joint="one" multiplier="1e8"/>'}, "coupling 1 gives 'two' from 'one' by a ratio of 1e"),
+        ({"second": '<mimic joint="one" multiplier="1e-8"/>'}, "coupling 1 gives 'two' from 'one' by a ratio of 1e"),
+        ({"second": '<mimic joint="two"/>'}, "joint 'two' mimics 'two', so none of them leads;"),
+        ({"first": '<mimic joint="two"/>'}, "joint 'one' mimics 'two' mimics 'one', so none of them leads;"),
+    ],
+)
+def test_numbers_and_mimics_that_no_robot_has(changed: dict[str, str], said: str, tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match=said):
+        mimicking(tmp_path, **changed)
+
+
 # Idle pins and assembly
 
 

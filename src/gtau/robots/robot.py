@@ -148,6 +148,9 @@ TRANSLATIONS = ("x", "y", "z")
 ROTATIONS = ("rx", "ry", "rz")
 
 
+RATIO = 1e6  # of a coupling: a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 the rank of the closures fails
+
+
 def base_rows(name: str) -> tuple[str, ...]:
     """Name the six joints by which a floating base moves in the world; the last bears the name of the base."""
     return (*(f"{name}_{kind}" for kind in TRANSLATIONS + ROTATIONS[:2]), name) if name else ()
@@ -332,6 +335,12 @@ def _problems(robot: Robot) -> Iterator[str]:
                 yield f"coupling {number} names '{name}', which is not a joint"
         if not others or coupling.joint in others or len(set(others)) < len(others):
             yield f"coupling {number} must give '{coupling.joint}' from one or more other joints, each named once"
+        for name, ratio in coupling.ratios:
+            if ratio and not 1.0 / RATIO <= abs(ratio) <= RATIO:
+                yield (
+                    f"coupling {number} gives '{coupling.joint}' from '{name}' by a ratio of {ratio:g}, which no gear "
+                    f"has; write one between {1.0 / RATIO:g} and {RATIO:g} in size, rad and m"
+                )
         if not all(ratio for _, ratio in coupling.ratios):
             yield f"coupling {number} of '{coupling.joint}' has a ratio of zero; leave that joint out"
     carriers = [joint.name for joint in robot.joints if joint.has_mass]

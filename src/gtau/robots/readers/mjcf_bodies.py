@@ -16,7 +16,7 @@ from gtau.robots.parts import listed
 from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons, name_in, pose_in, rotation_in
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.urdf import turning
-from gtau.robots.readers.xml_document import numbers
+from gtau.robots.readers.xml_document import numbers, position_limits
 from gtau.robots.robot import (
     GROUND,
     ROTATIONS,
@@ -137,8 +137,7 @@ def _joints(
         chain = turning(name, at.body, placement, "xyz")
         chain = [replace(joint, home=float(angle)) for joint, angle in zip(chain, angles, strict=True)]
         return [*chain[:-1], chain[-1] if last else replace(chain[-1], parameters="none")], after
-    low, high = model.jnt_range[number]
-    stop = bool(model.jnt_limited[number]) and low < high
+    low, high = map(float, model.jnt_range[number])
     joint = Joint(
         name,
         at.body,
@@ -146,7 +145,7 @@ def _joints(
         placement,
         tuple(rounded(component) for component in axis),  # type: ignore[arg-type]
         home=rounded(qpos[start]),
-        limits=Limits((float(low), float(high)) if stop else None),
+        limits=Limits(position_limits(low, high) if model.jnt_limited[number] else None),
         # the joints of one body have no links between them
         parameters="all" if last else "drive",
         spring=rounded(model.qpos_spring[start]) if np.any(model.jnt_stiffness[number]) else None,

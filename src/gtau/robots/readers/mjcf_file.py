@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.robots.geometry import SHORT, pose_of
-from gtau.robots.readers.xml_document import line_of, read_xml
+from gtau.robots.readers.xml_document import LARGEST, decimals, line_of, read_xml
 from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
 from gtau.robots.units import in_degrees
 
@@ -57,6 +57,22 @@ def _check_copies(roots: Iterable[Element]) -> None:
                 f"it holds {most:.0f} bodies, with the copies that <replicate> and <composite> ask for, and at most "
                 f"{MOST_COPIES} are read; give the file of the robot alone."
             )
+
+
+GEOMETRY = ("pos", "quat", "axis", "axisangle", "euler", "xyaxes", "zaxis", "anchor", "relpose", "ref", "springref")
+NUMBERS = (*GEOMETRY, "range", "qpos", "gravity", "polycoef", "coef", "gear")
+
+
+def _check_numbers(roots: Iterable[Element]) -> None:
+    """Refuse numbers that no robot has, before MuJoCo takes some of them and warns of others."""
+    for element in (each for root in roots for each in root.iter() if each.tag != "flag"):  # its gravity is a word
+        for key in NUMBERS:
+            if decimals(element.get(key, ""), endless=key == "range") is None:
+                text = element.get(key, "")
+                raise GtauError(
+                    f"line {line_of(element)}: {key} of <{element.tag}> is '{text if len(text) < 80 else text[:80]}'; "
+                    f"write plain decimal numbers, at most {LARGEST:g} in size."
+                )
 
 
 @dataclass(frozen=True)
@@ -193,6 +209,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     """
     elements = _with_included(root, path, ())
     _check_copies(elements)
+    _check_numbers(elements)
     try:
         import mujoco
     except ImportError:
@@ -305,14 +322,7 @@ def _angles(roots: Iterable[Element], tags: tuple[str, ...]) -> Iterator[tuple[E
             continue
         if element.tag == "frame" and element.find(".//body") is None:
             continue  # of shapes
-        for angle in _numbers(element.get(key, "")):
+        for angle in decimals(element.get(key, "")) or ():
             yield element, f"{key} of {name}", angle
-        if element.tag != "joint" and len(turn := _numbers(element.get("axisangle", ""))) == 4:
+        if element.tag != "joint" and len(turn := decimals(element.get("axisangle", "")) or []) == 4:
             yield element, f"axisangle of {name}", turn[3]
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.split()]
-    except ValueError:
-        return []

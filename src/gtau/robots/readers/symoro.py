@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
 from gtau.robots.geometry import short_angles_note
-from gtau.robots.readers.expressions import evaluate, linear
+from gtau.robots.readers.expressions import COORDINATE, RESERVED, evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
 from gtau.robots.robot import GROUND, STANDARD_GRAVITY, Attachment, Closure, Robot
 
@@ -69,6 +69,7 @@ def _robot(text: str, path: Path) -> Robot:
         )
     constants = _constants(entries)
     lists = {key: _list(entries, key, count) for key in LISTS}
+    _check_symbols(lists, constants)
     rows = []
     for k in range(count):
         rows.append(_row(k + 1, {key: lists[key][k] for key in LISTS}, constants, links, joints))
@@ -146,6 +147,21 @@ def _list(entries: Mapping[str, str], key: str, count: int) -> list[str]:
     if len(values) != count:
         raise GtauError(f"{key} has {len(values)} values; write {count}, one for each frame.")
     return values
+
+
+def _check_symbols(lists: Mapping[str, Sequence[str]], constants: Mapping[str, float]) -> None:
+    """Refuse symbols without values, all of them at once and as the file spells them."""
+    found: dict[str, tuple[str, str]] = {}
+    for key, texts in lists.items():
+        for k, text in enumerate(texts, start=1):
+            for symbol in re.findall(r"(?<![\w.])[A-Za-z_]\w*\b(?!\s*\()", text):
+                own = key in ("theta", "r") and re.fullmatch(COORDINATES.format(k), symbol, re.IGNORECASE)
+                if not own and symbol.lower() not in RESERVED - {COORDINATE} | constants.keys():
+                    found.setdefault(symbol.lower(), (symbol, f"{key} of joint {k}"))
+    if found:
+        named = ", ".join(f"{symbol} ({where})" for symbol, where in found.values())
+        first = next(symbol for symbol, _ in found.values())
+        raise GtauError(f"these symbols have no value: {named}; write one for each on a line such as '{first} = 0.45'.")
 
 
 def _row(k: int, texts: Mapping[str, str], constants: Mapping[str, float], links: int, joints: int) -> MdhRow:

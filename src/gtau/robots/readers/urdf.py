@@ -6,7 +6,7 @@ Masses and inertias in the file are left aside: they are what is to be identifie
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -17,7 +17,16 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
-from gtau.robots.readers.xml_document import attribute, line_of, numbers, read_xml, urdf_masses
+from gtau.robots.readers.xml_document import (
+    LARGEST,
+    attribute,
+    decimals,
+    line_of,
+    numbers,
+    position_limits,
+    read_xml,
+    urdf_masses,
+)
 from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose, Robot
 from gtau.robots.units import in_degrees
 
@@ -120,6 +129,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
                     f"joint '{coupling.joint}' mimics '{master}', which is not a joint that moves; correct its "
                     "<mimic>, or remove it where the joint has a motor of its own."
                 )
+        _check_circles(couplings)
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
         notes = (*urdf_masses(root, _carried(ordered)), *_limit_notes(ordered))
@@ -274,16 +284,27 @@ def _mimic(edge: _Edge) -> Coupling | None:
     return Coupling(edge.name, ((master, ratio),), offset)
 
 
+def _check_circles(couplings: Sequence[Coupling]) -> None:
+    """Refuse joints that mimic each other in a circle, of which no one moves the others."""
+    master = {coupling.joint: coupling.ratios[0][0] for coupling in couplings}
+    for first in master:
+        circle = [first]
+        while (following := master.get(circle[-1], "")) not in ("", *circle):
+            circle.append(following)
+        if following == first:
+            raise GtauError(
+                f"joint {' mimics '.join(repr(name) for name in (*circle, first))}, so none of them leads; remove the "
+                "<mimic> of the one that has the motor."
+            )
+
+
 def _reduction_notes(root: Element) -> Iterator[str]:
     """Note the gear ratios of transmissions, which are not geometry but say what gains to expect."""
     ratios = []
     for transmission in root.findall("transmission"):
         joint = transmission.find("joint")
         for reduction in transmission.iter("mechanicalReduction"):
-            try:
-                ratio = float(reduction.text or "1")
-            except ValueError:
-                continue
+            ratio, *_ = decimals(reduction.text or "1") or [1.0]
             if joint is not None and ratio not in (0.0, 1.0):
                 ratios.append(f"'{joint.get('name', '')}' {ratio:g}")
     if ratios:
@@ -323,7 +344,7 @@ def _limits(edge: _Edge) -> Limits:
     if limit is None:
         return Limits()
     values = {
-        key: numbers(text, 1, f"{key} of joint '{edge.name}'")[0]
+        key: numbers(text, 1, f"{key} of joint '{edge.name}'", endless=True)[0]
         for key in ("lower", "upper", "velocity", "effort")
         if (text := limit.get(key)) is not None
     }
@@ -331,9 +352,9 @@ def _limits(edge: _Edge) -> Limits:
     low, high = values.get("lower", 0.0), values.get("upper", 0.0)
     velocity, effort = values.get("velocity", 0.0), values.get("effort", 0.0)
     return Limits(
-        position=None if endless or low >= high else (low, high),
-        velocity=velocity if velocity > 0.0 else None,
-        effort=effort if effort > 0.0 else None,
+        position=None if endless else position_limits(low, high),
+        velocity=velocity if 0.0 < velocity <= LARGEST else None,
+        effort=effort if 0.0 < effort <= LARGEST else None,
     )
 
 
@@ -344,7 +365,10 @@ def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
         limit = edge.element.find("limit")
         if edge.kind is None or limit is None or _limits(edge).position or edge.element.get("type") == "continuous":
             continue
-        low, high = (numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'")[0] for key in ("lower", "upper"))
+        low, high = (
+            numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
+            for key in ("lower", "upper")
+        )
         if {"lower", "upper"}.intersection(limit.keys()) and low >= high:
             dropped.append(f"'{edge.name}' ({low:g} to {high:g})")
     if dropped:

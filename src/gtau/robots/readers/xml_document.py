@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from math import isfinite
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 from xml.parsers.expat import errors
@@ -80,16 +79,36 @@ def line_of(element: Element) -> int:
     return int(getattr(element, "line", 0))
 
 
-def numbers(text: str, count: int, what: str) -> list[float]:
-    """Read the finite numbers of an attribute or element; refuse any other count."""
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(isfinite, values)):
-        needed = "a number" if count == 1 else f"{count} numbers"
-        raise GtauError(f"the {what} is '{text}'; write {needed}.")
+DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+ENDLESS = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE | re.ASCII)
+LARGEST = 1e9  # SI units: no length, angle or mass of a robot comes near; files write 1e16 and more for 'no limit'
+
+
+def decimals(text: str, endless: bool = False) -> list[float] | None:
+    """Read the numbers of an attribute, in plain decimals that a robot can have; None where one is something else.
+
+    With ``endless`` they are limits, which may be infinite or beyond all that a robot can have.
+    """
+    values = []
+    for word in text.split():
+        if not (DECIMAL.fullmatch(word) or (endless and ENDLESS.fullmatch(word))):
+            return None
+        values.append(float(word))
+    return values if endless or all(abs(value) <= LARGEST for value in values) else None
+
+
+def numbers(text: str, count: int, what: str, endless: bool = False) -> list[float]:
+    """Read the numbers of an attribute or element, see :func:`decimals`; refuse any other count."""
+    values = decimals(text, endless)
+    if values is None or len(values) != count:
+        needed = "a plain decimal number" if count == 1 else f"{count} plain decimal numbers"
+        raise GtauError(f"the {what} is '{text}'; write {needed}, at most {LARGEST:g} in size.")
     return values
+
+
+def position_limits(low: float, high: float) -> tuple[float, float] | None:
+    """Return position limits, rad or m; None where they leave no range, or one of them is no limit."""
+    return (low, high) if low < high and max(abs(low), abs(high)) <= LARGEST else None
 
 
 def attribute(element: Element, key: str, what: str) -> str:
@@ -152,7 +171,7 @@ def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
         mass = _number(inertial, "mass")
         if mass is not None and mass <= 0.0 and body.find("joint") is not None:
             odd.append(f"{name} (line {line_of(inertial)}) weighs {mass:g} kg")
-        diagonal, full = (_numbers(inertial.get(key, "")) for key in ("diaginertia", "fullinertia"))
+        diagonal, full = (decimals(inertial.get(key, "")) or [] for key in ("diaginertia", "fullinertia"))
         if len(diagonal) == 3:
             odd += _impossible(name, inertial, np.diag(diagonal))
         elif len(full) == 6:
@@ -163,8 +182,6 @@ def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
 
 def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:
     """Report impossible moments of an inertia (3, 3), kg m2: negative ones, or one above the sum of the others."""
-    if not np.isfinite(tensor).all():
-        return []
     moments = np.linalg.eigvalsh(tensor)
     if np.abs(moments).max() < TINY:
         return []
@@ -190,12 +207,5 @@ def _shown(texts: list[str], between: str = ", ") -> str:
 
 
 def _number(element: Element, key: str) -> float | None:
-    found = _numbers(element.get(key, ""))
+    found = decimals(element.get(key, "")) or []
     return found[0] if len(found) == 1 else None
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.split()]
-    except ValueError:
-        return []
