@@ -32,7 +32,22 @@ REWRITTEN = [  # in the places below: also words that are right now and then, bu
 NAMES = re.compile(
     r"\{\w+[^{}]*\}|^ *\w+(?:, \w+)* : ", re.MULTILINE
 )  # what a template fills in; parameters and attributes
-FOLDERS = ("cli", "demo", "documents", "excitation", "export", "fleet", "model", "parallel", "robots", "simulation")
+FOLDERS = (
+    *(
+        "cli",
+        "demo",
+        "documents",
+        "estimation",
+        "excitation",
+        "export",
+        "fleet",
+        "model",
+        "report",
+        "robots",
+        "signals",
+    ),
+    "simulation",
+)
 PAGES = ("benchmarks", "catalog", "equations", "log-check", "robot-file", "scale", "simulation-file")
 PLACES = {
     **{f"src/gtau/{folder}": EVERYWHERE + REWRITTEN for folder in FOLDERS},

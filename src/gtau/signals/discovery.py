@@ -63,7 +63,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     paths : sequence of Path
         The logs, one for each run; or all logs of positions and then as many of commands, run by run.
     robot : Robot, optional
-        Its actuated joints are looked for in the names, and its kinds and numbers of joints help to tell units.
+        Its actuated joints are looked for in the names, and its kinds and numbers of joints help to infer units.
     source : str, optional
         What the experiment file is to name as the robot.
     base : optional

@@ -36,8 +36,6 @@ from gtau.estimation.thresholds.estimates import (
 from gtau.model.base_parameters import whole_mass
 from gtau.robots.units import torque_unit
 
-NORMAL = 1.96  # standard deviations in half a 95 % interval
-
 
 def estimated_gains(
     fit: Fit, examined: Examination, uncertainty: Uncertainty, accuracy: float, prior_gains: Mapping[str, float]
@@ -56,6 +54,7 @@ def estimated_gains(
     problem, solution, gains = fit.system.problem, fit.solution, fit.gains
     stds = np.sqrt(np.diag(uncertainty.random))[problem.gain_rows] / np.abs(gains)
     halves = half_widths(fit, uncertainty)
+    random_halves = halves * stds / (np.sqrt(np.diag(uncertainty.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = solution.sigma / problem.balance(solution.theta)
     wrenches, payload = {"wrenches": measured_wrenches(fit)}, {"payload": bool(fit.system.payloads)}
     yield from (replace(each, values={**each.values, **wrenches}) for each in examined.swapped)
@@ -85,7 +84,7 @@ def estimated_gains(
                 values = {"move": float(each.moves[j]), "t": each.t, **wrenches}
                 yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, severity=abs(each.t))
         if half > accuracy:
-            values = {"half": half, "accuracy": accuracy, "random": bool(NORMAL * std > accuracy), **payload}
+            values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy), **payload}
             kind, causes = _widest(examined, uncertainty, problem.n_theta + j)
             yield Finding(kind, mine, values=values, causes=causes)
         if gains[j] < 0:

@@ -41,7 +41,7 @@ LARGEST = 10.0  # times the joint's error: how large such a torque may be, more 
 class PositionRipple:
     """What repeats at the same positions.
 
-    ``shares`` (c,) of the variance of each channel's errors that one half of the runs tells of the other, and by how
+    ``shares`` (c,) of the variance of each channel's errors that one half of the runs predicts in the other, and by how
     much (theta, gains, delays) move when it is taken into account, ``moves`` (n_theta + 2 c,), which are zero where
     nothing repeats. A torque sensor does not feel the ripple of its motor.
     """

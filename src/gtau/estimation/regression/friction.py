@@ -86,9 +86,9 @@ def transmitted(names: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Temperatures:
-    """Mean temperatures of joints over all runs, in ``unit``, and deviations from them.
+    """Mean temperatures of joints over all runs, in ``unit``, and differences from them.
 
-    ``reference`` are the means by joint, ``of_stretches`` the deviations (stretches, n) in each run; those of joints
+    ``reference`` are the means by joint, ``of_stretches`` the differences (stretches, n) in each run; those of joints
     without a temperature are zero. ``prepared`` are the runs.
     """
 
@@ -98,7 +98,7 @@ class Temperatures:
     prepared: tuple[PreparedRun, ...]
 
     def between(self, run: int, begin: float, end: float) -> np.ndarray:
-        """Average the deviations (n,) between two instants of a run."""
+        """Average the differences (n,) between two instants of a run."""
         of, time = self.prepared[run].run, np.linspace(begin, end, INSTANTS)
         assert of.temperature is not None  # all runs have one
         means = {joint: of.temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}
@@ -106,7 +106,7 @@ class Temperatures:
 
 
 def temperatures_of(prepared: Sequence[PreparedRun]) -> Temperatures | None:
-    """Find the deviations in all runs; None where none has a temperature, GtauError where some have."""
+    """Find the differences in all runs; None where none has a temperature, GtauError where some have."""
     found = [each.run.temperature for each in prepared]
     logged = [each for each in found if each is not None]
     if not logged:

@@ -121,7 +121,7 @@ def assemble_system(
     priors : mapping, optional
         What is known of parameters, by name.
     temperatures : sequence of ndarray, optional
-        Deviations (stretches, n) of the joints' temperatures from their means, for each run.
+        Differences (stretches, n) of the joints' temperatures from their means, for each run.
     wrenches : sequence of str
         Bodies on which measured wrenches act.
 

@@ -268,10 +268,10 @@ def _sensors(
 
 def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
     """Compute the standard deviation between runs of each friction parameter that may drift."""
-    deviations: dict[str, list[float]] = {}
+    differences: dict[str, list[float]] = {}
     for name, value in zip(system.problem.parameters, theta, strict=True):
         kind, body, run = parameter_of(name)
         if run is not None:
-            deviations.setdefault(Parameter(kind, body).name, []).append(float(value))
-    # the deviations of all runs add up to zero, and the last is not listed
-    return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in deviations.items()}
+            differences.setdefault(Parameter(kind, body).name, []).append(float(value))
+    # the differences of all runs add up to zero, and the last is not listed
+    return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in differences.items()}

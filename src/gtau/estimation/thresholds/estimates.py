@@ -124,7 +124,7 @@ PLAUSIBLE_LAG = Threshold(
 PLAUSIBLE_ZERO = Threshold(0.5, "error of an encoder's zero, degrees or mm", NONE, NONE, "experience")
 PLAUSIBLE_TILT = Threshold(1.0, "tilt of the base, degrees", NONE, NONE, "experience")
 PLAUSIBLE_GRAVITY = Threshold(
-    0.2, "deviation of local gravity from the standard, per cent", "0.26 at most on Earth", NONE, "latitude and height"
+    0.2, "difference of local gravity from the standard, per cent", "0.26 at most on Earth", NONE, "latitude and height"
 )
 
 
@@ -206,8 +206,8 @@ REFUTED_STD = Threshold(
 REFUTED_SHARE = Threshold(
     0.05,
     "share of the residual variance that it explains",
-    "up to 0.03 at more than 6 deviations with moves above the accuracy: none (UR10e pairs); 0.06 to 0.21 beside a "
-    "lag or elasticity of 0.07 to 0.39, which then explains it",
+    "up to 0.03 at more than 6 standard deviations with moves above the accuracy: none (UR10e pairs); 0.06 to 0.21 "
+    "beside a lag or elasticity of 0.07 to 0.39, which then explains it",
     "0.06 to 0.86 (faults)",
     "faults, UR10e pairs; a dVRK arm, and currents low-passed or joints elastic in benchmarks/calibration.py",
 )
