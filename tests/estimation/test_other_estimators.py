@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,13 +21,16 @@ from gtau.estimation.diagnostics.other_estimators import (
     position_noise,
     two_stage_difference,
 )
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
+from gtau.estimation.estimators.two_stage import instrument_strength
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.model.home import load_robot
 from gtau.signals.decimation import Decimator
+from gtau.signals.notes import Kind
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import Preparation
 from gtau.signals.preparation_choice import choose_preparation
@@ -41,8 +46,8 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-def logs(encoder_noise: float = 0.0, seconds: float = 8.0) -> list[Run]:
-    plant, rng = Plant(noise=0.01), np.random.default_rng(5)
+def logs(encoder_noise: float = 0.0, seconds: float = 8.0, noise: float = 0.01) -> list[Run]:
+    plant, rng = Plant(noise=noise), np.random.default_rng(5)
     runs = [
         plant.run("free", seconds, seed=1),
         replace(plant.run("loaded", seconds, STEEL, seed=2), payload=Payload(name="steel", mass=STEEL["m"])),
@@ -88,7 +93,9 @@ def test_the_summary_names_the_noise_and_the_intervals_allow_for_it(noisy: Fit) 
 
 def test_nothing_is_said_of_clean_logs() -> None:
     fit = fit_of(logs())
-    alternatives = alternatives_of(fit, (*other_estimators(fit)[0], two_stage_difference(fit)))
+    by_two_stage = two_stage_difference(fit)
+    assert isinstance(by_two_stage, Difference)
+    alternatives = alternatives_of(fit, (*other_estimators(fit)[0], by_two_stage))
     assert position_noise(fit, alternatives) == []
     n_theta = fit.system.problem.n_theta
     std = np.sqrt(np.diag(fit.solution.jackknife))[n_theta : n_theta + 2]
@@ -122,3 +129,41 @@ def test_alternatives_are_listed_with_the_result() -> None:
     assert {F.INSTRUMENTS, F.TWO_STAGE, F.BANDWIDTH, F.SLOW_ROWS} <= listed
     causes = [cause for each in result.alternatives for cause in each.causes]
     assert Finding(F.BANDWIDTH, ("left",), values={"factor": 0.7}) in causes
+
+
+def test_instruments_are_as_strong_as_the_currents_are_clear_of_noise() -> None:
+    """Where nothing but noise is left of them F is about one, as theirs is; there 2SLS is not compared."""
+    strengths = []
+    for noise in (0.03, 0.3, 30.0):
+        fit = fit_of(logs(noise=noise))
+        strengths.append(instrument_strength(fit.system.problem, fit.solution))
+    assert strengths[0] / strengths[1] == pytest.approx(100, rel=0.3)
+    assert strengths[2] < 3
+    found = two_stage_difference(fit)
+    assert isinstance(found, Finding)
+    assert found.kind == F.WEAK_INSTRUMENTS
+
+
+def test_one_chirp_of_all_joints_is_no_contradiction_of_2sls(shared: Path, tmp_path: Path) -> None:
+    """Gains from loaded less unloaded currents, joint by joint: 0.94, 1.60, 1.47, 0.91 and 0.98."""
+    folder = shared / "airbot_play"
+    joints = [f"joint{k}" for k in range(1, 7)]
+    described = {
+        "robot": str(folder / "airbot_play_v3_0_gripper.urdf"),
+        "signals": {
+            "time": "t",
+            "position": dict(zip(joints, [f"q{k}" for k in range(1, 7)], strict=True)),
+            "current": dict(zip(joints, [f"tau{k}" for k in range(1, 7)], strict=True)),
+        },
+        "runs": [
+            {"log": str(folder / "chirp_unloaded.csv")},
+            {"log": str(folder / "trapezoidal_unloaded.csv")},
+            {"log": str(folder / "chirp_loaded_480g.csv"), "payload": {"name": "load", "mass": 0.48}},
+        ],
+    }
+    (tmp_path / "experiment.yaml").write_text(json.dumps(described))
+    result = identify(tmp_path / "experiment.yaml")
+    found = [result.drive_gains[joint] for joint in joints[:5]]
+    assert [gain.value for gain in found] == pytest.approx([0.94, 1.60, 1.47, 0.91, 0.98], rel=0.08)
+    assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in result.drive_gains.values()}
+    assert [note.kind for note in result.notes if note.finding == F.WEAK_INSTRUMENTS] == [Kind.READING]

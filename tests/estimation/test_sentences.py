@@ -181,6 +181,10 @@ SENTENCES = [  # finding, reason, advice
      "more than 0.71 %",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
+    (Finding(F.WEAK_INSTRUMENTS, values={"strength": 1.43, "needed": 6.8}),
+     "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of 1.4, "
+     "where it needs 6.8), so that it would differ by its own bias",
+     "let the joints move independently of each other, or use a heavier payload"),
     (Finding(F.UNTESTED,
      values={"refusal": "the loops do not close at 1.2 s"},
      causes=(Finding(F.INSTRUMENTS), Finding(F.BANDWIDTH, values={"factor": 0.7}),)),

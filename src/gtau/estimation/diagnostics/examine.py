@@ -48,7 +48,7 @@ class Examination:
     swapped : tuple of Finding
         Pairs of joints whose channels look swapped.
     untested : tuple of Finding
-        Tests that refused these data, and why.
+        Tests that refused these data or have no power on them, and why.
     """
 
     lack_of_fit: float
@@ -96,7 +96,11 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     scaled = False
     (*differences,), untested = other_estimators(fit)
     if fit.free_gains:
-        differences.append(two_stage_difference(fit))
+        by_two_stage = two_stage_difference(fit)
+        if isinstance(by_two_stage, Finding):
+            untested = (*untested, by_two_stage)
+        else:
+            differences.append(by_two_stage)
         changes = _of_gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += changes

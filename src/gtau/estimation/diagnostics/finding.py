@@ -53,6 +53,7 @@ class FindingKind(StrEnum):
     RIPPLE = "position ripple"
     SMALL_REFUTATION = "description refuted, gains unmoved"
     UNTESTED = "other estimators not tried"
+    WEAK_INSTRUMENTS = "weak instruments"
     AUTOCORRELATED = "autocorrelated residuals"
     IMPOSSIBLE_PARAMETERS = "impossible parameters"
     NOT_SEPARATED = "parameters not separated"

@@ -30,13 +30,14 @@ from gtau.estimation.diagnostics.linearisation import (
     linearise,
     window_rows,
 )
+from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains, whitening
-from gtau.estimation.estimators.two_stage import two_stage
+from gtau.estimation.estimators.two_stage import instrument_strength, two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
-from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD
+from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
 from gtau.signals.filters import below_nyquist
 from gtau.signals.preparation import Preparation
 
@@ -128,12 +129,16 @@ def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
     return [Finding(F.POSITION_NOISE, estimate.joints, estimate.subject, values)]
 
 
-def two_stage_difference(fit: Fit) -> Difference:
+def two_stage_difference(fit: Fit) -> Difference | Finding:
     """Find what 2SLS, which uses the same equations otherwise, finds otherwise, from the jackknife of both.
 
-    The standard deviation counts as no smaller than that of the estimates themselves.
+    The standard deviation counts as no smaller than that of the estimates themselves. Where the instruments are weak,
+    what it finds otherwise is its own bias, and the finding says so instead.
     """
     problem, solution = fit.system.problem, fit.solution
+    strength = instrument_strength(problem, solution) / max(lack_of_fit(problem, solution), 1.0) ** 2
+    if strength < WEAK_INSTRUMENTS:
+        return Finding(F.WEAK_INSTRUMENTS, values={"strength": strength, "needed": float(WEAK_INSTRUMENTS)})
     # with the same delays: where motions are slow, a joint's own equations hardly determine its delay
     other = two_stage(problem, solution.delays)
     between = np.sqrt(np.diag(jackknife(solution.replicates() - other.replicates())))

@@ -325,6 +325,11 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "{cause} would explain {share:.0f%} of the residual variance and move no gain by more than {move:.2g%}",
         "{to_do}",
     ),
+    F.WEAK_INSTRUMENTS: (
+        "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of "
+        "{strength:.2g}, where it needs {needed:.2g}), so that it would differ by its own bias",
+        "let the joints move independently of each other, or use a heavier payload",
+    ),
     F.UNTESTED: ("{cause} could not be made for comparison: {refusal}", ""),
     F.AUTOCORRELATED: (
         "residuals are autocorrelated: standard errors are {factor:.1f} times those of white noise, so the model lacks "
@@ -387,6 +392,7 @@ NOTES: Mapping[F, Kind] = {
     F.COMMAND_LAG: Kind.FILTERED,
     F.SLIGHT_COMMAND_LAG: Kind.READING,
     F.UNTESTED: Kind.READING,
+    F.WEAK_INSTRUMENTS: Kind.READING,
     F.NOT_SEPARATED: Kind.SEPARATION,
 }
 """Kinds of the notes that are not on the model."""

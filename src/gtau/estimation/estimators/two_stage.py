@@ -19,6 +19,8 @@ from gtau.estimation.regression.equations import KNOWN, MODEL, delayed_signal, t
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 
+EXPLAINED = 1e-10  # of the largest singular value: directions of the parameters that rounding leaves
+
 
 def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     """Solve two-stage least squares (2SLS).
@@ -72,6 +74,41 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         )  # delays are those of all units
 
     return replace(solution, replicates=replicates)
+
+
+def instrument_strength(problem: Problem, solution: Solution) -> float:
+    """Compute the Cragg-Donald statistic of the first stage: the F of the combination of gains explained least.
+
+    Below some ten, the projected currents are mostly the noise that they share with the measured ones, and 2SLS has
+    much of the bias of least squares (Stock and Yogo 2005), which its standard deviation does not show. Errors count as
+    independent: divide by the square of :func:`gtau.estimation.diagnostics.log_checks.lack_of_fit` where they are not.
+
+    Parameters
+    ----------
+    problem, solution : Problem, Solution
+        The equations; the gains and delays at which they are weighed.
+
+    Returns
+    -------
+    float
+        Infinite where no gain is free or the equations leave no instrument to spare.
+    """
+    n_theta, free = problem.n_theta, problem.free
+    parts = []
+    for j, (R, columns, d) in enumerate(zip(problem.triangles, problem.own_columns, solution.delays, strict=True)):
+        coefficients = least_squares(R[:, columns], delayed_signal(R, d))
+        parts.append(_rows(problem, j, R, coefficients) / (problem.own_sigma[j] * abs(solution.gains[j])))
+    rows = np.concatenate([*parts, np.pad(problem.known[:, :-1], ((0, 0), (0, len(free) + 1)))])
+    # currents in units of their own noise, less what the parameters that all joints share explain of them
+    currents = (rows[:, n_theta:-1] * solution.gains)[:, free]
+    norms = np.linalg.norm(rows[:, :n_theta], axis=0)
+    U, s, _ = np.linalg.svd(rows[:, :n_theta] / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    U = U[:, s > EXPLAINED * s.max(initial=0.0)]
+    instruments = sum(map(len, problem.own_columns)) + len(problem.known) - U.shape[1]
+    if not free.any() or instruments < 1:
+        return np.inf
+    smallest = np.linalg.svd(currents - U @ (U.T @ currents), compute_uv=False)[-1]
+    return float(smallest**2 / instruments)
 
 
 def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
