@@ -204,3 +204,15 @@ def test_the_panda_was_polled_at_a_regular_rate(shared: Path) -> None:
     clock = clock_of(time, np.loadtxt(folder / "exciting_traj_positions.txt").reshape(-1, 7))
     assert clock.regular
     assert clock.period == pytest.approx(1e-3, rel=1e-4)
+
+
+@pytest.mark.parametrize("run", range(1, 5))
+def test_packets_of_all_sizes_lack_no_sample(shared: Path, run: int) -> None:
+    """All 20,001 samples of each log are there, one by one for a while, then up to 8 at once."""
+    signals = {"time": "t", "position": {"a": "q_shoulder"}, "current": {"a": "i_shoulder"}}
+    for clock in (None, "regular"):
+        settings = PreparationSettings(clock=clock)
+        found = read_run(shared / "idle_and_bursts" / "arm_bursts" / f"run_{run}.parquet", signals, settings=settings)
+        assert found.rate == pytest.approx(500, rel=1e-4)
+        assert len(found.time) == 20_001
+        assert any(str(note).endswith("give it (time: {rate: HZ})") for note in found.notes)

@@ -250,9 +250,11 @@ def uniform(samples: Samples, instants: np.ndarray, grid: Resampling, given: boo
         masks.append(valid)
         missing, masked = missing + lacking[0], masked + lacking[1]
     if masked > MAX_MISSING * count or missing > MAX_BRIDGED * count:
+        what = "by stamps that come in packets, " if clock.packets else ""
+        repair = ", or, where no sample is missing, give the rate instead (time: {rate: HZ})" if clock.regular else ""
         raise GtauError(
-            f"{source.name} lacks {missing} of {count} samples (steps of {clock.shortest * 1e3:.3g} to "
-            f"{clock.longest * 1e3:.3g} ms); record it at a steady rate."
+            f"{source.name} lacks {missing} of {count} samples ({what}steps of {clock.shortest * 1e3:.3g} to "
+            f"{clock.longest * 1e3:.3g} ms); record it at a steady rate{repair}."
         )
     if missing:
         what = f"interpolated {counted(missing, 'missing sample')}"
@@ -286,7 +288,8 @@ def _of_clock(clock: Clock, given: bool) -> list[Note]:
         f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at a regular "
         f"{clock.rate:.2f} Hz instead, {why}"
     )
-    return [Note(Kind.READING, what)]
+    repair = "if the rate is another one, give it (time: {rate: HZ})" if clock.packets else ""
+    return [Note(Kind.READING, what, repair)]
 
 
 def resampled(
