@@ -8,14 +8,16 @@ from pathlib import Path
 
 import pytest
 from five_bar_logs import STEEL, Plant, write_log
+from pydantic import TypeAdapter
 from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
-from gtau.estimation.grades import EXIT_CODES, GRADES, Grade, by_grade, from_document, grade_of, to_document
+from gtau.estimation.grades import EXIT_CODES, GRADES, Grade, by_grade, grade_of, to_document
 from gtau.estimation.identify import identify
+from gtau.estimation.results.model_file import NoteEntry
 from gtau.estimation.results.remarks import findings
 from gtau.report.findings import findings_table
 from gtau.signals.notes import Kind, Note
@@ -42,7 +44,7 @@ def test_every_kind_has_a_grade_and_repairs_are_graded_by_what_they_cost() -> No
 def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
     note = Note(Kind.CLIPPED, "clipped", "slow down", joint="a", time=2.0, share=0.01).of("log.csv").of("run")
     assert str(note) == "run: log.csv: clipped; slow down"
-    for copy in (pickle.loads(pickle.dumps(note)), from_document(json.loads(json.dumps(to_document(note))))):
+    for copy in (pickle.loads(pickle.dumps(note)), TypeAdapter(NoteEntry).validate_json(json.dumps(to_document(note)))):
         assert copy == note
 
 

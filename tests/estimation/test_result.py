@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,6 +65,56 @@ def test_nothing_in_a_model_is_not_json(result: Result, tmp_path: Path) -> None:
         json.dumps(to_document(result))
     )
     assert [file.name for file in tmp_path.iterdir()] == ["model.json"]
+
+
+def values_of(document: Any, at: tuple = ()) -> Iterator[tuple]:
+    """Paths to all values of a document, the first two of each list."""
+    items = document.items() if isinstance(document, dict) else enumerate(document[:2])
+    for key, value in items:
+        yield (*at, key)
+        if isinstance(value, dict | list):
+            yield from values_of(value, (*at, key))
+
+
+def edited(document: Any, place: tuple, *value: Any) -> Any:
+    """A copy with another value at a place, or with none."""
+    key, *rest = place
+    copy = dict(document) if isinstance(document, dict) else list(document)
+    if rest:
+        copy[key] = edited(copy[key], tuple(rest), *value)
+    elif value:
+        copy[key] = value[0]
+    else:
+        del copy[key]
+    return copy
+
+
+WRONG = (None, "abc", -3, [], {}, 1e300, "", {"a": {"b": 1}}, [1, "x"], 10**400)
+
+
+@pytest.mark.slow
+def test_an_edited_model_works_or_is_refused_in_a_sentence(result: Result, tmp_path: Path) -> None:
+    document = json.loads(json.dumps(to_document(result)))
+    file, places = tmp_path / "model.json", list(values_of(document))
+    edits = [edited(document, place) for place in places]
+    for k, place in enumerate(places):  # all wrong values at each key of the document, two of them at the others
+        chosen = WRONG if len(place) == 1 else (WRONG[k % len(WRONG)], WRONG[(k + 3) % len(WRONG)])
+        edits += [edited(document, place, value) for value in chosen]
+    assert len(edits) > 1000
+    refused = []
+    for edit in edits:
+        file.write_text(json.dumps(edit))
+        try:
+            found = Result.load(file)
+        except GtauError as error:
+            refused.append(str(error))
+        else:
+            assert set(found.params) == set(found.parameters)
+            assert found.to_frame().height
+            assert found.summary()
+    assert len(edits) / 2 < len(refused) < len(edits)
+    assert all(sentence.startswith(str(file)) for sentence in refused)
+    assert max(map(len, refused)) < len(str(file)) + 500
 
 
 def test_predictions_are_the_plant_s_torques(result: Result) -> None:

@@ -408,7 +408,7 @@ MODELS = [
     ),
     Case(
         "a key gone",
-        "model.json is damaged ('drive_gains' is missing)",
+        "model.json: the key 'drive_gains' is missing; add it",
         _model(lambda text: text.replace('"drive_gains"', '"gains"')),
         VALIDATE,
     ),
@@ -426,7 +426,7 @@ MODELS = [
     ),
     Case(
         "a gain in words",
-        "could not convert string to float: 'high'",
+        "model.json, drive_gains.1.value: 'high' is not a number",
         _model(lambda text: text.replace('"value": ', '"value": "high", "old": ', 1)),
         VALIDATE,
     ),

@@ -6,6 +6,7 @@ import types
 import typing
 from collections.abc import Mapping
 from difflib import get_close_matches
+from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
@@ -105,7 +106,8 @@ def _fields(annotation: Any, keys: KeyPath) -> set[str]:
 def _sentence(error: ErrorDetails) -> str:
     """Say in our words what pydantic found."""
     value, context = error["input"], error.get("ctx", {})
-    written = "a list" if isinstance(value, list) else "a group of keys" if isinstance(value, dict) else f"'{value}'"
+    written = "null" if value is None else f"'{shorten(str(value), 60)}'"
+    written = "a list" if isinstance(value, list) else "a group of keys" if isinstance(value, dict) else written
     match error["type"]:
         case "value_error":
             return str(context["error"])
@@ -115,12 +117,12 @@ def _sentence(error: ErrorDetails) -> str:
             return f"write true or false, not {written}"
         case "string_type":
             return f"write a single value, not {written}"
-        case "dict_type" | "model_type" | "model_attributes_type":
+        case "dict_type" | "model_type" | "model_attributes_type" | "dataclass_type":
             return f"write 'key: value' lines under it, not {written}"
         case "list_type" | "tuple_type":
             return f"write a list such as [..., ...], not {written}"
         case "literal_error" | "enum":
-            return f"write {context['expected']}, not {written}"
+            return f"write {shorten(context['expected'], 200, placeholder=' ...')}, not {written}"
         case "too_short" | "too_long":
             bound = context.get("min_length", context.get("max_length"))
             least = "" if context["field_type"] == "Tuple" else "at least " if "min_length" in context else "at most "

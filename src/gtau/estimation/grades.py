@@ -74,17 +74,3 @@ def to_document(note: Note) -> dict[str, Any]:
         "what": note.what,
         "action": note.action or None,
     }
-
-
-def from_document(document: Mapping[str, Any]) -> Note:
-    """Restore a note from the document that :func:`to_document` made."""
-    return Note(
-        Kind(document["kind"]),
-        document["what"],
-        document["action"] or "",
-        source=document["source"] or "",
-        joint=document["joint"] or "",
-        time=document["time"],
-        share=document["share"],
-        finding=document["finding"] or "",
-    )

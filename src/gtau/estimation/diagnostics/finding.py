@@ -118,10 +118,3 @@ def finding_document(finding: Finding) -> dict[str, Any]:
         "values": dict(finding.values),
         "causes": [finding_document(each) for each in finding.causes],
     }
-
-
-def read_finding(document: Mapping[str, Any]) -> Finding:
-    """Restore a finding from the document that :func:`finding_document` made."""
-    causes = tuple(map(read_finding, document["causes"]))
-    kind, joints = FindingKind(document["kind"]), tuple(document["joints"])
-    return Finding(kind, joints, document["subject"], dict(document["values"]), causes)

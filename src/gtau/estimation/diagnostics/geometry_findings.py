@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -139,18 +138,6 @@ class GeometryTest:
 def to_document(test: GeometryTest) -> dict[str, Any]:
     """Describe the test as a JSON document, SI units, without the residuals in time."""
     return asdict(replace(test, traces=())) | {"sentence": str(test.note)}
-
-
-def from_document(document: Mapping[str, Any]) -> GeometryTest:
-    """Restore a test from the document that :func:`to_document` made."""
-    fields = {key: value for key, value in document.items() if key != "sentence"}
-    explained, tried = (
-        tuple(ConstantChange(**{**each, "alike": tuple(each["alike"])}) for each in fields[key])
-        for key in ("explained_by", "tried")
-    )
-    residuals = tuple(PoseResidual(**each) for each in fields["residuals"])
-    fields |= {"explained_by": explained, "tried": tried, "residuals": residuals}
-    return GeometryTest(**fields | {"unseen": tuple(fields["unseen"]), "traces": ()})
 
 
 def _sizes(position: float | None, angle: float | None) -> str:

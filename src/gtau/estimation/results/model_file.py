@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from math import isfinite
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    NonNegativeFloat,
+    PositiveInt,
+    model_validator,
+)
 
 from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
+from gtau.documents.validation import Positive, unknown, validate
+from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import read_finding
-from gtau.estimation.diagnostics.geometry_findings import from_document as read_geometry
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.sentences import advice, reason
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
-from gtau.estimation.grades import from_document as read_note
+from gtau.estimation.estimators.registry import PLACES
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
@@ -30,21 +45,198 @@ from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.native import parse_native
 from gtau.signals.decimation import Decimator
+from gtau.signals.notes import Note
 from gtau.signals.preparation import Preparation
 
 Model = TypeVar("Model", bound=IdentifiedModel)
 
 
-def _read_standard(document: Mapping[str, Any]) -> Consistency:
-    return Consistency(
-        standard={each["name"]: float(each["value"]) for each in document["parameters"]},
-        payloads={each["name"]: each["parameters"] for each in document["payloads"]},
-        gains={each["joint"]: (float(each["value"]), float(each["std"])) for each in document["drive_gains"]},
-        moves=tuple(Move(**each) for each in document["moves"]),
-        eigenvalues=document["smallest_eigenvalues"],
-        loss=document["loss"],
-        open=tuple(each["name"] for each in document["parameters"] if each["open"]),
-    )
+class _Group(BaseModel):
+    """A group of ``model.json``, of which what follows from other values is not read."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+
+
+def _gathered(entry: Any) -> Any:
+    """Give the entry of an estimate the keys of :class:`Estimate`: its name, as of a joint, and its verdict."""
+    if not isinstance(entry, dict):
+        return entry
+    for key in ("value", "std", "freedom", "model_std", "outcome", "finding"):
+        if key not in entry:
+            raise ValueError(f"the key '{key}' is missing; add it")
+    return {"name": entry.get("joint"), **entry, "verdict": entry}
+
+
+def _by_name(estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+    if len({each.name for each in estimates}) < len(estimates):
+        raise ValueError("a name is used twice; remove one entry")
+    return estimates
+
+
+def _method(name: str) -> str:
+    if name not in PLACES:
+        raise ValueError(unknown(f"method '{name}'", name, PLACES))
+    return name
+
+
+_Estimate = Annotated[Estimate, BeforeValidator(_gathered)]
+_Estimates = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
+NoteEntry = Annotated[
+    Note,
+    BeforeValidator(lambda note: {k: v for k, v in note.items() if v is not None} if isinstance(note, dict) else note),
+]
+"""A note as :func:`gtau.estimation.grades.to_document` writes it, null for what it lacks."""
+
+
+class _Known(_Group):
+    known: bool
+
+
+class _Payload(_Group):
+    name: str
+    run: str
+    outcome: Outcome
+    finding: Finding | None
+    parameters: dict[str, _Estimate]
+    known: dict[str, _Known] = Field(validation_alias="parameters")
+
+    def made(self) -> PayloadEstimate:
+        known = frozenset(kind for kind, each in self.known.items() if each.known)
+        return PayloadEstimate(self.name, self.run, self.parameters, known, Verdict(self.outcome, self.finding))
+
+
+class _Sensor(_Group):
+    joint: str
+    parameters: _Estimates
+    delay: _Estimate
+    residual: TorqueError
+    ratio: _Estimate | None
+
+    def made(self) -> SensorEstimate:
+        return SensorEstimate(self.joint, _named(self.parameters), self.delay, self.residual, self.ratio)
+
+
+class _Preparation(_Group):
+    bandwidth: Positive
+    cutoff: Positive | None
+    decimation: PositiveInt
+    decimator: Literal["fir", "chebyshev"]
+    speed_fraction: NonNegativeFloat
+    rate: NonNegativeFloat
+    given: tuple[str, ...]
+
+    def made(self) -> Preparation:
+        decimator = Decimator(self.decimation, self.decimator)
+        return Preparation(self.bandwidth, self.cutoff, decimator, self.speed_fraction, self.rate, self.given)
+
+
+class _Parameter(_Group):
+    name: str
+    value: float
+    open: bool
+
+
+class _PayloadParameters(_Group):
+    name: str
+    parameters: dict[str, float]
+
+
+class _Gain(_Group):
+    joint: str
+    value: float
+    std: float
+
+
+class _Standard(_Group):
+    parameters: tuple[_Parameter, ...]
+    payloads: tuple[_PayloadParameters, ...]
+    drive_gains: tuple[_Gain, ...]
+    moves: tuple[Move, ...]
+    smallest_eigenvalues: dict[str, float]
+    loss: dict[str, float]
+
+    def made(self) -> Consistency:
+        return Consistency(
+            standard={each.name: each.value for each in self.parameters},
+            payloads={each.name: each.parameters for each in self.payloads},
+            gains={each.joint: (each.value, each.std) for each in self.drive_gains},
+            moves=self.moves,
+            eigenvalues=self.smallest_eigenvalues,
+            loss=self.loss,
+            open=tuple(each.name for each in self.parameters if each.open),
+        )
+
+
+class _Covariance(_Group):
+    names: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+    @model_validator(mode="after")
+    def _is_square(self) -> Self:
+        if {len(self.names), *map(len, self.matrix)} != {len(self.matrix)}:
+            raise ValueError("the covariance does not have the size of its names; write a row and a column a name")
+        return self
+
+
+class _Statistics(_Group):
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, FiniteFloat]
+    lack_of_fit: FiniteFloat
+
+
+class _Model(_Group):
+    robot_file: str
+    method: Annotated[str, AfterValidator(_method)]
+    kind: Literal["current", "torque"]
+    drive_gains: _Estimates
+    delays: _Estimates
+    parameters: _Estimates
+    friction: _Estimates
+    sensors: tuple[_Sensor, ...] = ()
+    payloads: tuple[_Payload, ...]
+    residuals: tuple[TorqueError, ...]
+    covariance: _Covariance
+    preparation: _Preparation
+    logged_speeds: dict[str, NonNegativeFloat]
+    statistics: _Statistics
+    runs: tuple[str, ...]
+    notes: tuple[NoteEntry, ...]
+    temperatures: ReferenceTemperatures | None = None
+    geometry: GeometryTest | None = None
+    standard: _Standard | None
+    alternatives: tuple[AlternativeMoves, ...]
+    singularities: tuple[NearestPose, ...]
+
+    def made(self, path: Path, make: type[Model]) -> Model:
+        """Put the result together."""
+        return make(
+            robot=parse_native(self.robot_file, path),
+            method=self.method,
+            kind=self.kind,
+            drive_gains=_named(self.drive_gains),
+            delays=_named(self.delays),
+            parameters=_named(self.parameters),
+            friction=_named(self.friction),
+            sensors=tuple(each.made() for each in self.sensors),
+            payloads=tuple(each.made() for each in self.payloads),
+            residuals=self.residuals,
+            covariance_names=self.covariance.names,
+            covariance=np.array(self.covariance.matrix),
+            preparation=self.preparation.made(),
+            logged_speeds=self.logged_speeds,
+            statistics=self.statistics.model_dump(),
+            runs=self.runs,
+            notes=self.notes,
+            temperatures=self.temperatures,
+            geometry=self.geometry,
+            consistency=None if self.standard is None else self.standard.made(),
+            alternatives=self.alternatives,
+            singularities=self.singularities,
+        )
+
+
+def _named(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
+    return {each.name: each for each in estimates}
 
 
 def model_text(result: IdentifiedModel) -> str:
@@ -66,8 +258,9 @@ def load(path: str | Path, make: type[Model]) -> Model:
         Where the file cannot be read, or is no model of this schema.
     """
     refuse_other_kind(path, MODEL)
+    path = Path(path)
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refuse)
+        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
     except OSError as error:
         raise GtauError(
             f"{path} cannot be read ({error.strerror}); give the model.json that 'gtau identify' wrote."
@@ -81,14 +274,9 @@ def load(path: str | Path, make: type[Model]) -> Model:
             f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again "
             "with this version."
         )
-    try:
-        result = _result(document, path, make)
-    except KeyError as error:
-        raise _damaged(path, f"{error} is missing") from None
-    except (TypeError, ValueError, AttributeError) as error:
-        raise _damaged(path, str(error).split(". ")[0]) from None
+    result = validate(_Model, Document(path, document, {})).made(path, make)
     for problem in _problems(result):
-        raise _damaged(path, problem)
+        raise GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
     return result
 
 
@@ -96,12 +284,12 @@ def _refuse(constant: str) -> float:
     raise ValueError(f"{constant} is not a JSON number")
 
 
-def _damaged(path: str | Path, problem: str) -> GtauError:
-    return GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
+def _finite(text: str) -> float:
+    return float(text) if isfinite(float(text)) else _refuse(text)
 
 
 def _problems(result: IdentifiedModel) -> Iterator[str]:
-    robot, preparation = result.robot, result.preparation
+    robot = result.robot
     for what, estimates, joints in (
         ("drive gains", result.drive_gains, robot.motors),
         ("delays", result.delays, robot.actuated),
@@ -112,105 +300,21 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
             yield f"one of the {what} is null"
     if any(each.value == 0 for each in result.drive_gains.values()):
         yield "a drive gain is zero"
-    every = (*result.drive_gains.values(), *result.delays.values(), *result.parameters.values())
-    if not np.isfinite([each.value or 0.0 for each in every]).all():
-        yield "a value is not finite"
-    if not all(np.isfinite(speed) and speed >= 0 for speed in result.logged_speeds.values()):
-        yield "a logged speed is negative or not finite"
-    size = len(result.covariance_names)
-    if result.covariance.shape != (size, size) or not np.isfinite(result.covariance).all():
-        yield "the covariance does not have the size of its names"
     if not {Parameter("gain", joint).name for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
-    if result.kind not in ("current", "torque"):
-        yield f"the kind '{result.kind}' is neither current nor torque"
-    if preparation.bandwidth <= 0 or preparation.decimator.kind not in ("fir", "chebyshev"):
-        yield "the preparation of the signals is not one that this version knows"
+    verdicts = [each.verdict for each in _estimates(result)] + [each.verdict for each in result.payloads]
+    causes = (cause for each in result.alternatives for cause in each.causes)
+    for finding in (*(each.finding for each in verdicts if each.finding), *causes):
+        try:
+            reason(finding), advice(finding)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):  # of a template and its values
+            yield f"the values of the finding '{finding.kind}' are not those of its sentence"
 
 
-def _result(document: Mapping[str, Any], path: str | Path, make: type[Model]) -> Model:
-    preparation = document["preparation"]
-    return make(
-        robot=parse_native(document["robot_file"], path),
-        method=document["method"],
-        kind=document["kind"],
-        drive_gains=_estimates(document["drive_gains"], "joint"),
-        delays=_estimates(document["delays"], "joint"),
-        parameters=_estimates(document["parameters"]),
-        friction=_estimates(document["friction"]),
-        sensors=tuple(
-            SensorEstimate(
-                each["joint"],
-                _estimates(each["parameters"]),
-                _read(each["delay"], "joint"),
-                _read_error(each["residual"]),
-                None if each["ratio"] is None else _read(each["ratio"], "joint"),
-            )
-            for each in document.get("sensors", [])
-        ),
-        payloads=tuple(
-            PayloadEstimate(
-                each["name"],
-                each["run"],
-                {kind: _read(entry) for kind, entry in each["parameters"].items()},
-                frozenset(kind for kind, entry in each["parameters"].items() if entry["known"]),
-                _read_verdict(each),
-            )
-            for each in document["payloads"]
-        ),
-        residuals=tuple(_read_error(each) for each in document["residuals"]),
-        covariance_names=tuple(document["covariance"]["names"]),
-        covariance=np.array(document["covariance"]["matrix"], dtype=float),
-        preparation=Preparation(
-            float(preparation["bandwidth"]),
-            None if preparation["cutoff"] is None else float(preparation["cutoff"]),
-            Decimator(int(preparation["decimation"]), preparation["decimator"]),
-            float(preparation["speed_fraction"]),
-            float(preparation["rate"]),
-            tuple(preparation["given"]),
-        ),
-        logged_speeds={joint: float(speed) for joint, speed in document["logged_speeds"].items()},
-        statistics=document["statistics"],
-        runs=tuple(document["runs"]),
-        notes=tuple(map(read_note, document["notes"])),
-        temperatures=document.get("temperatures") and ReferenceTemperatures(**document["temperatures"]),
-        geometry=document.get("geometry") and read_geometry(document["geometry"]),
-        consistency=None if document["standard"] is None else _read_standard(document["standard"]),
-        alternatives=tuple(map(_read_alternative, document["alternatives"])),
-        singularities=tuple(NearestPose(**each) for each in document["singularities"]),
-    )
-
-
-def _read_error(entry: Mapping[str, Any]) -> TorqueError:
-    return TorqueError(entry["joint"], float(entry["rms"]), float(entry["signal"]), entry["unit"])
-
-
-def _estimates(entries: list[Mapping[str, Any]], key: str = "name") -> dict[str, Estimate]:
-    return {entry[key]: _read(entry, key) for entry in entries}
-
-
-def _read(entry: Mapping[str, Any], key: str = "name") -> Estimate:
-    value, std = (None if entry[k] is None else float(entry[k]) for k in ("value", "std"))
-    return Estimate(
-        entry[key],
-        value,
-        std,
-        entry["unit"],
-        entry.get("regrouping", ""),
-        entry.get("spread"),
-        _read_verdict(entry),
-        entry["freedom"],
-        entry["model_std"],
-        entry.get("essential"),
-        entry.get("scale", {}),
-    )
-
-
-def _read_verdict(entry: Mapping[str, Any]) -> Verdict:
-    finding = None if entry["finding"] is None else read_finding(entry["finding"])
-    return Verdict(Outcome(entry["outcome"]), finding)
-
-
-def _read_alternative(entry: Mapping[str, Any]) -> AlternativeMoves:
-    others = {key: value for key, value in entry.items() if key not in ("subject", "causes")}
-    return AlternativeMoves(causes=tuple(map(read_finding, entry["causes"])), **others)
+def _estimates(result: IdentifiedModel) -> Iterator[Estimate]:
+    for group in (result.drive_gains, result.delays, result.parameters, result.friction):
+        yield from group.values()
+    for payload in result.payloads:
+        yield from payload.parameters.values()
+    for sensor in result.sensors:
+        yield from (*sensor.parameters.values(), sensor.delay, *((sensor.ratio,) if sensor.ratio else ()))
