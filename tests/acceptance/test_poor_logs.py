@@ -103,7 +103,7 @@ def outcomes(robot: str, made: Callable[[InverseDynamics, bool], Log], folder: P
     for command in ("check", "identify"):
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
-            run = CliRunner().invoke(app, [command, str(experiment)])
+            run = CliRunner().invoke(app, [command, str(experiment), "--out", str(folder / "out")])
         assert run.exception is None or isinstance(run.exception, SystemExit), run.exception
         assert run.exit_code in (0, 2, 3), run.output
         if command == "identify" and run.exit_code == 2:

@@ -91,7 +91,16 @@ def test_identify_writes_and_prints(here: Path) -> None:
     assert whole in run("identify", "experiment.yaml", "--verbose").stdout
     assert "Drive gains" in result.stdout
     assert "written: deep/out/model.json" in result.stdout
-    assert run("identify", "experiment.yaml").exit_code == 0
+
+
+def test_identify_writes_to_result_without_being_told_where(here: Path) -> None:
+    shown = run("identify", "experiment.yaml")
+    assert "written: result/model.json" in shown.stdout
+    assert "[default: result]" in " ".join(run("identify", "--help").stdout.split())
+    (here / "result" / "report.html").unlink()
+    printed = document("identify", "experiment.yaml")
+    assert printed == json.loads((here / "result" / "model.json").read_text())
+    assert (here / "result" / "report.html").exists()
 
 
 def test_the_model_file_has_the_keys_that_are_promised(here: Path) -> None:

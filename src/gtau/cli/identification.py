@@ -40,9 +40,9 @@ class Gains(StrEnum):
 def identify(
     experiment: ExperimentFile,
     out: Annotated[
-        Path | None,
+        Path,
         typer.Option("--out", metavar="DIR", help="Folder for report.html, model.json, summary.txt and singularities."),
-    ] = None,
+    ] = Path("result"),
     method: Annotated[
         str | None,
         typer.Option(
@@ -104,18 +104,16 @@ def identify(
                 accuracy=accuracy / 100,
                 progress=progress,
             )
-        written = []
-        if out is not None:
-            from gtau.estimation.results.singularity_distances import write_distances
-            from gtau.report.write import write_identification
+        from gtau.estimation.results.singularity_distances import write_distances
+        from gtau.report.write import write_identification
 
-            written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
-            result.save(written[0])
-            write_atomically(written[1], result.summary(True) + "\n")
-            write_distances(result.distances, written[2])
-            with progress_bar() as progress:
-                report = write_identification(result, experiment, out, perf_counter() - start, progress)
-            written.insert(0, report)
+        written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
+        result.save(written[0])
+        write_atomically(written[1], result.summary(True) + "\n")
+        write_distances(result.distances, written[2])
+        with progress_bar() as progress:
+            report = write_identification(result, experiment, out, perf_counter() - start, progress)
+        written.insert(0, report)
         if json_:
             print_json(to_document(result))
         else:
