@@ -21,12 +21,15 @@ from gtau.model.loop_closure import (
     LIMITS,
     NEAR,
     LoopErrors,
+    closed,
+    is_closed,
     limit_excess,
     loop_errors,
     nearest_closed,
     well_conditioned,
     with_round_motors,
 )
+from gtau.model.rounded_loops import DRAWN, with_exact_loops
 from gtau.robots.geometry import pose_of
 from gtau.robots.readers.read import read_robot
 from gtau.robots.readers.source import RobotSource
@@ -115,7 +118,10 @@ def close_home(robot: Robot) -> Robot:
     errors, given = replace(errors, layout=layout), layout.home
     if not errors.looped.size:
         return robot
-    nearest = nearest_closed(errors, given)
+    nearest = _roughly_closed(errors, given)
+    if (exact := with_exact_loops(robot, errors, nearest)) is not robot:
+        return close_home(exact)
+    nearest = nearest if is_closed(errors, nearest) else nearest_closed(errors, given)
     if robot.home_given and errors.apart(given, nearest).max() > FAR:
         raise GtauError(
             f"robot '{robot.name}': the loops close only far from the home configuration in the file, with "
@@ -127,7 +133,7 @@ def close_home(robot: Robot) -> Robot:
     if singular:
         found = well_conditioned(errors, nearest)
     moved = errors.apart(given, found)
-    if moved.max() < KEPT:
+    if moved.max() < KEPT and is_closed(errors, closed(errors, given, errors.passive)):
         return replace(robot, home_given=True)
     if moved.max() > NEAR:
         found = with_round_motors(errors, found)
@@ -143,6 +149,18 @@ def close_home(robot: Robot) -> Robot:
         )
     note += "; if the robot is assembled in another way, save it as a robot file and write another 'home' there"
     return replace(solved, notes=(*solved.notes, note))
+
+
+def _roughly_closed(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
+    """Find the closed configuration (n_c,) nearest to the one given, or one as nearly closed as a file's digits let."""
+    rough = replace(errors, tolerance=DRAWN)
+    held = closed(errors, given, errors.passive)
+    if is_closed(rough, held) and not is_closed(errors, held):
+        return held
+    try:
+        return nearest_closed(errors, given)
+    except GtauError:
+        return nearest_closed(rough, given)
 
 
 def _within_limits(robot: Robot, looped: set[int]) -> Robot:

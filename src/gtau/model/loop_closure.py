@@ -35,6 +35,8 @@ class LoopErrors:
     function : casadi.Function
         From c (n_c,) to the errors (rows,), see :func:`assembly_errors`, and what their derivatives by the scaled
         coordinates (rows, n_y) are at a closed pose.
+    tolerance : float
+        Largest error of a loop that counts as closed.
     """
 
     layout: Coordinates
@@ -42,6 +44,7 @@ class LoopErrors:
     unit: np.ndarray
     looped: np.ndarray
     function: ca.Function
+    tolerance: float = CLOSED
 
     def __call__(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate errors (rows,) and scaled Jacobian (rows, n_y) at ``c`` (n_c,)."""
@@ -154,7 +157,7 @@ def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
 
 def is_closed(errors: LoopErrors, c: np.ndarray) -> bool:
     """Decide whether the loops close at ``c`` (n_c,)."""
-    return bool(np.abs(errors(c)[0]).max(initial=0.0) < CLOSED)
+    return bool(np.abs(errors(c)[0]).max(initial=0.0) < errors.tolerance)
 
 
 # Lengths in what follows are counted in characteristic lengths of the robot, angles in rad.

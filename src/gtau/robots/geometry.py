@@ -33,14 +33,19 @@ def rounded_pose(xyz: Iterable[float], rpy: Iterable[float]) -> Pose:
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
-def pose_of(rotation: np.ndarray, position: np.ndarray) -> Pose:
-    """Make the pose of an orientation (3, 3) and a position (3,)."""
+def angles_of(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Compute roll, pitch and yaw, rad, of an orientation (3, 3)."""
     # Whatever the yaw where the angles are degenerate, what is left over then gives matching pitch and roll.
     yaw = atan2(rotation[1, 0], rotation[0, 0])
     c, s = cos(yaw), sin(yaw)
     pitch = atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])
     roll = atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
-    return rounded_pose(position, (roll, pitch, yaw))
+    return roll, pitch, yaw
+
+
+def pose_of(rotation: np.ndarray, position: np.ndarray) -> Pose:
+    """Make the pose of an orientation (3, 3) and a position (3,)."""
+    return rounded_pose(position, angles_of(rotation))
 
 
 def exact_angle(angle: float) -> float:
