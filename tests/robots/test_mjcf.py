@@ -574,6 +574,17 @@ def test_straight_tendons_are_springs_between_points(tmp_path: Path, rng: np.ran
         np.testing.assert_allclose(-(data.qfrc_passive + data.qfrc_actuator), expected, rtol=1e-9, atol=1e-8)
 
 
+def test_tendons_without_a_name_are_springs_too(tmp_path: Path) -> None:
+    named = load(SPRUNG.replace(' name="dead"', ' name="tendon 1"'), tmp_path)
+    bare = SPRUNG.replace(' name="coil"', "").replace(' name="gas"', "")
+    bare = bare[: bare.index("<general")] + "</actuator></mujoco>"
+    robot = load(bare.replace(' name="dead"', ' name="tendon 1"'), tmp_path)
+    assert [spring.name for spring in robot.springs] == ["tendon 2", "tendon 3"]
+    for found, meant in zip(robot.springs, named.springs, strict=True):
+        assert (found.a, found.b) == (meant.a, meant.b)
+    assert [spring.parameters for spring in robot.springs] == [("f0", "k", "c"), ("c",)]
+
+
 GRIPPER = """<mujoco><worldbody><body name="palm">
   <body name="l" pos="0 0.1 0"><inertial mass="0.3" pos="0 0.1 0" diaginertia="1e-2 1e-2 1e-2"/>
   <joint name="left" type="slide" axis="0 1 0.5"/></body>

@@ -134,6 +134,18 @@ class MjcfFile:
     notes: list[str]
 
 
+def _name_tendons(spec: mujoco.MjSpec, elements: list[Element]) -> None:
+    """Give the tendons without a name numbers, in the specification and in the file, where one file has them all."""
+    files = [[each for root in file.iter("tendon") for each in root if not each.get("name")] for file in elements]
+    unnamed, names = [tendon for tendon in spec.tendons if not tendon.name], {tendon.name for tendon in spec.tendons}
+    written = [each for file in files for each in file]
+    if sum(map(bool, files)) == 1 and len(written) == len(unnamed):  # files may be included in any order
+        free = (name for number in range(1, len(names) + len(unnamed) + 1) if (name := f"tendon {number}") not in names)
+        for tendon, element, name in zip(unnamed, written, free, strict=False):
+            tendon.name = name
+            element.set("name", name)
+
+
 def _straight(elements: list[Element]) -> dict[str, tuple[str, str]]:
     """Find the two sites of each tendon that runs straight from one to the other."""
     found = {}
@@ -219,6 +231,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         if len(spec.flexes):
             raise GtauError("it holds a flexible body (flex); only rigid bodies are read, so remove it.")
         keys = {key.name: np.array(key.qpos, dtype=float) for key in spec.keys}
+        _name_tendons(spec, elements)
         biased = _biased(spec, elements)
         springs, notes = _springs(spec, elements, biased)
         parts = [each for force in biased.values() for each in force.actuators]
