@@ -53,6 +53,7 @@ class FindingKind(StrEnum):
     RIPPLE = "position ripple"
     SMALL_REFUTATION = "description refuted, gains unmoved"
     UNTESTED = "other estimators not tried"
+    FEW_ROWS = "too few rows for tests"
     COMMAND_LAG = "command lag"
     SLIGHT_COMMAND_LAG = "slight command lag"
     # what the model may lack, or the description have wrong

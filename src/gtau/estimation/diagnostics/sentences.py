@@ -326,6 +326,11 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "{to_do}",
     ),
     F.UNTESTED: ("{cause} could not be made for comparison: {refusal}", ""),
+    F.FEW_ROWS: (
+        "the tests of the model were skipped, as the robot moves too little for them ({rows} rows in the middle of the "
+        "runs, for {unknowns} unknowns): the intervals hold scatter alone",
+        "log longer motions",
+    ),
     F.COMMAND_LAG: _command_lag,
     F.SLIGHT_COMMAND_LAG: _command_lag,
     F.CUBIC_FRICTION: ("cubic friction of '{joint}'", OTHER_FRICTION),
