@@ -19,8 +19,8 @@ from gtau.signals.filters import STENCIL
 from gtau.signals.preparation import InMemoryRun, PreparedRun, joined
 
 SAMPLES = 24_000  # of all windows together, which bounds the time of the tests for long logs
-# Of a window: longer rests are cut out. In the shared measured logs robots rest for 0.49 of one at most (1.8 s); in logs
-# simulated with a rest in half of each run (16 windows) no window had a usable row.
+# Of a window: longer rests are cut out. In the shared measured logs robots rest for 0.49 of one at most (1.8 s); in
+# simulated logs with a rest in half of each run (16 windows) no window had a usable row.
 REST = 0.5
 RANK = 1e-6  # of the largest singular value: directions below it are left out
 
