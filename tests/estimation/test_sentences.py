@@ -202,6 +202,10 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.NOT_SEPARATED, values={"parameters": ["mx_1", "my_1"]}),
      "these motions cannot separate mx_1, my_1 from the other base parameters: no value is given",
      "add runs that move all joints in other ways"),
+    (Finding(F.FEW_ROWS, values={"rows": 12, "unknowns": 20}),
+     "the tests of the model were skipped, as the robot moves too little for them (12 rows in the middle of the runs, "
+     "for 20 unknowns): the intervals hold scatter alone",
+     "log longer motions"),
     (Finding(F.COMMAND_LAG, values={"kind": "current", "lag": 0.012, "std": 0.001, "bandwidth": 10.0}),
      "the currents lag behind the motion by 12 ms (+-1 ms), so they look low-passed, held or logged late; a "
      "low-pass of that time constant attenuates them by 20 % at the bandwidth of the motion, 10 Hz",

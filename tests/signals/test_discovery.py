@@ -14,8 +14,9 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
+from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.column_names import base_like, parse_column_name, wrench_like
-from gtau.signals.discovery import discover, draft_text
+from gtau.signals.discovery import Draft, discover, draft_text
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 
@@ -40,6 +41,8 @@ def save(path: Path, header: str, *columns: np.ndarray) -> Path:
         ("/joint_states/panda_joint1/position", "position", "panda_joint1", None),
         ("/joint_states/header/stamp", "time", "", None),
         ("Axis1.ActPos [deg]", "position", "1", "deg"),
+        ("qm3", "position", "3", None),
+        ("qdm3", "velocity", "3", None),
         ("joint_velocity_2", "velocity", "2", None),
         ("dq4", "velocity", "4", None),
         ("tau_ext_3", "other", "3", None),
@@ -115,10 +118,45 @@ def test_unit_of_time(tmp_path: Path, scale: float, unit: str | None) -> None:
 def test_the_rate_of_a_log_without_time_is_that_of_its_velocities(tmp_path: Path) -> None:
     with_velocity = discover([save(tmp_path / "a.csv", "q1,q2,dq1,dq2,tau1,tau2", Q, QD, V)])
     assert (with_velocity.time, with_velocity.rate) == ((), 250.0)
-    assert "rate" not in with_velocity.open
+    assert with_velocity.open == ("robot", "velocities")
+    assert "time: {rate: 250}  # CHECK: no time column; dq1" in draft_text(with_velocity, tmp_path)
     without = discover([save(tmp_path / "b.csv", "q1,q2,tau1,tau2", Q, V)])
     assert without.rate is None
     assert "rate" in without.open
+
+
+def test_noise_of_positions_does_not_slow_the_rate(tmp_path: Path, rng: np.random.Generator) -> None:
+    noisy = Q + 3e-3 * rng.standard_normal(Q.shape)  # a fast joint moves 8e-3 from sample to sample
+    assert discover([save(tmp_path / "a.csv", "q1,q2,dq1,dq2,tau1,tau2", noisy, QD, V)]).rate == 250.0
+    apart = discover([save(tmp_path / "b.csv", "q1,q2,dq1,dq2,tau1,tau2", Q, QD * [1.0, 1.1], V)])
+    assert apart.reasons["time"].endswith("by joint 250 to 275 Hz")
+
+
+@pytest.mark.parametrize("kind", ["current", "torque"])
+def test_masses_in_names_of_files_are_confirmed_first(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    save(tmp_path / "loaded_1200g.csv", f"t,q1,q2,{kind}1,{kind}2", TIME, Q, V)
+    shown = CliRunner().invoke(app, ["init", "loaded_1200g.csv", "--yes"]).output
+    points = shown.split("edit its lines marked CHECK:")[1]
+    assert points.strip().startswith("- confirm the masses of the payloads")
+    assert ("confirm that these are torques" in points) == (kind == "torque")
+    drafted = (tmp_path / "experiment.yaml").read_text()
+    assert ("# CHECK: confirm that these are torques" in drafted) == (kind == "torque")
+
+
+def test_joints_are_sorted_by_number_only_where_all_have_one(tmp_path: Path) -> None:
+    log = save(tmp_path / "a.csv", "t,q1,q2,tau1,tau2", TIME, Q, V)
+
+    def drafted(first: str, second: str) -> Draft:
+        joints = (Joint(first, "ground", "revolute", Mdh(alpha=1.5)), Joint(second, first, "revolute", Mdh(d=0.5)))
+        return discover([log], Robot("arm", joints), "arm")
+
+    chain, sorted_ = drafted("A1", "LJFT"), drafted("p2", "p1")
+    assert (chain.position, chain.reasons["position"]) == ({"A1": "q1", "LJFT": "q2"}, "matched by column order")
+    assert sorted_.position == {"p1": "q1", "p2": "q2"}
+    assert sorted_.reasons["position"] == "matched by the numbers in the joints' names"
 
 
 def test_degrees_by_reach(tmp_path: Path) -> None:

@@ -98,6 +98,7 @@ def _answered(draft: Draft) -> Draft:
         settled.add("kind")
     masses = dict(draft.masses)
     if draft.kind == "current":
+        settled.add("mass")
         for run in draft.logs:
             known = masses.get(run[0])
             answer = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known or 0.0, type=float)

@@ -40,8 +40,8 @@ def parameters_section(result: IdentifiedModel) -> Section:
     essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (
         f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
-        f"{len(result.parameters) - essential} raises the torque error of the worst joint by {loss:.2g} %. A standard "
-        "deviation above 100 % belongs to a parameter that the torques need but that is known only in sums."
+        f"{len(result.parameters) - essential} raises the torque error of the worst joint by {loss:.2g} %. With a "
+        "standard deviation above 100 % a value means nothing by itself: it is known only in sums with others."
     )
     return section(
         "Parameters",
@@ -158,8 +158,8 @@ def alternatives_section(result: IdentifiedModel) -> Section | None:
     )
     words = (
         "Each alternative has one unknown more than the model. Its size is what the data find, its probability how "
-        "well they support it; what they leave open of it widens the intervals of the gains. The alternatives that "
-        "matter most come first: probable ones that would move a gain."
+        "well they support it; what they leave open of it widens the intervals of the gains. Alternatives are "
+        "listed by their probability times the largest move of a gain."
     )
     return section("Alternatives", Text(words), table(columns, rows, name="alternatives-table"), id="alternatives")
 

@@ -18,10 +18,10 @@ WORDS: dict[str, frozenset[str]] = {
     for kind, words in {
         "time": "t time timestamp stamp sec secs second seconds nanosec nsec nsecs nanosecond nanoseconds "
         "zeit tiempo temps tempo",
-        "position": "q pos position positions angle angles theta qpos posn winkel lage posicion angulo posizione",
-        "velocity": "dq qd vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad vitesse "
-        "velocita",
-        "acceleration": "ddq qdd acc accel acceleration beschleunigung aceleracion accelerazione",
+        "position": "q qm pos position positions angle angles theta qpos posn winkel lage posicion angulo posizione",
+        "velocity": "dq qd qdm vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad "
+        "vitesse velocita",
+        "acceleration": "ddq qdd qddm acc accel acceleration beschleunigung aceleracion accelerazione",
         "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente",
         "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza",
         "motor": "motor",

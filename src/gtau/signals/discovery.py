@@ -94,8 +94,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         units["time"], reasons["time"] = position_log.time_unit()
     else:
         rate, reasons["time"] = position_log.rate_from_velocities(positions)
-        if rate is None:
-            unsure.append("rate")
+        unsure.append("rate" if rate is None else "velocities")
     columns = {joint: pair[0] for joint, pair in joints.items()}
     if unit := _position_unit(position_log, positions, columns, robot, reasons):
         units["position"] = unit
@@ -128,6 +127,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     if sensors or kind != "current":
         torques = {}
     unsure += ["torques"] if torques else []
+    masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].stem)) is not None}
+    weighed = ["mass", *["weighed"] * (kind == "torque")] if masses else []
     used = {positions.listed, commands.listed, *(each.listed for each in command_log.groups if each.kind == "sensor")}
     used |= {
         group.listed for group in command_log.groups if torques and set(torques.values()) <= set(group.columns.values())
@@ -151,7 +152,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         motion=motion,
         wrenches=wrenches,
         base=base,
-        masses={run[0]: mass for run in runs if (mass := mass_in_name(run[0].stem)) is not None},
+        masses=masses,
         others=tuple(
             listed
             for listed, group in alike.items()
@@ -160,7 +161,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         sensors=sensors,
         torques=torques,
         reasons=reasons,
-        open=tuple(unsure if source is not None else ["robot", *unsure]),
+        open=(*weighed, *["robot"] * (source is None), *unsure),
     )
     return replace(draft, open=(*draft.open, "reference")) if commands.reference else draft
 
@@ -207,15 +208,14 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
             f"the log has positions and commands of {len(pairs)} joints ({', '.join(pairs)}), but robot "
             f"'{robot.name}' has {len(joints)} actuated ones; give the logs, or the robot, of the other."
         )
-    if len({_number(joint) for joint in joints}) == len(joints):  # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
-        joints = tuple(sorted(joints, key=_number))
+    numbers = {joint: int(found[-1]) for joint in joints if (found := re.findall(r"\d+", joint))}
+    how = "matched by column order"
+    if len(set(numbers.values())) == len(joints):  # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
+        by_number = tuple(sorted(joints, key=numbers.__getitem__))
+        how = how if by_number == joints else "matched by the numbers in the joints' names"
+        joints = by_number
     taken = zip(joints, _ordered(pairs), strict=False)
-    return {joint: pairs[label] for joint, label in taken}, "matched by column order", True
-
-
-def _number(joint: str) -> int:
-    found = re.findall(r"\d+", joint)
-    return int(found[-1]) if found else -1
+    return {joint: pairs[label] for joint, label in taken}, how, True
 
 
 def _ordered(labels: Iterable[str]) -> list[str]:
@@ -257,6 +257,10 @@ UNSURE = {
     "joints": "confirm that the columns are in the order of the joints",
     "unit": "confirm the unit of the positions (units: {position: ...})",
     "rate": "write the sampling rate, which the log does not hold (time: {rate: HZ})",
+    "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
+    "mass": "confirm the masses of the payloads, from the names of the files: the scale of all drive gains",
+    "weighed": "confirm that these are torques: if they are currents, or computed from them by nominal constants, "
+    "write 'current:', and the weighed payload gives their factors, the drive gains",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
     "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
     "clock": "confirm the time column, as others grow, too",
@@ -291,11 +295,12 @@ def draft_text(draft: Draft, folder: Path) -> str:
         lines.append(_line(f"  time: {_flow(time)}", CHECK * ("clock" in draft.open) + why.get("time", "")))
     else:
         rate = 1000.0 if draft.rate is None else draft.rate
-        lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", why.get("time", ""))))
+        found = CHECK * ("velocities" in draft.open) + why.get("time", "")
+        lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", found)))
     matched = why.get("position", "")
     lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
     found = why.get("velocity", "")
-    doubt = _of(draft, "kind", "") or _of(draft, "motor", "") or _of(draft, "reference", "")
+    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference", "weighed") if key in draft.open), "")
     lines += _by_joint(draft.kind, draft.command, doubt)
     if draft.temperature is not None:
         lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")

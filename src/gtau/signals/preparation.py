@@ -187,6 +187,15 @@ class InMemoryRun:
         return SampleWindow(*(block(getattr(self.all, field.name), start, stop) for field in fields(SampleWindow)))
 
 
+def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
+    """Join stretches of samples into one."""
+    if len(windows) == 1:
+        return windows[0]
+    return SampleWindow(
+        *(np.concatenate([getattr(each, field.name) for each in windows]) for field in fields(windows[0]))
+    )
+
+
 def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray | None = None) -> PreparedRun:
     """Find where in a run its joints move.
 

@@ -6,10 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import Alternative, compete, find_alternatives, model_covariance, support
+from gtau.estimation.diagnostics.alternatives import (
+    WINDOWS,
+    Alternative,
+    compete,
+    find_alternatives,
+    model_covariance,
+    support,
+)
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.lengths import other_length
+from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.log_checks import lack_of_fit, swapped_channels
 from gtau.estimation.diagnostics.other_estimators import (
     alternatives_of,
@@ -31,6 +39,8 @@ from gtau.estimation.thresholds.estimates import (
     SCALED,
 )
 from gtau.progress import Progress, silent
+
+FEWEST = 3  # rows for each unknown, with fewer the tests fit the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +102,10 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         Called as the work goes on.
     """
     lack = lack_of_fit(fit.system.problem, fit.solution)
+    rows, unknowns = usable_rows(fit.dataset, central_windows(fit.dataset, WINDOWS)), len(fit.solution.stacked)
+    if rows < FEWEST * unknowns:
+        few = Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns})
+        return Examination(lack, (), PositionRipple.none(fit), (), (few,))
     alternatives = list(find_alternatives(fit))
     scaled = False
     (*differences,), untested = other_estimators(fit)

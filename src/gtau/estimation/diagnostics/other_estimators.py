@@ -176,7 +176,7 @@ def other_estimators(fit: Fit) -> tuple[tuple[Difference, ...], tuple[Finding, .
     for changed, preparation in preparations:
         other = replace(fit, dataset=_prepared_as(dataset, preparation))
         try:
-            windows = linearise(other, None, central_windows(other.dataset, WINDOWS))
+            windows = linearise(other, None, central_windows(other.dataset, WINDOWS, dataset))
         except GtauError as refusal:
             untested.append(_untested(refusal, changed))
             continue
@@ -229,7 +229,7 @@ def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.
     model, found = fit.dataset.model, []
     dry = [k for k, name in enumerate(fit.dataset.base.standard) if name.startswith("fs_")]
     dry.append(fit.dataset.base.count + TERMS.index("fl"))
-    windows = zip(central_windows(fit.dataset, WINDOWS), central_windows(further, WINDOWS), strict=True)
+    windows = zip(central_windows(fit.dataset, WINDOWS), central_windows(further, WINDOWS, fit.dataset), strict=True)
     for (run, usual), (_, filtered) in windows:
         A, keep = window_rows(fit, run, usual, None, model)
         Z, keep_filtered = window_rows(fit, run, filtered, None, model)

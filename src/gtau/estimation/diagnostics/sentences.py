@@ -347,6 +347,11 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "given",
         "add runs that move all joints in other ways",
     ),
+    F.FEW_ROWS: (
+        "the tests of the model were skipped, as the robot moves too little for them ({rows} rows in the middle of the "
+        "runs, for {unknowns} unknowns): the intervals hold scatter alone",
+        "log longer motions",
+    ),
     F.COMMAND_LAG: _command_lag,
     F.SLIGHT_COMMAND_LAG: _command_lag,
     F.CUBIC_FRICTION: ("cubic friction of '{joint}'", OTHER_FRICTION),

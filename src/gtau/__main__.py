@@ -1,0 +1,5 @@
+"""The command line as ``python -m gtau``."""
+
+from gtau.cli import main
+
+main()

@@ -1,0 +1,74 @@
+"""Windows of the runs for the tests of the model: of rows that count, also where the robot rests."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import STEEL, Plant
+
+from gtau.estimation.diagnostics.examine import FEWEST, examine
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators.estimator import Given
+from gtau.estimation.estimators.maximum_likelihood import ML
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.model.home import load_robot
+from gtau.signals.payload import Payload
+from gtau.signals.run import Run
+
+ROBOT = load_robot("five-bar")
+
+
+def resting(run: Run, seconds: float) -> Run:
+    """Let the robot stand still in the middle of a run."""
+    half, more = len(run.time) // 2, round(seconds * run.rate)
+
+    def held(values: np.ndarray) -> np.ndarray:
+        return np.concatenate([values[:half], np.repeat(values[half : half + 1], more, axis=0), values[half:]])
+
+    valid = held(run.valid)
+    valid[half - 20 : half + 20] = valid[half + more - 20 : half + more + 20] = False  # it stops at once
+    time = run.time[0] + np.arange(len(run.time) + more) / run.rate
+    return replace(run, time=time, position=held(run.position), command=held(run.command), valid=valid)
+
+
+def dataset(rest: float) -> Dataset:
+    plant = Plant(noise=0.01)
+    free, loaded = plant.run("free", 10.0, seed=1), plant.run("loaded", 10.0, STEEL, seed=2)
+    runs = [free, replace(loaded, payload=Payload(name="steel", mass=STEEL["m"]))]
+    preparation = reduce_runs(ROBOT, runs).preparation
+    return reduce_runs(ROBOT, [resting(run, rest) if rest else run for run in runs], preparation)
+
+
+@pytest.mark.parametrize("pieces", [1, 10])
+def test_windows_hold_as_many_rows_where_the_robot_rests(pieces: int) -> None:
+    moving, at_rest = dataset(0.0), dataset(30.0)
+    windows = central_windows(at_rest, pieces)
+    assert len(windows) == len(central_windows(moving, pieces))
+    assert usable_rows(at_rest, windows) > 0.9 * usable_rows(moving, central_windows(moving, pieces))
+    assert all(usable_rows(at_rest, [each]) for each in windows)
+
+
+def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
+    data = dataset(0.0)
+    few = tuple(replace(each, speeds=each.speeds * 1e6) for each in data.prepared)
+    fit = ML.fit(data, data.system(), Given())
+    examined = examine(replace(fit, dataset=replace(data, prepared=few)))
+    ((said,), rows) = examined.untested, usable_rows(data, central_windows(data, 10))
+    assert (said.kind, said.values["rows"], examined.alternatives) == (F.FEW_ROWS, 0, ())
+    assert rows > FEWEST * said.values["unknowns"]
+
+
+@pytest.mark.parametrize("robot", ["arm_idle", "five_bar_idle"])
+def test_gains_of_robots_that_rest_are_good_and_right(shared: Path, robot: str) -> None:
+    folder = shared / "idle_and_bursts" / robot
+    result, truth = identify(folder / "experiment.yaml"), json.loads((folder / "truth.json").read_text())["gains"]
+    for joint, gain in result.drive_gains.items():
+        assert gain.verdict.outcome == Outcome.GOOD
+        assert gain.interval(0.95)[0] < truth[joint] < gain.interval(0.95)[1]
