@@ -296,6 +296,18 @@ def test_the_sentence_of_a_finding(finding: Finding, why: str, to_do: str) -> No
     assert advice(finding) == to_do
 
 
+@pytest.mark.parametrize(
+    ("kind", "values", "said"),
+    [
+        (F.NOT_SEPARATED, {"parameters": ["mx_{}"]}, "cannot separate mx_{} from the other"),
+        (F.LENGTH, {"length": 0.3, "bodies": ["{0}", "b}"]}, "mm at '{0}', 'b}'"),
+        (F.CUBIC_FRICTION, {}, "cubic friction of '{joint}{'"),
+    ],
+)
+def test_braces_in_names_stay_braces(kind: F, values: dict, said: str) -> None:
+    assert said in reason(Finding(kind, ("{joint}{",), values=values))
+
+
 def test_every_kind_has_a_sentence() -> None:
     assert {finding.kind for finding, _, _ in SENTENCES} == set(F)
 

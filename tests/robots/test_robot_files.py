@@ -359,6 +359,21 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     ("empty item", good("{dof: [x, z]}", "\n    dof:\n      - x\n      -"), ", line 10: nothing is written after '-';"),
     # Keys
     ("no name", good("robot: r\n", ""), ": the key 'robot' is missing; add it."),
+    (
+        "tab in a name",
+        good("  k:", '  "k\\t":'),
+        " holds U+0009, a character that is not printed; remove it.",
+    ),
+    (
+        "long name",
+        good("  k:", f"  {'k' * 101}:"),
+        "the name 'kkkkkkkkkkkkkkkkkkkk'... has 101 characters; write 100 at most.",
+    ),
+    (
+        "robot of two lines",
+        good("robot: r", 'robot: "r\\nx"'),
+        ": robot: the name 'r\\nx' holds U+000A, a character",
+    ),
     ("no joints", "robot: r\n", ": the key 'joints' is missing; add it."),
     ("joints empty", "robot: r\njoints: {}\n", ": robot 'r': it has no joints; list at least one under 'joints'."),
     ("unknown key", GOOD + "gravitiy: 9\n", ", line 10, gravitiy: unknown key 'gravitiy'; did you mean 'gravity'?"),

@@ -104,6 +104,7 @@ BAD = [
     ("three logs", "log: free.csv", "log: [a, b, c]", "runs.1.log: 3 values are written; write at most 2"),
     ("log twice", "log: loaded.csv", "log: free.csv", "is listed twice; remove one of them"),
     ("payload unnamed", "{name: steel, mass: 1.983}}\nval", "{mass: 1.983}}\nval", "the key 'name' is missing"),
+    ("payload of two lines", "name: steel", 'name: "a\\nb"', r"the name 'a\nb' holds U+000A, a character that is not"),
     ("mass zero", "mass: 1.983", "mass: 0", "runs.2.payload.mass: 0 is out of range"),
     ("mass negative", "mass: 1.983", "mass: -1", "payload.mass: -1 is out of range"),
     ("mass in words", "mass: 1.983", "mass: 1.983 kg", "payload.mass: '1.983 kg' is not a number"),

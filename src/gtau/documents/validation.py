@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 Model = TypeVar("Model", bound=BaseModel)
+LONGEST_NAME = 100  # characters: longer ones fit no table, and with a suffix no file name
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
@@ -63,6 +64,16 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
     if error["type"] == "missing":
         raise document.error(keys, f"the key '{error['loc'][-1]}' is missing; add it")
     raise document.error(keys, _sentence(error))
+
+
+def name_problem(name: str) -> str | None:
+    """Say why a name cannot stand in tables, files and generated code, or return None."""
+    if len(name) > LONGEST_NAME:
+        return f"the name {name[:20]!r}... has {len(name)} characters; write {LONGEST_NAME} at most"
+    for character in name:
+        if not character.isprintable():
+            return f"the name {name!r} holds U+{ord(character):04X}, a character that is not printed; remove it"
+    return None
 
 
 def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:

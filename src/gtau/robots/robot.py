@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from gtau.documents.validation import name_problem
 from gtau.errors import GtauError
 
 GROUND = "ground"
@@ -286,6 +287,7 @@ class Robot:
 
 
 def _problems(robot: Robot) -> Iterator[str]:
+    yield from filter(None, map(name_problem, (*robot.bodies, *(spring.name for spring in robot.springs))))
     if not robot.joints:
         yield "it has no joints; list at least one under 'joints'"
     known = {GROUND}
@@ -383,5 +385,7 @@ def _limit_problems(joint: Joint) -> Iterator[str]:
 
 
 def _check(robot: Robot) -> None:
+    if problem := name_problem(robot.name):
+        raise GtauError(f"robot: {problem}.")
     for problem in _problems(robot):
         raise GtauError(f"robot '{robot.name}': {problem}.")

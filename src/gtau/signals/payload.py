@@ -12,7 +12,7 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.validation import Keys, Positive, validate
+from gtau.documents.validation import Keys, Positive, name_problem, validate
 from gtau.robots.robot import INERTIAL
 from gtau.signals.columns import document_of
 
@@ -28,6 +28,13 @@ class Payload(Keys):
     mass: Positive | None = None
     mass_std: Annotated[FiniteFloat, Field(ge=0)] = 0.0
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+
+    @field_validator("name")
+    @classmethod
+    def _printable(cls, name: str) -> str:
+        if problem := name_problem(name):
+            raise ValueError(problem)
+        return name
 
     @field_validator("parameters")
     @classmethod

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from gtau.documents.validation import name_problem
 from gtau.errors import GtauError
 from gtau.robots.floating import WRENCH, WrenchFrame
 from gtau.robots.robot import base_rows
@@ -66,6 +67,8 @@ class Run:
     log: Log | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        if problem := name_problem(self.name):
+            raise GtauError(f"run: {problem}.")
         shape = (len(self.time), len(self.joints))
         channels = len(self.joints) + len(self.sensors)
         measured = (len(self.time), channels + len(WRENCH) * len(self.wrenches))

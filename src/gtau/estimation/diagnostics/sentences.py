@@ -92,7 +92,7 @@ class _Number(float):
 
 def _sentence(finding: Finding) -> Sentence:
     found = SENTENCES[finding.kind]
-    what, to_do = found if isinstance(found, tuple) else found(finding.values)
+    what, to_do = found if isinstance(found, tuple) else found(_literal(finding.values))
     values = {key: _Number(each) if isinstance(each, float) else each for key, each in finding.values.items()}
     values["subject"], values["estimate"] = finding.subject, finding.subject or "estimates"
     if finding.joints:
@@ -102,6 +102,15 @@ def _sentence(finding: Finding) -> Sentence:
         values["cause"], values["to_do"] = named(finding.causes), advice(finding.causes[0])
     values["clock"] = clock_advice(finding.values.get("rate"))
     return what.format(**values), to_do.format(**values)
+
+
+def _literal(value: Any) -> Any:
+    """Double the braces of names, which the functions put into templates."""
+    if isinstance(value, str):
+        return value.replace("{", "{{").replace("}", "}}")
+    if isinstance(value, Mapping):
+        return {key: _literal(each) for key, each in value.items()}
+    return tuple(map(_literal, value)) if isinstance(value, list | tuple) else value
 
 
 def _refuted(values: Values) -> Sentence:
