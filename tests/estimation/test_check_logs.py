@@ -17,6 +17,7 @@ from gtau.estimation.check_logs import check_logs
 from gtau.estimation.grades import EXIT_CODES, GRADES, Grade, by_grade, from_document, grade_of, to_document
 from gtau.estimation.identify import identify
 from gtau.estimation.results.remarks import findings
+from gtau.report.check import gate_words
 from gtau.report.findings import findings_table
 from gtau.signals.notes import Kind, Note
 
@@ -122,12 +123,36 @@ def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Pa
         identify(path)
     assert (note.kind, f"{note}.") == (Kind.SCALE, str(refused.value))
     path.write_text(path.read_text() + "prior_gains: {left: 2.5, right: 4}\n")
-    (given,) = check_logs(path).notes
-    assert grade_of(given) == Grade.INFORMATION
-    assert "--method wls" in given.action
+    (same,) = check_logs(path).notes
+    assert same == note
+    assert "use --method wls with prior_gains" in same.action
+    assert check_logs(path, method="wls").notes == ()
     (unknown,) = check_logs(damaged(folder, "unknown", ", mass: 1.2", "")).notes
     assert grade_of(unknown) == Grade.INFORMATION
     assert "gtau payload" in unknown.action
+    assert gate_words([unknown]) == "gtau payload can use these logs as they are."
+
+
+@pytest.mark.parametrize("method", [None, "ml", "wls", "tls"])
+@pytest.mark.parametrize(
+    "known",
+    [
+        "",
+        "drives: {left: {torque_constant: 2.7}, right: {torque_constant: 4.2}}\n",
+        "priors: {m_left: {value: 1.0, std: 0.1}}\n",
+    ],
+)
+def test_check_refuses_what_identify_refuses_by_the_same_method(folder: Path, known: str, method: str | None) -> None:
+    path = damaged(folder, "method", ", payload: {name: steel, mass: 1.2}", "")
+    path.write_text(path.read_text() + known)
+    arguments = [str(path), *([] if method is None else ["--method", method])]
+    checked = CliRunner().invoke(app, ["check", *arguments])
+    identified = CliRunner().invoke(app, ["identify", *arguments, "--out", str(folder / "out")])
+    said = " ".join(checked.stdout.split())
+    assert checked.exit_code == identified.exit_code == (0 if method == "wls" and "drives" in known else 2)
+    if identified.exit_code:
+        assert " ".join(identified.stderr.split()).removeprefix("gtau: ").rstrip(".") in said
+        assert "gtau identify will refuse these logs" in said
 
 
 def test_the_exit_code_follows_the_worst_grade_and_identify_repeats_the_findings(folder: Path) -> None:
