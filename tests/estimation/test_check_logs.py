@@ -102,18 +102,14 @@ def test_what_is_wrong_with_all_logs_is_listed_once_with_their_names(folder: Pat
 def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(folder: Path) -> None:
     robot = (Path(gtau.__file__).parent / "robots/catalog/five-bar.yaml").read_text()
     speeds = [joint.speed_rms for log in check_logs(folder / "good.yaml").logs for joint in log.joints]
-    for limit, worst in ((f"{0.9 * min(speeds):.4f}", Grade.WARNING), (f"{0.3 * min(speeds):.4f}", Grade.ERROR)):
+    for limit in (f"{0.9 * min(speeds):.4f}", f"{0.1 * min(speeds):.4f}"):
         (folder / "limited.yaml").write_text(robot.replace("velocity: 6", f"velocity: {limit}"))
         path = damaged(folder, "fast", "five-bar", "limited.yaml")
         checked = check_logs(path)
-        assert checked.worst == worst
+        assert checked.worst == Grade.WARNING
         limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in str(note)]
         assert len(limits) >= 2
-        if worst == Grade.WARNING:
-            assert set(limits) <= set(findings(identify(path)))
-        else:
-            with pytest.raises(GtauError, match=f"times its limit of {float(limit):.4g} rad/s"):
-                identify(path)
+        assert set(limits) <= set(findings(identify(path)))
 
 
 def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Path) -> None:
