@@ -50,13 +50,15 @@ def test_a_little_outside_is_a_note(run: Run) -> None:
     assert str(note).startswith(f"joint '{run.joints[0]}' goes from {low:.4g} to {high:.4g} rad, outside its limits")
 
 
-@pytest.mark.parametrize(
-    ("limits", "words"),
-    [
-        (Limits(position=(0.0, 0.01)), "far outside its limits 0 to 0.01 rad; if the log is in deg say so"),
-        (Limits(velocity=0.01), "times its limit of 0.01 rad/s; if the log is in deg say so"),
-    ],
-)
-def test_another_unit_is_refused(run: Run, limits: Limits, words: str) -> None:
-    with pytest.raises(GtauError, match=words):
-        prepared(limited(limits), run)
+def test_another_unit_is_refused(run: Run) -> None:
+    with pytest.raises(GtauError, match=r"far outside its limits 0 to 0.01 rad; if the log is in deg say so"):
+        prepared(limited(Limits(position=(0.0, 0.01))), run)
+
+
+def test_a_placeholder_for_the_limit_of_speed_is_a_note_and_another_clock_refused(run: Run) -> None:
+    slow = limited(Limits(velocity=0.01))
+    (note,) = prepared(slow, run).notes
+    assert "times its limit of 0.01 rad/s" in note.what
+    assert note.action.startswith(f"write the limit of '{run.joints[0]}' in the robot file if this is none")
+    with pytest.raises(GtauError, match=r"which no robot has; correct the unit of the time"):
+        prepared(slow, replace(run, time=run.time / 1000))

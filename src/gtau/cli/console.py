@@ -17,11 +17,13 @@ import typer
 from gtau.cli.interruption import UNFINISHED, begin, exit_code, interrupted
 from gtau.cli.interruption import report as report_interruption
 from gtau.errors import GtauError
+from gtau.estimation.estimators.registry import NAMES
 from gtau.model.interpreter.compiled import is_compiled
 
 if TYPE_CHECKING:
     from gtau.report.page import Page
 
+METHODS = "|".join(NAMES)
 EVERY = 60.0  # s between lines where stderr is no terminal
 STARTING = "starting"
 COMPILING = "starting; compiling once, about 15 s"  # 14 s of one core at 3 GHz, measured without Numba's cache

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from gtau.cli.console import (
+    METHODS,
     Dask,
     ExperimentFile,
     Json,
@@ -25,9 +26,6 @@ from gtau.cli.console import (
 )
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
-from gtau.estimation.estimators.registry import NAMES
-
-METHODS = "|".join(NAMES)
 
 
 class Gains(StrEnum):

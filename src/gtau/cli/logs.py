@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show
+from gtau.cli.console import METHODS, ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
@@ -145,6 +145,12 @@ def check(
             help="Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out.",
         ),
     ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar=METHODS, help="Estimator that is to follow; default: that of identify.", show_default=False
+        ),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Check the logs before identifying: errors, warnings, and what was repaired.
@@ -161,7 +167,7 @@ def check(
             from gtau.report.check import check_document, check_page, write_check, write_preparation
             from gtau.report.write import inputs_of, write_report
 
-            checked = check_logs(experiment, progress)
+            checked = check_logs(experiment, progress, method)
         page, written = check_page(checked), list[Path]()
         if out is not None:
             written = [write_report(page, folder_of(out), perf_counter() - start, inputs_of(experiment))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,12 +14,14 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
+from gtau.estimation.estimators.estimator import Estimator
+from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.experiment_runs import geometry_of, read_runs
+from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.remarks import near_singularities, not_separated
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
@@ -115,16 +117,19 @@ class ExperimentCheck:
 
 
 @single_threaded_blas()
-def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck:
+def check_logs(path: str | Path, progress: Progress = silent, method: str | None = None) -> ExperimentCheck:
     """Find everything in the logs of an experiment file that an identification would refuse, suffer from or mention.
 
-    A log that cannot be used does not keep the others from being checked.
+    A log that cannot be used does not keep the others from being checked. ``method`` is the estimator of the
+    identification; its default if left out.
 
     Raises
     ------
     GtauError
         Where the experiment file or the robot's file is wrong.
     """
+    if method is not None:
+        estimator_of(method)  # before logs are read
     experiment = read_experiment(path)
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
@@ -135,6 +140,11 @@ def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck
     used = [run for run in read[:count] if run is not None]
     if not used:
         return ExperimentCheck(robot, None, (), (*of_robot, *notes))
+    estimator, gains = choose_estimator(method, used), None
+    try:
+        gains = require_inputs(estimator, robot, used, experiment.expected_gains, experiment.priors)
+    except GtauError as error:
+        notes.append(refusal(error))
     preparation = choose_preparation(used)
     checked, prepared_runs = [], []
     for k, run in enumerate(read):
@@ -166,9 +176,9 @@ def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck
             [each.run for each in prepared_runs],
             preparation,
             progress=progress,
-            priors=experiment.expected_parameters,
+            priors=usable(estimator, experiment.expected_parameters),
         )
-        notes += _together(dataset, experiment.expected_gains)
+        notes += _together(dataset, estimator, gains)
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)
 
 
@@ -221,28 +231,21 @@ def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
     return notes
 
 
-def _together(dataset: Dataset, prior_gains: Mapping[str, float]) -> list[Note]:
+def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None) -> list[Note]:
     """Note what only all runs together show: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system(Friction())
     notes = [*map(note, command_lag(dataset, system)), *not_separated(system.unexcited)]
+    try:
+        require_identifiable(estimator, gains, dataset, system)
+    except GtauError as error:
+        payloads = [run.payload for run in dataset.runs if run.payload is not None]
+        if system.problem.scaled or not payloads or any(each.mass is not None for each in payloads):
+            return [*notes, refusal(error, Kind.SCALE)]
+        weighed = f"they can weigh '{payloads[0].name}'"
+        what = f"no payload has a known mass, so these logs cannot give the drive gains; {weighed}"
+        return [*notes, Note(Kind.WEIGHING, what, "run 'gtau payload MODEL.json' with them")]
     if dataset.runs[0].kind == "torque":
         return notes
-    payloads = [run.payload for run in dataset.runs]
-    unknown = next((each.name for each in payloads if each is not None and each.mass is None), None)
-    if (
-        unknown is not None
-        and not system.problem.scaled
-        and all(each is None or each.mass is None for each in payloads)
-    ):
-        what = f"no payload has a known mass, so these logs cannot give the drive gains; they can weigh '{unknown}'"
-        return [*notes, Note(Kind.READING, what, "run 'gtau payload MODEL.json' with them")]
-    try:
-        require_scale(dataset.robot, system, payloads, "ml")
-    except GtauError as error:
-        if set(dataset.robot.actuated) <= set(prior_gains):
-            what = "no known payload fixes the scale of the drive gains"
-            return [*notes, Note(Kind.READING, what, "use --method wls, which takes the prior_gains of the file")]
-        return [*notes, refusal(error, Kind.SCALE)]
     try:
         require_felt_payload(system)
     except GtauError as error:

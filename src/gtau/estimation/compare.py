@@ -16,11 +16,10 @@ from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import gains_for, require_priors_taken, usable
+from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.scale_source import require_scale
 from gtau.model.home import load_robot
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
@@ -107,25 +106,25 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
     def row(estimator: Estimator) -> Row:
         start = perf_counter()
         try:
-            require_priors_taken(estimator, runs, experiment.priors)
-            given = Given(gains_for(estimator, robot, runs, experiment.expected_gains), priors, progress)
+            gains = require_inputs(estimator, robot, runs, experiment.expected_gains, experiment.priors)
+            given = Given(gains, priors, progress)
             taken = replace(dataset, priors=usable(estimator, priors))
             result = estimate(taken, estimator, given, prior_gains=experiment.expected_gains)
         except GtauError as refusal:
             return Row(estimator.name, refusal=str(refusal))
-        seconds, gains = perf_counter() - start, list(result.drive_gains.values())
+        seconds, found = perf_counter() - start, list(result.drive_gains.values())
         residuals = np.array([each.relative for each in result.residuals])
-        values = np.array([gain.value for gain in gains], dtype=float)
+        values = np.array([gain.value for gain in found], dtype=float)
         if estimator.gains == Gains.GIVEN:
             return Row(estimator.name, values, None, residuals, seconds)
-        std = np.array([gain.std for gain in gains], dtype=float)
-        outcome = worst([gain.verdict for gain in gains])
-        halves = np.array([gain.half_interval() for gain in gains], dtype=float)
+        std = np.array([gain.std for gain in found], dtype=float)
+        outcome = worst([gain.verdict for gain in found])
+        halves = np.array([gain.half_interval() for gain in found], dtype=float)
         return Row(estimator.name, values, std, residuals, seconds, outcome, half_widths=halves)
 
     with single_threaded_blas():
         dataset = reduce_runs(robot, runs, progress=progress, priors=priors)
-        require_scale(robot, dataset.system(Friction()), [run.payload for run in dataset.runs], "ml")
+        require_identifiable(choose_estimator("ml", runs), None, dataset, dataset.system(Friction()))
         chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or experiment.expected_gains]
         rows = []
         for k, estimator in enumerate(chosen):

@@ -34,6 +34,7 @@ GRADES: Mapping[Kind, Grade] = {
     Kind.SINGULARITY: Grade.WARNING,
     Kind.GEOMETRY: Grade.WARNING,
     Kind.REPAIR: Grade.INFORMATION,
+    Kind.WEIGHING: Grade.INFORMATION,
     Kind.READING: Grade.INFORMATION,
     Kind.REST: Grade.INFORMATION,
     Kind.ROBOT: Grade.INFORMATION,

@@ -6,19 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.estimator import Estimator, Gains, Given
+from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import geometry_of, read_runs
+from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.home import load_robot
@@ -88,8 +86,9 @@ def identify(
         Where a file is wrong, the data cannot be used, or they cannot give what the method asks for.
     """
     options = AS_PAPER if as_paper else DEFAULT
+    if method is not None:
+        estimator_of(method)  # before logs are read
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
-    chosen = None if method is None else estimator_of(method)
     if isinstance(source, Robot):
         robot, runs, drives, stated, experiment = source, _given_runs(runs), {}, priors, None
     else:
@@ -100,18 +99,16 @@ def identify(
         drives, stated = experiment.drives, experiment.priors if priors is None else priors
         prior_gains = experiment.expected_gains if prior_gains is None else prior_gains
         priors = experiment.expected_parameters if priors is None else priors
-    estimator = chosen or _default_estimator(runs, as_paper)
+    estimator = choose_estimator(method, runs, as_paper)
     _check_combination(estimator, as_paper, consistent)
     priors = priors or {}
-    require_priors_taken(estimator, runs, stated or {}, consistent)
-    gains = gains_for(estimator, robot, runs, prior_gains)
+    gains = require_inputs(estimator, robot, runs, prior_gains, stated or {}, consistent)
     with single_threaded_blas():
         dataset = reduce_runs(
             robot, runs, decimator=options.decimator, progress=progress, priors=usable(estimator, priors)
         )
         system = dataset.system(Friction())
-        if gains is None:
-            require_scale(robot, system, [run.payload for run in dataset.runs], estimator.name)
+        require_identifiable(estimator, gains, dataset, system)
         try:
             result = estimate(dataset, estimator, Given(gains, priors, progress), options, prior_gains, consistent)
         except GtauError:
@@ -146,10 +143,6 @@ def _experiment_alone(source: str | Path | Experiment, runs: Sequence[Run] | Non
     return source if isinstance(source, Experiment) else read_experiment(source)
 
 
-def _default_estimator(runs: Sequence[Run], as_paper: bool) -> Estimator:
-    return estimator_of("wls" if runs[0].kind == "torque" else "tls" if as_paper else "ml")
-
-
 def _check_combination(estimator: Estimator, as_paper: bool, consistent: bool) -> None:
     if as_paper and not estimator.in_paper:
         of_paper = ", ".join(each.name for each in ESTIMATORS.values() if each.in_paper)
@@ -161,82 +154,3 @@ def _check_combination(estimator: Estimator, as_paper: bool, consistent: bool) -
             f"consistent parameters are found by least squares, which method '{estimator.name}' is not; use --method "
             "didim or ml with --consistent."
         )
-
-
-def require_priors_taken(
-    estimator: Estimator, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
-) -> None:
-    """Check that an estimator can take what is known beside currents and payloads.
-
-    Raises
-    ------
-    GtauError
-        Where it takes neither torque sensors nor known parameters, and there are some; ``consistent`` parameters are
-        sought with the latter whatever the estimator.
-    """
-    if estimator.takes_priors:
-        return
-    takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
-    known = any(prior.value is not None for prior in priors.values()) and not consistent
-    for what, key, there in (
-        ("torque sensors", "joint_torque", runs[0].sensors),
-        ("known parameters", "priors", known),
-        ("wrenches on bodies", "wrenches", any(body not in runs[0].base for body, _ in runs[0].wrenches)),
-    ):
-        if there:
-            raise GtauError(
-                f"method '{estimator.name}' takes no {what}, and '{key}' gives some; remove '{key}', or choose from "
-                f"{takers} with --method."
-            )
-
-
-def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Prior]:
-    """Return the priors that join the currents in an estimator; others use them only for consistent parameters."""
-    return priors if estimator.takes_priors else {}
-
-
-def gains_for(
-    estimator: Estimator, robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None
-) -> np.ndarray | None:
-    """Return the gains (n,) that an estimator takes: 1 for torques, else the prior ones; None if it estimates them.
-
-    Raises
-    ------
-    GtauError
-        Where it estimates gains of logs that hold torques, or takes them and some joint has no prior gain.
-    """
-    torques = runs[0].kind == "torque"
-    if robot.floating and not estimator.takes_priors:
-        takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
-        raise GtauError(
-            f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
-            f"choose from {takers} with --method."
-        )
-    if estimator.gains == Gains.GIVEN or (estimator.gains == Gains.EITHER and torques):
-        return given_gains(robot, runs, prior_gains, estimator.name)
-    if torques:
-        raise GtauError(
-            f"the logs hold torques, whose gain is 1, so there is nothing for method '{estimator.name}' to find; leave "
-            "out --method, or use --method wls."
-        )
-    return None
-
-
-def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:
-    """Return gains for least squares: 1 for torques, otherwise the prior ones, (n,).
-
-    Raises
-    ------
-    GtauError
-        Where currents are logged and some joint has no prior gain.
-    """
-    if runs[0].kind == "torque":
-        return np.ones(len(robot.actuated))
-    known = {**dict.fromkeys(robot.base, 1.0), **(prior_gains or {})}
-    missing = [joint for joint in robot.actuated if joint not in known]
-    if missing:
-        raise GtauError(
-            f"method '{method}' needs a drive gain for every joint, and joint '{missing[0]}' has none; "
-            "add 'prior_gains' to the experiment file, or use --method ml with a known payload."
-        )
-    return np.array([known[joint] for joint in robot.actuated])

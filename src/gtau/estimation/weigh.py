@@ -13,7 +13,7 @@ from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.least_squares import wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.experiment_runs import experiment_of, read_runs
-from gtau.estimation.identify import given_gains
+from gtau.estimation.gate import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.results.estimate import PayloadEstimate

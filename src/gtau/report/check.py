@@ -39,6 +39,7 @@ from gtau.report.page import (
 from gtau.report.preparation import preparation_chart
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
+from gtau.signals.notes import Kind as NoteKind
 from gtau.signals.notes import Note
 from gtau.signals.samples import counted
 
@@ -126,11 +127,13 @@ def _verdict(checked: ExperimentCheck) -> Section:
 def gate_words(notes: Sequence[Note]) -> str:
     """Say in one sentence what to expect of an identification from these logs."""
     found = by_grade(same_in_several(notes))
+    weighing = any(each.kind == NoteKind.WEIGHING for each in notes)
+    command = "gtau payload" if weighing else "gtau identify"
     if errors := found.get(Grade.ERROR):
-        return f"gtau identify will refuse these logs: {counted(len(errors), 'error')} to resolve first."
+        return f"{command} will refuse these logs: {counted(len(errors), 'error')} to resolve first."
     if warnings := found.get(Grade.WARNING):
-        return f"gtau identify can read these logs; {counted(len(warnings), 'warning')} to look into first."
-    return "gtau identify can use these logs as they are."
+        return f"{command} can read these logs; {counted(len(warnings), 'warning')} to look into first."
+    return f"{command} can use these logs as they are."
 
 
 def _preparation(checked: ExperimentCheck) -> Facts | None:

@@ -13,6 +13,7 @@ class Kind(StrEnum):
     VALIDATION = "validation log"  # one that cannot be used
     ROWS = "usable rows"
     SCALE = "scale of the gains"
+    WEIGHING = "weighing"  # all that these logs can do, without a payload of known mass
     SEPARATION = "separable parameters"
     MODEL = "model"  # what the data say against the model
     CLIPPED = "clipped command"

@@ -77,16 +77,9 @@ FAR_BEYOND_LIMITS = Threshold(
     "57 times the share of the range that is used (deg read as rad)",
     "tests/estimation/test_motion_limits.py",
 )
-TOO_FAST = Threshold(
-    3.0,
-    "rms speed over the joint's limit of speed, from which the log is refused",
-    "0.57 (shared)",
-    "57 (deg read as rad), 1000 (ms read as s)",
-    "the factors between units",
-)
 FASTEST_TURN = Threshold(
     30.0,
-    "rms speed of a joint without limit, rad/s, from which the clock or unit is wrong",
+    "rms speed of a joint, rad/s, from which the clock or unit is wrong",
     "1.4 (Aliengo), 10 (fast deltas)",
     "77 (Aliengo, deg read as rad)",
     "shared logs; the speed of deltas from experience",

@@ -1,0 +1,128 @@
+"""What an estimator requires of an experiment before it estimates, for all commands alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Estimator, Gains
+from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.scale_source import require_scale
+from gtau.estimation.regression.system import System
+from gtau.robots.robot import Robot
+from gtau.signals.experiment import Prior
+from gtau.signals.run import Run
+
+
+def choose_estimator(method: str | None, runs: Sequence[Run], as_paper: bool = False) -> Estimator:
+    """Return the estimator of this name, or the default: WLS of torques, else ML, or TLS ``as_paper``; GtauError."""
+    return estimator_of(method or ("wls" if runs[0].kind == "torque" else "tls" if as_paper else "ml"))
+
+
+def require_inputs(
+    estimator: Estimator,
+    robot: Robot,
+    runs: Sequence[Run],
+    prior_gains: Mapping[str, float] | None,
+    priors: Mapping[str, Prior],
+    consistent: bool = False,
+) -> np.ndarray | None:
+    """Check that an estimator can take what is known, and return the gains (n,) given to it; None if it finds them.
+
+    Raises
+    ------
+    GtauError
+        Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
+        sought with the latter whatever the estimator); where it estimates gains of logs that hold torques, or takes
+        gains and some joint has none.
+    """
+    _require_priors_taken(estimator, runs, priors, consistent)
+    return _gains_for(estimator, robot, runs, prior_gains)
+
+
+def require_identifiable(estimator: Estimator, gains: np.ndarray | None, dataset: Dataset, system: System) -> None:
+    """Check that the runs fix the scale of the gains, unless these are given; raises GtauError."""
+    if gains is None:
+        require_scale(dataset.robot, system, [run.payload for run in dataset.runs], estimator.name)
+
+
+def _require_priors_taken(
+    estimator: Estimator, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
+) -> None:
+    """Check that an estimator can take what is known beside currents and payloads.
+
+    Raises
+    ------
+    GtauError
+        Where it takes neither torque sensors nor known parameters, and there are some; ``consistent`` parameters are
+        sought with the latter whatever the estimator.
+    """
+    if estimator.takes_priors:
+        return
+    takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
+    known = any(prior.value is not None for prior in priors.values()) and not consistent
+    for what, key, there in (
+        ("torque sensors", "joint_torque", runs[0].sensors),
+        ("known parameters", "priors", known),
+        ("wrenches on bodies", "wrenches", any(body not in runs[0].base for body, _ in runs[0].wrenches)),
+    ):
+        if there:
+            raise GtauError(
+                f"method '{estimator.name}' takes no {what}, and '{key}' gives some; remove '{key}', or choose from "
+                f"{takers} with --method."
+            )
+
+
+def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Prior]:
+    """Return the priors that join the currents in an estimator; others use them only for consistent parameters."""
+    return priors if estimator.takes_priors else {}
+
+
+def _gains_for(
+    estimator: Estimator, robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None
+) -> np.ndarray | None:
+    """Return the gains (n,) that an estimator takes: 1 for torques, else the prior ones; None if it estimates them.
+
+    Raises
+    ------
+    GtauError
+        Where it estimates gains of logs that hold torques, or takes them and some joint has no prior gain.
+    """
+    torques = runs[0].kind == "torque"
+    if robot.floating and not estimator.takes_priors:
+        takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
+        raise GtauError(
+            f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
+            f"choose from {takers} with --method."
+        )
+    if estimator.gains == Gains.GIVEN or (estimator.gains == Gains.EITHER and torques):
+        return given_gains(robot, runs, prior_gains, estimator.name)
+    if torques:
+        raise GtauError(
+            f"the logs hold torques, whose gain is 1, so there is nothing for method '{estimator.name}' to find; leave "
+            "out --method, or use --method wls."
+        )
+    return None
+
+
+def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:
+    """Return gains for least squares: 1 for torques, otherwise the prior ones, (n,).
+
+    Raises
+    ------
+    GtauError
+        Where currents are logged and some joint has no prior gain.
+    """
+    if runs[0].kind == "torque":
+        return np.ones(len(robot.actuated))
+    known = {**dict.fromkeys(robot.base, 1.0), **(prior_gains or {})}
+    missing = [joint for joint in robot.actuated if joint not in known]
+    if missing:
+        raise GtauError(
+            f"method '{method}' needs a drive gain for every joint, and joint '{missing[0]}' has none; "
+            "add 'prior_gains' to the experiment file, or use --method ml with a known payload."
+        )
+    return np.array([known[joint] for joint in robot.actuated])
