@@ -708,3 +708,30 @@ def test_what_brakes_a_floating_base_in_the_simulator_is_said(tmp_path: Path) ->
     note = "damping, friction or armature of the floating 'trunk' acts in the simulator and is not modelled"
     assert note in load_robot(path, base="floating").notes
     assert note not in load_robot(path, base="fixed").notes
+
+
+DRAWN = """<mujoco><worldbody><body name="trunk">{joints}<geom size="0.1"/>
+  <body name="left" pos="0 0.1 0"><joint name="a" axis="0 1 0"/><geom size="0.1"/></body>
+  <body name="right" pos="0 -0.1 0"><joint name="b" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody>
+  <actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+SLIDES = '<joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/><joint type="slide"/>'
+TURNS = '<joint name="rx" axis="1 0 0"/><joint name="ry" axis="0 1 0"/><joint name="trunk"/>'
+
+
+@pytest.mark.parametrize("turns", [TURNS, '<joint name="trunk" type="ball"/>'], ids=["hinges", "ball"])
+def test_six_joints_without_motors_are_a_floating_base(turns: str, tmp_path: Path) -> None:
+    def loaded(text: str, base: str | None = None) -> Robot:
+        (tmp_path / "robot.xml").write_text(text)
+        return load_robot(tmp_path / "robot.xml", base=base)
+
+    free = loaded(DRAWN.format(joints="<freejoint/>"), "floating")
+    text = DRAWN.format(joints=SLIDES + turns)
+    drawn = loaded(text, "floating")
+    assert replace(drawn, name=free.name) == free
+    assert drawn.floating == "trunk"
+    assert drawn.notes[-1].endswith("were taken as the floating base 'trunk', as they have no motor and carry the rest")
+    assert loaded(text, "fixed").actuated == ("a", "b")
+    with pytest.raises(GtauError, match="have no motor and carry the rest, as a base that floats; write 'robot: "):
+        loaded(text)
+    gantry = text.replace("<actuator>", '<actuator><motor joint="x"/>')
+    assert "x" in loaded(gantry).actuated

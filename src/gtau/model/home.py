@@ -112,6 +112,8 @@ def close_home(robot: Robot) -> Robot:
     GtauError
         The loops close nowhere, or only far from the home that the file gives.
     """
+    if not (robot.closures or robot.couplings):
+        return _within_limits(robot, set())
     errors = loop_errors(coordinates(robot))
     robot = _within_limits(robot, set(errors.looped.tolist()))
     layout = coordinates(robot)

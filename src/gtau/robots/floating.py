@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from gtau.errors import GtauError
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Robot, base_rows
 
@@ -79,6 +81,26 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
         springs=tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.springs),
         floating=name,
     )
+
+
+def drawn_base(robot: Robot) -> tuple[str, ...]:
+    """Find six joints without motors and ties, three slides and three turns, by which a file draws a floating base.
+
+    They follow each other from the ground and carry all others; without such, none.
+    """
+    before, found = GROUND, list[Joint]()
+    while len(found) < 6:
+        following = [joint for joint in robot.joints if joint.antecedent == before]
+        if len(following) != 1 or following[0].actuated:
+            return ()
+        found.append(following[0])
+        before = following[0].name
+    names = tuple(joint.name for joint in found)
+    ends = {GROUND, *names[:-1]}.intersection(end.body for end in robot.ends)
+    coupled = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}
+    axes = ([joint.axis for joint in found if joint.kind == kind] for kind in ("prismatic", "revolute"))
+    spanning = all(len(each) == 3 and np.linalg.matrix_rank(each) == 3 for each in axes)
+    return names if spanning and not ends and coupled.isdisjoint(names) else ()
 
 
 def refuse_floating(robot: Robot, what: str) -> None:

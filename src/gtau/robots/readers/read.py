@@ -10,10 +10,10 @@ import numpy as np
 
 from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.errors import GtauError
-from gtau.robots.floating import float_base
+from gtau.robots.floating import drawn_base, float_base
 from gtau.robots.geometry import rounded
-from gtau.robots.parts import hold_joints, select_joints
-from gtau.robots.readers.source import FLOATING, Base, BaseChoice, RobotSource
+from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, RobotSource
 from gtau.robots.robot import Pose, Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
@@ -47,10 +47,17 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
         There is no such robot, or its file is not accepted.
     """
     if not isinstance(source, RobotSource):
-        return _read(source, None)
+        source = RobotSource(file=str(source))
     robot = _read(source.file, source.base)
     try:
-        if source.base == FLOATING and not robot.floating:
+        six = () if robot.floating else drawn_base(robot)
+        if source.base == FLOATING and six:
+            robot = replace(float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1]), notes=robot.notes)
+            note = (
+                f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
+            )
+            robot = replace(robot, notes=(*robot.notes, note))
+        elif source.base == FLOATING and not robot.floating:
             taken = any(joint.name == "base" for joint in robot.joints)
             robot = float_base(robot, "floating_base" if taken else "base")
         elif isinstance(source.base, Base):
@@ -58,7 +65,10 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
                 robot = hold_joints(robot, dict.fromkeys(robot.base, 0.0), "with the base")
             if source.base.rpy is not None:
                 robot = _mounted(robot, source.base.rpy)
-        return select_joints(robot, source.joints, source.held) if source.joints or source.held else robot
+        robot = select_joints(robot, source.joints, source.held) if source.joints or source.held else robot
+        if source.base is None and not robot.floating and (six := drawn_base(robot)):
+            raise GtauError(f"{listed(six)} have no motor and carry the rest, as a base that floats; {BASE_ADVICE}.")
+        return robot
     except GtauError as error:
         raise GtauError(f"{source.file}: {error}") from None
 
