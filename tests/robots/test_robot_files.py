@@ -636,7 +636,7 @@ BAD_URDFS: list[tuple[str, str, str]] = [
         arm(HINGE.format('<mimic joint="k"/>')),
         ": joint 'j' mimics 'k', which is not a joint that moves; correct its <mimic>",
     ),
-    ("mimic of itself", arm(HINGE.format('<mimic joint="j"/>')), ": robot 'r': coupling 1 must give 'j' from one or"),
+    ("mimic of itself", arm(HINGE.format('<mimic joint="j"/>')), ": joint 'j' mimics 'j', so none of them leads;"),
     ("mimic unnamed", arm(HINGE.format("<mimic/>")), ": <mimic> of joint 'j' has no joint; write joint="),
     (
         "mimic ratio",
@@ -647,7 +647,7 @@ BAD_URDFS: list[tuple[str, str, str]] = [
     (
         "mass",
         '<robot name="r"><link name="a"><inertial><mass value="heavy"/></inertial></link></robot>',
-        ": the mass of link 'a' is 'heavy'; write a number.",
+        ": the mass of link 'a' is 'heavy'; write a plain decimal number, at most 1e+09 in size.",
     ),
     ("no type", arm('<joint name="j"/>'), ": joint 'j' has no type; write type=\"...\"."),
     ("no name", arm('<joint type="fixed"/>'), ': a joint has no name; write name="...".'),
@@ -667,9 +667,17 @@ BAD_URDFS: list[tuple[str, str, str]] = [
         ": joint 'j' is in a loop of parents and children;",
     ),
     ("zero axis", arm(HINGE.format("").replace("0 0 1", "0 0 0")), ": the axis of joint 'j' is zero; give it a"),
-    ("short axis", arm(HINGE.format("").replace("0 0 1", "0 1")), ": the axis of joint 'j' is '0 1'; write 3 numbers."),
-    ("origin", arm(HINGE.format('<origin xyz="0 nan 0"/>')), ": the xyz of joint 'j' is '0 nan 0'; write 3 numbers."),
-    ("limit", arm(HINGE.format('<limit effort="high"/>')), ": the effort of joint 'j' is 'high'; write a number."),
+    (
+        "short axis",
+        arm(HINGE.format("").replace("0 0 1", "0 1")),
+        ": the axis of joint 'j' is '0 1'; write 3 plain decimal num",
+    ),
+    ("origin", arm(HINGE.format('<origin xyz="0 nan 0"/>')), ": the xyz of joint 'j' is '0 nan 0'; write 3 plain dec"),
+    (
+        "limit",
+        arm(HINGE.format('<limit effort="high"/>')),
+        ": the effort of joint 'j' is 'high'; write a plain decimal n",
+    ),
 ]
 
 

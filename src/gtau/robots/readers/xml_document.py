@@ -102,7 +102,8 @@ def numbers(text: str, count: int, what: str, endless: bool = False) -> list[flo
     values = decimals(text, endless)
     if values is None or len(values) != count:
         needed = "a plain decimal number" if count == 1 else f"{count} plain decimal numbers"
-        raise GtauError(f"the {what} is '{text}'; write {needed}, at most {LARGEST:g} in size.")
+        size = "" if endless else f", at most {LARGEST:g} in size"
+        raise GtauError(f"the {what} is '{text}'; write {needed}{size}.")
     return values
 
 
