@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import sys
 
@@ -13,6 +14,7 @@ def main() -> None:
     The other exit codes: 0 done, 1 a fault of gtau itself, 3 done but no drive gain can be believed, 128 + signal where
     Ctrl-C (130), SIGHUP (129) or SIGTERM (143) ended it.
     """
+    gc.set_threshold(50_000)  # imports make many objects and no garbage: collections took a fifth of their time
     try:
         from gtau.cli.interruption import UNFINISHED, exit_code, interrupted, listen, report
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.geometry import geometry_test
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
@@ -41,6 +40,8 @@ def geometry_of(
     signals = experiment.signals
     if signals.pose is None:
         return None
+    from gtau.estimation.diagnostics.geometry import geometry_test
+
     logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)
 

@@ -30,7 +30,8 @@ class Regressor:
     """Chosen columns of ``IDM_st``: their structurally non-zero entries.
 
     ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J. Entry k stands in
-    row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``).
+    row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``). ``compiled`` is its program, where
+    ``matrix`` has symbols beside the inputs.
     """
 
     names: tuple[str, ...]
@@ -38,11 +39,12 @@ class Regressor:
     matrix: ca.SX
     rows: np.ndarray
     columns: np.ndarray
+    compiled: Program | None = None
 
     @cached_property
     def program(self) -> Program:
         """Program from the inputs of a sample to its entries."""
-        return compile_program(self.inputs, [self.matrix.nz[:]])
+        return self.compiled or compile_program(self.inputs, [self.matrix.nz[:]])
 
     @cached_property
     def summed(self) -> Program:
@@ -170,6 +172,10 @@ class InverseDynamics:
             W = whole[:, [position[name] for name in names]]
             self._regressors[names] = _regressor(names, inputs, W)
         return self._regressors[names]
+
+    def adopt(self, regressor: Regressor) -> None:
+        """Take a regressor that was derived for several robots at once as that of its ``names``."""
+        self._regressors[regressor.names] = regressor
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
         """Return the columns of wrenches on bodies, six of each: their product with the wrenches are torques ``J^T w``.

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 
 import casadi as ca
 import numpy as np
 
 from gtau.model.closures import closure_expressions
 from gtau.model.interpreter.program import Program, compile_program
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, Shifted, coordinates, frames, twists
 from gtau.robots.geometry import characteristic_length, pose_of
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
@@ -172,17 +174,43 @@ def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     return VariableGeometry(layout, tuple(constants), shifts, unit, residual.numel(), program)
 
 
-def _places(robot: Robot) -> Iterator[tuple[str, Placement]]:
-    """Iterate over all placements, with the words for where they are."""
+def models_alike(robots: Sequence[Robot], standard: Sequence[str]) -> list[InverseDynamics]:
+    """Make models of robots that differ in lengths alone; their regressors of the ``standard`` parameters are one.
+
+    It is derived once, with the shifts of places as parameters of its program: to derive it for each robot takes most
+    of the time in which several lengths are tried.
+    """
+    where = np.array([[placement.position for _, placement in _places(robot, springs=True)] for robot in robots])
+    shifts = where - where[0]  # (robots, places, 3)
+    varies = np.abs(shifts).max(axis=0) > 0
+    s = ca.SX(ca.Sparsity.triplet(*varies.shape, *(index.tolist() for index in np.nonzero(varies))))
+    symbols = ca.SX.sym("s", int(varies.sum()))
+    for symbol, (place, axis) in zip(ca.vertsplit(symbols), np.argwhere(varies).tolist(), strict=True):
+        s[place, axis] = symbol
+    varied = InverseDynamics(_shifted(robots[0], [s[k, :].T for k in range(len(varies))]))
+    general = varied.columns(standard)
+    program = compile_program(general.inputs, [general.matrix.nz[:]], [symbols])
+    models = [InverseDynamics(robot) for robot in robots]
+    for model, shift in zip(models, shifts, strict=True):
+        model.adopt(replace(general, compiled=program.at(shift[varies])))
+    return models
+
+
+def _places(robot: Robot, springs: bool = False) -> Iterator[tuple[str, Placement]]:
+    """Iterate over all placements, with the words for where they are; those of ``springs`` come last."""
     for joint in robot.joints:
         yield f"'{joint.name}'", joint.placement
     for number, closure in enumerate(robot.closures, start=1):
         for end in (closure.a, closure.b):
             yield f"closure {number} on '{end.body}'", end.placement
+    for spring in robot.springs if springs else ():
+        for end in (spring.a, spring.b):
+            yield f"'{spring.name}' on '{end.body}'", end.placement
 
 
 def _shifted(robot: Robot, shifts: Sequence[ca.SX]) -> Robot:
-    of_place = iter(shifts)
+    """Shift the placements of joints and closures, and of springs where there are shifts of these too."""
+    of_place = chain(shifts, repeat(ca.SX(3, 1)))
     joints = tuple(replace(joint, placement=_moved(joint.placement, next(of_place))) for joint in robot.joints)
     closures = tuple(
         replace(
@@ -192,7 +220,15 @@ def _shifted(robot: Robot, shifts: Sequence[ca.SX]) -> Robot:
         )
         for closure in robot.closures
     )
-    return replace(robot, joints=joints, closures=closures)
+    springs = tuple(
+        replace(
+            spring,
+            a=replace(spring.a, placement=_moved(spring.a.placement, next(of_place))),
+            b=replace(spring.b, placement=_moved(spring.b.placement, next(of_place))),
+        )
+        for spring in robot.springs
+    )
+    return replace(robot, joints=joints, closures=closures, springs=springs)
 
 
 def _moved(placement: Placement, shift: ca.SX) -> Shifted:

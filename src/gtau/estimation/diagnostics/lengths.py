@@ -28,7 +28,7 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_SHARE, LENGTH_TRIED
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.lengths import SAME
+from gtau.model.lengths import SAME, models_alike
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
 
@@ -62,13 +62,15 @@ def other_length(fit: Fit, progress: Progress = silent) -> OtherLength | None:
 def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
     robot = fit.dataset.robot
     before, _ = _left(fit, fit.dataset.model)
-    lengths = list(zip(_longer(robot, STEP), _longer(robot, -STEP), strict=True))
-    for k, ((cause, longer), (_, shorter)) in enumerate(lengths):
+    longer, shorter = list(_longer(robot, STEP)), list(_longer(robot, -STEP))
+    if not longer:
+        return
+    models = models_alike([other for _, other in (*longer, *shorter)], fit.dataset.base.standard)
+    lengths = list(zip((cause for cause, _ in longer), models, models[len(longer) :], strict=False))
+    for k, (cause, *pair) in enumerate(lengths):
         progress("other lengths", k, len(lengths))
         try:
-            (above, gains_above), (below, gains_below) = (
-                _left(fit, InverseDynamics(each)) for each in (longer, shorter)
-            )
+            (above, gains_above), (below, gains_below) = (_left(fit, model) for model in pair)
         except GtauError:
             continue  # the robot cannot be assembled or follow its motion with another length
         slope, curvature = (above - below) / 2, (above + below) / 2 - before

@@ -22,8 +22,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.sparse.csgraph import connected_components
 
 from gtau.estimation.regression.dataset import motor_to_joint_speed
 from gtau.estimation.regression.friction import TERMS
@@ -67,6 +65,8 @@ class FrictionLaw:
         joints, n = self.ratios.shape
         if self.model.robot.closures:
             return np.ones((1, joints + n))
+        from scipy.sparse.csgraph import connected_components
+
         driven = self.ratios != 0
         count, group = connected_components(driven.T.astype(int) @ driven.astype(int), directed=False)
         of_actuated = np.eye(count)[:, group]
@@ -129,6 +129,8 @@ class FrictionLaw:
 
         For engines with no other friction. ``joint`` is an actuated one.
         """
+        from scipy.optimize import nnls
+
         speed = np.linspace(0.0, self.logged_speeds.get(joint, 0.0), SPEEDS)[1:]
         friction = np.maximum(viscous * speed + coulomb + cubic * speed**3, 0.0)
         (viscous, coulomb), _ = nnls(np.stack([speed, np.ones_like(speed)], axis=1), friction)

@@ -8,7 +8,7 @@ registers stay in the cache. One compiled loop (Numba, cached on disk) serves al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -64,6 +64,10 @@ class Program:
 
         share(run, result.shape[1])
         return result[:, :samples]
+
+    def at(self, parameters: np.ndarray) -> Program:
+        """Return the program whose ``parameters`` (parameters,) have these values for ever: they become constants."""
+        return replace(self, constants=np.concatenate([self.constants, parameters]), parameters=0)
 
     def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
         """Put the outputs, in ``order`` (outputs,), of every sample at ``places`` (outputs,) of its row of ``table``.
