@@ -63,6 +63,7 @@ def _document(model: Identified, made: Functions) -> dict[str, object]:
                 "identifier": ends[joint],
                 "position_unit": "rad" if robot.joint(joint).kind == "revolute" else "m",
                 "torque_unit": unit,
+                "current_unit": "A" if model.result.kind == "current" else unit,
             }
             for joint, unit in zip(model.joints, model.units, strict=True)
         ],
