@@ -105,6 +105,17 @@ def test_c_gives_what_python_gives(robot: Robot, tmp_path: Path, rng: np.random.
 
 
 @needs_gcc
+def test_payloads_of_names_alike_are_two_arrays(tmp_path: Path) -> None:
+    result = model_of(tree())
+    (load,) = result.payloads
+    loads = tuple(replace(load, name=name, run=name) for name in ("a-b", "a_b", "*/ =é"))
+    c = Compiled(replace(result, payloads=loads), tmp_path)
+    for end in ("a_b", "a_b_2", "_____"):
+        array = (ctypes.c_double * c.n_p).in_dll(c.library, f"{c.model.name}_parameters_with_{end}")
+        np.testing.assert_array_equal(np.array(array), c.model.payloads["a-b"])
+
+
+@needs_gcc
 def test_payloads_stand_in_the_code(tmp_path: Path) -> None:
     c = Compiled(model_of(ROBOTS[1]), tmp_path)
     array = (ctypes.c_double * c.n_p).in_dll(c.library, "tree_parameters_with_tool_2")

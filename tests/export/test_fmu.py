@@ -10,7 +10,8 @@ from models_to_export import model_of
 from robots_for_tests import tree
 
 from gtau.export.fmu import export
-from gtau.export.identified import identified, suffix, torques
+from gtau.export.identified import identified, torques
+from gtau.export.names import suffixes
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 
@@ -24,9 +25,21 @@ def test_fmpy_runs_the_model(robot: Robot, tmp_path: Path) -> None:
     result = model_of(robot)
     (path,) = export(result, tmp_path).files
     assert not validate_fmu(str(path))
-    assert fmpy.read_model_description(str(path)).fmiVersion == "3.0"
+    description = fmpy.read_model_description(str(path))
+    assert description.fmiVersion == "3.0"
+    assert "Outputs at the end of a step are those of the inputs at its start." in description.description
     model = identified(result)
-    names = [suffix(joint) for joint in model.joints]
+    names = list(suffixes(model.joints).values())
+    units = {each.name: (each.unit, (each.description or "").split(", ")[-1]) for each in description.modelVariables}
+    for name, joint, unit in zip(names, model.joints, model.units, strict=True):
+        length = "rad" if robot.joint(joint).kind == "revolute" else "m"
+        for what, expected in (("q", length), ("qd", f"{length}/s"), ("qdd", f"{length}/s2"), ("torque", unit)):
+            assert units[f"{what}_{name}"] == (expected, expected)
+        assert units[f"current_{name}"] == ("A", "A")
+    seconds = {each.name: each.baseUnit.s for each in description.unitDefinitions}
+    assert {unit: power for unit, power in seconds.items() if power} == {
+        unit: -1 if unit.endswith("/s") else -2 for unit in seconds if unit not in ("rad", "m", "A")
+    }
     home = np.array([joint.home for joint in robot.joints if joint.actuated])
     time = np.arange(0, 0.1, 1e-3)
     phase = time[:, None] * 5 + np.arange(len(names)) + 0.3

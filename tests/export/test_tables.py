@@ -19,7 +19,8 @@ from robots_for_tests import tree
 
 import gtau
 from gtau.estimation.results.result import Result
-from gtau.export.latex import symbol
+from gtau.export.latex import TEXT_WIDTH, symbol, width
+from gtau.export.names import identifier, in_csv, in_latex, in_latex_index, suffixes
 from gtau.export.parameter_orders import ORDERS, from_order, to_order
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
@@ -83,6 +84,38 @@ def test_latex_tables_are_complete(robot: Robot, tmp_path: Path) -> None:
         page = r"\documentclass{article}\usepackage{booktabs,amsmath}\begin{document}\input{%s}\end{document}"
         (tmp_path / "page.tex").write_text(page % exported.files[0].name)
         subprocess.run([latex, "-halt-on-error", "page.tex"], cwd=tmp_path, check=True, capture_output=True)
+
+
+def test_odd_names_are_latex() -> None:
+    assert in_latex(r"a_b {x}\^~$") == r"a\_b \{x\}\textbackslash{}\textasciicircum{}\textasciitilde{}\$"
+    assert in_latex("épaule Größe 🤖") == r"\'{e}paule Gr\"{o}\ss{}e U+1F916"
+    assert in_latex_index("arm 1_b") == r"\mathrm{arm\ 1\_b}"
+    assert in_latex_index("~") == r"\text{\textasciitilde{}}"
+
+
+def test_latex_of_long_names_fits_the_page(tmp_path: Path) -> None:
+    result = model_of(load_robot("ur10e"))
+    text = gtau.export_model(result, "latex", tmp_path).files[0].read_text()
+    lines = text.split(r"\begin{align}")[1].split(r"\end{align}")[0].split("\\\\\n")
+    left = max(width(line.split("&=")[0]) for line in lines if "&=" in line)
+    assert left + max(width(line.split("&")[1].replace(r"\nonumber", "")) for line in lines) < TEXT_WIDTH
+    assert len([line for line in lines if "&=" in line]) == sum(name.endswith("R") for name in result.parameters)
+    geometry = text.split(r"\midrule")[1].split(r"\bottomrule")[0]
+    assert "joint" not in geometry
+    assert r"Joints: 1 shoulder\_pan\_joint, 2 " in text
+
+
+def test_a_spreadsheet_computes_no_name() -> None:
+    table = pl.DataFrame({"name": ["=1+1", "+a", "-b", "@c", "d=e"], "value": [-1.5, 2.0, -3.0, 0.0, 1.0]})
+    back = pl.read_csv(in_csv(table).encode())
+    assert back["name"].to_list() == ["'=1+1", "'+a", "'-b", "'@c", "d=e"]
+    assert back["value"].to_list() == table["value"].to_list()
+
+
+def test_names_alike_are_different_identifiers() -> None:
+    assert suffixes(["a-b", "a_b", "a b", "c"]) == {"a-b": "a_b", "a_b": "a_b_2", "a b": "a_b_3", "c": "c"}
+    assert suffixes(["a_b", "a_b_2", "a-b"]) == {"a_b": "a_b", "a_b_2": "a_b_2", "a-b": "a_b_3"}
+    assert len(identifier("x" * 100)) == 40
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(ORDERS)))

@@ -14,7 +14,8 @@ import casadi as ca
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.export.functions import Functions, functions
-from gtau.export.identified import Identified, identified, notes_on, suffix
+from gtau.export.identified import Identified, identified, notes_on
+from gtau.export.names import in_c, suffixes
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 
@@ -67,10 +68,10 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
     turns = [result.robot.joint(joint).kind == "revolute" for joint in model.joints]
     length = 1.0 if loops is None else loops.equations.length
     fields = {
-        "title": f"Inverse dynamics of the robot '{_plain(result.robot.name)}'",
-        "robot": _plain(result.robot.name),
+        "title": f"Inverse dynamics of the robot '{in_c(result.robot.name)}'",
+        "robot": in_c(result.robot.name),
         "method": result.method,
-        "runs": _plain(textwrap.shorten(", ".join(result.runs), 60, placeholder=" ...")),
+        "runs": in_c(textwrap.shorten(", ".join(result.runs), 60, placeholder=" ...")),
         "name": model.name,
         "NAME": model.name.upper(),
         "n": f"{n:<3}",
@@ -78,7 +79,7 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
         "n_c": f"{len(made.home):<3}",
         "joint_table": "\n".join(_joint_rows(model, turns)),
         "friction": textwrap.fill(
-            _plain(result.friction_law.range_sentence), 116, initial_indent=" * ", subsequent_indent=" * "
+            in_c(result.friction_law.range_sentence), 116, initial_indent=" * ", subsequent_indent=" * "
         ),
         "usage": _usage(model.name),
         "newton_steps": str(NEWTON_STEPS),
@@ -95,20 +96,16 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
         "limits": ", ".join(["1e3"] * n),
         "velocities": _numbers(result.robot.joint(joint).limits.velocity or 10.0 for joint in model.joints),
         "finite_math": FINITE_MATH,
-        "csv_head": ",".join(["t", *(f"v{_plain(joint)}" for joint in model.joints)]),
+        "csv_head": ",".join(["t", *(f"v{in_c(joint)}" for joint in model.joints)]),
         "payload_declarations": "".join(
-            f"extern const double {model.name}_parameters_with_{suffix(load)}[{model.name.upper()}_PARAMETERS];\n"
-            for load in model.payloads
+            f"extern const double {model.name}_parameters_with_{end}[{model.name.upper()}_PARAMETERS];"
+            f" /* {in_c(load)} */\n"
+            for load, end in suffixes(model.payloads).items()
         ),
         "parameter_arrays": "\n".join(_parameter_arrays(model)),
         "kernels": _kernels(made),
     }
     return fields | {"closing": _filled("serial.c" if made.step is None else "loops.c", fields)}
-
-
-def _plain(text: str) -> str:
-    """Clean a text so that it is safe in a comment and in a string of C."""
-    return re.sub(r"[^\w .,:;()+/-]", "_", text, flags=re.ASCII)
 
 
 def _numbers(values: Iterable[float]) -> str:
@@ -119,7 +116,7 @@ def _joint_rows(model: Identified, turns: list[bool]) -> Iterator[str]:
     unit = "A" if model.result.kind == "current" else "unit of the logs"
     for k, (joint, turning) in enumerate(zip(model.joints, turns, strict=True)):
         yield (
-            f" *   {k}  {_plain(joint):<12} q in {'rad' if turning else 'm'}, torque in {model.units[k]}, "
+            f" *   {k}  {in_c(joint):<12} q in {'rad' if turning else 'm'}, torque in {model.units[k]}, "
             f"drive gain {model.gains[k]:.6g} {model.units[k]}/{unit}"
         )
 
@@ -144,8 +141,8 @@ def _parameter_arrays(model: Identified) -> Iterator[str]:
         comment = comment.replace("*/", "* /").replace("/*", "/ *")
         yield f"    {float(each.value)!r}, /* {comment} */"
     yield "};"
-    for load, values in model.payloads.items():
-        yield f"const double {model.name}_parameters_with_{suffix(load)}{size} = {{"
+    for end, values in zip(suffixes(model.payloads).values(), model.payloads.values(), strict=True):
+        yield f"const double {model.name}_parameters_with_{end}{size} = {{"
         yield textwrap.fill(_numbers(values), 116, initial_indent="    ", subsequent_indent="    ")
         yield "};"
 

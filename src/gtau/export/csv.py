@@ -6,9 +6,9 @@ from pathlib import Path
 
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
-from gtau.export.identified import identifier
+from gtau.export.names import identifier, in_csv
 
 
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME.csv`` into ``out``: a row an estimate; std, 95 % interval and unit beside each value."""
-    return Exported(written(out, {f"{identifier(result.robot.name)}.csv": result.to_frame().write_csv()}))
+    return Exported(written(out, {f"{identifier(result.robot.name)}.csv": in_csv(result.to_frame())}))

@@ -15,7 +15,8 @@ from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS, TEMPLATES
 from gtau.export.exported import Exported, written
 from gtau.export.functions import Functions, functions
-from gtau.export.identified import Identified, identified, notes_on, suffix
+from gtau.export.identified import Identified, identified, notes_on
+from gtau.export.names import suffixes
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 
@@ -54,14 +55,15 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def _document(model: Identified, made: Functions) -> dict[str, object]:
-    robot = model.result.robot
+    robot, ends = model.result.robot, suffixes(model.joints)
     return {
         "joints": [
             {
                 "name": joint,
-                "identifier": suffix(joint),
+                "identifier": ends[joint],
                 "position_unit": "rad" if robot.joint(joint).kind == "revolute" else "m",
                 "torque_unit": unit,
+                "current_unit": "A" if model.result.kind == "current" else unit,
             }
             for joint, unit in zip(model.joints, model.units, strict=True)
         ],

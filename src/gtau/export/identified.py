@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,6 +12,7 @@ from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
+from gtau.export.names import identifier
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL
@@ -92,17 +92,6 @@ def identified(result: Result) -> Identified:
     values = np.array([each.value for each in parameters])
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
     return Identified(result, identifier(robot.name), tuple(parameters), _payloads(result, values), gains, units)
-
-
-def identifier(name: str) -> str:
-    """Make a name that C, MATLAB and Python accept: ``five-bar`` becomes ``five_bar``."""
-    plain = suffix(name.lower())
-    return plain if re.match(r"[a-z]", plain) else f"robot_{plain}"
-
-
-def suffix(name: str) -> str:
-    """Make a name the end of an identifier: ``1.5 kg`` becomes ``1_5_kg``."""
-    return re.sub(r"\W", "_", name, flags=re.ASCII)
 
 
 def torques(

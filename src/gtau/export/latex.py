@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import pi
 from pathlib import Path
 
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
-from gtau.export.identified import identifier
+from gtau.export.names import identifier, in_latex, in_latex_index
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import Mdh, Robot
 
 SYMBOLS = {"ia": "ia", "fv": "fv", "fs": "fs", "f3": "f_3", "f0": "f_0", "fl": r"f_{\ell}"}
 UNITS = {"kg m2": r"kg\,m$^2$", "kg m": r"kg\,m", "N m": r"N\,m", "N m s/rad": r"N\,m\,s/rad", "N s/m": r"N\,s/m"}
+TEXT_WIDTH = 345.0  # pt, of LaTeX's article
+NUMBER_WIDTH = 55.0  # pt: number of an equation, "=", indent and what parts them
+INDEX = 4  # characters of a joint's name that fit the table of geometry; longer ones stand in its caption
 HEAD = r"""% Tables of '{robot}', written by 'gtau export': \usepackage{{amsmath,booktabs}} and \input this file.
 """
 
@@ -36,14 +39,10 @@ def symbol(name: str) -> str:
     """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R."""
     kind, index, _ = parameter_of(name)
     plain = re.sub(r"R$", "", index) if index else ""
-    subscript = r"\mathrm{" + _escaped(plain) + "}" + ("R" if index.endswith("R") else "")
+    subscript = in_latex_index(plain) + ("R" if index.endswith("R") else "")
     if kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"
-    return rf"{{{SYMBOLS.get(kind, kind)}}}_{{{subscript}}}"
-
-
-def _escaped(text: str) -> str:
-    return re.sub(r"([_#%&$])", r"\\\1", text).replace(" ", r"\ ")
+    return rf"{{{SYMBOLS.get(kind, in_latex(kind))}}}_{{{subscript}}}"
 
 
 def _number(value: float | None, digits: int = 4) -> str:
@@ -56,7 +55,7 @@ def _number(value: float | None, digits: int = 4) -> str:
 def _table(columns: str, head: Sequence[str], lines: Iterable[Sequence[str]], caption: str) -> str:
     body = " \\\\\n".join(" & ".join(line) for line in lines)
     return (
-        "\\begin{table}\n\\centering\n\\caption{" + caption + "}\n"
+        "\\begin{table}\n\\centering\n\\small\n\\setlength{\\tabcolsep}{3pt}\n\\caption{" + caption + "}\n"
         f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{' & '.join(head)} \\\\\n\\midrule\n{body} \\\\\n"
         "\\bottomrule\n\\end{tabular}\n\\end{table}\n"
     )
@@ -80,21 +79,24 @@ def _sum(variable: str, constant: str) -> str:
 
 def _geometry(robot: Robot) -> str:
     """Tabulate the modified Denavit-Hartenberg parameters, as in the paper's Table 2."""
+    names = [joint.name for joint in robot.joints]
+    brief = all(len(name) <= INDEX for name in names)
+    label = {name: name if brief else str(number) for number, name in enumerate(names, start=1)}
     lines = []
     for joint in robot.joints:
         at = joint.placement
         assert isinstance(at, Mdh)
         turns = joint.kind == "revolute"
-        variable = f"q_{{\\mathrm{{{_escaped(joint.name)}}}}}"
+        variable = f"q_{{{in_latex_index(label[joint.name])}}}"
         theta, r = _angle(at.theta), _number(at.r)
         if turns:
             theta = f"${variable}$" if theta == "0" else _sum(variable, theta)
         else:
             r = f"${variable}$" if not at.r else _sum(variable, r)
-        antecedent = "0" if joint.antecedent == "ground" else _escaped(joint.antecedent)
+        antecedent = "0" if joint.antecedent == "ground" else in_latex(label[joint.antecedent])
         flags = ("1" if joint.actuated else "0", "0" if turns else "1")
         placed = (_angle(at.gamma), _number(at.b), _angle(at.alpha), _number(at.d), theta, r)
-        lines.append((_escaped(joint.name), antecedent, *flags, *placed))
+        lines.append((in_latex(label[joint.name]), antecedent, *flags, *placed))
     head = (
         "$j$",
         "$a(j)$",
@@ -107,20 +109,21 @@ def _geometry(robot: Robot) -> str:
         r"$\theta_j$",
         "$r_j$",
     )
-    return _table(
-        "cccccccccc", head, lines, f"Modified Denavit--Hartenberg parameters of {_escaped(robot.name)} (m, rad)."
-    )
+    caption = f"Modified Denavit--Hartenberg parameters of {in_latex(robot.name)} (m, rad)."
+    if not brief:
+        caption += f" Joints: {', '.join(f'{label[name]} {in_latex(name)}' for name in names)}."
+    return _table("cccccccccc", head, lines, caption)
 
 
 def _parameters(result: Result) -> str:
     """Tabulate drive gains and essential parameters with relative standard deviations, as in the paper's Table 3."""
-    lines = [_line(rf"g_{{\tau\,\mathrm{{{_escaped(joint)}}}}}", each) for joint, each in result.drive_gains.items()]
+    lines = [_line(rf"g_{{\tau\,{in_latex_index(joint)}}}", each) for joint, each in result.drive_gains.items()]
     lines += [_line(symbol(name), each) for name, each in {**result.essential, **result.friction}.items()]
     for payload in result.payloads:
-        named = rf"m_{{\mathrm{{{_escaped(payload.name)}}}}}"
+        named = rf"m_{{{in_latex_index(payload.name)}}}"
         lines += [_line(named, each) for kind, each in payload.parameters.items() if kind == "m"]
     head = ("Par.", "Val.", r"$\hat\sigma$", r"$\%\hat\sigma$", "Unit")
-    return _table("lrrrl", head, lines, f"Drive gains and essential parameters of {_escaped(result.robot.name)}.")
+    return _table("lrrrl", head, lines, f"Drive gains and essential parameters of {in_latex(result.robot.name)}.")
 
 
 def _line(name: str, each: Estimate) -> tuple[str, ...]:
@@ -130,15 +133,33 @@ def _line(name: str, each: Estimate) -> tuple[str, ...]:
 
 
 def _regroupings(result: Result) -> str:
-    """Write each regrouped base parameter as an equation."""
-    lines = []
-    for name, each in result.parameters.items():
-        if each.regrouping not in ("", name):
-            words = (f"{w}" if w in "+-" else _word(w) for w in each.regrouping.split())
-            lines.append(f"{symbol(name)} &= {' '.join(words)}")
-    joined = " \\\\\n".join(lines)
-    return f"\\begin{{align}}\n{joined}\n\\end{{align}}\n" if lines else ""
+    """Write each regrouped base parameter as an equation, whose sum is broken to fit the width of a page."""
+    sums = {name: each.regrouping for name, each in result.parameters.items() if each.regrouping not in ("", name)}
+    left = max((width(symbol(name)) for name in sums), default=0.0)
+    equations = [
+        " \\nonumber \\\\\n&\\quad {} ".join([f"{symbol(name)} &= {first}", *more])
+        for name, text in sums.items()
+        for first, *more in [list(_lines(text, TEXT_WIDTH - NUMBER_WIDTH - left))]
+    ]
+    joined = " \\\\\n".join(equations)
+    return f"{{\\allowdisplaybreaks\n\\begin{{align}}\n{joined}\n\\end{{align}}}}\n" if sums else ""
 
 
-def _word(word: str) -> str:
-    return word + r"\," if re.fullmatch(r"[\d.e+-]+", word) else symbol(word)
+def _lines(regrouping: str, room: float) -> Iterator[str]:
+    """Break a sum before its signs into lines of at most ``room`` (pt)."""
+    line = ""
+    for sign, term in re.findall(r"(?:(^|[+-]) ?)(.+?)(?= [+-] |$)", regrouping):
+        factor, name = re.fullmatch(r"(?:([\d.]+(?:e[+-]\d+)?) )?(.+)", term).groups()  # type: ignore[union-attr]
+        written = " ".join(filter(None, (sign, factor and rf"{factor}\,", symbol(name))))
+        if line and width(f"{line} {written}") > room:
+            yield line
+            line = ""
+        line = f"{line} {written}".strip()
+    yield line
+
+
+def width(formula: str) -> float:
+    """Estimate the width of a formula in 10 pt type: 4 pt a character of an index, 6 pt of another, 10 pt a sign."""
+    indices = "".join(re.findall(r"\\(?:mathrm|text)\{((?:[^{}]|\\[{}])*)\}", formula))
+    plain = re.sub(r"\\(?:mathrm|text)\{(?:[^{}]|\\[{}])*\}|\\tau|\\quad|[{}_\\,$\s]", "", formula)
+    return 4.0 * len(indices.replace("\\", "")) + 6.0 * len(plain) + 4.0 * len(re.findall(" [+-] ", formula))

@@ -15,6 +15,7 @@ from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS
 from gtau.export.exported import Exported, written
 from gtau.export.functions import OUTPUTS, Functions, functions
 from gtau.export.identified import Identified, identified, notes_on
+from gtau.export.names import in_matlab
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 
@@ -147,16 +148,12 @@ def _parameters(model: Identified, made: Functions) -> str:
         "  model.payloads = struct('name', {}, 'p', {}); % parameters with each payload",
     ]
     for load, values in model.payloads.items():
-        lines.append(f"  model.payloads(end + 1) = struct('name', {_quoted(load)}, 'p', [{_list(values)}].');")
+        lines.append(f"  model.payloads(end + 1) = struct('name', {in_matlab(load)}, 'p', [{_list(values)}].');")
     return "\n".join([*lines, "end", ""])
 
 
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"
-
-
 def _names(names: Iterable[str]) -> str:
-    return "{" + ", ".join(map(_quoted, names)) + "}"
+    return "{" + ", ".join(map(in_matlab, names)) + "}"
 
 
 def _list(values: Iterable[float]) -> str:

@@ -21,7 +21,7 @@ from gtau.export.consistent import (
     term_notes,
 )
 from gtau.export.exported import Exported, written
-from gtau.export.identified import identifier
+from gtau.export.names import identifier
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, STIFFNESS, Robot
 from gtau.simulation.mujoco_plant import LIGHTEST, STEP, platform_coordinates, robot_spec, spring_attributes

@@ -9,7 +9,7 @@ import polars as pl
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model
 from gtau.export.exported import Exported, written
-from gtau.export.identified import identifier
+from gtau.export.names import identifier, in_csv
 from gtau.export.parameter_orders import ORDERS, to_order
 
 DRIVES = {"ia": "IA", "fv": "FV", "fs": "FS"}
@@ -32,7 +32,7 @@ def export(result: Result, out: Path) -> Exported:
             if program == "symoro":
                 row |= {name: model.of(kind, body) for kind, name in DRIVES.items()}
             table.append(row)
-        texts[f"{identifier(result.robot.name)}_{program}.csv"] = pl.DataFrame(table).write_csv()
+        texts[f"{identifier(result.robot.name)}_{program}.csv"] = in_csv(pl.DataFrame(table))
         notes.append(f"{program}: {order.explained}")
     notes.append("all in the frames of gtau's links: a joint's frame, after its motion")
     return Exported(written(out, texts), tuple(notes))

@@ -21,7 +21,7 @@ from gtau.export.consistent import (
     term_notes,
 )
 from gtau.export.exported import Exported, written
-from gtau.export.identified import identifier
+from gtau.export.names import identifier
 from gtau.export.rigid_body import RigidBody, rigid_body
 from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.robot import (

@@ -11,8 +11,8 @@ from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model, difference_note, differences
 from gtau.export.exported import Exported
-from gtau.export.identified import identifier
 from gtau.export.input_file import InputFile, input_file
+from gtau.export.names import identifier
 from gtau.export.rigid_body import rigid_body
 from gtau.export.urdf import drives_text, inertial_element, notes
 from gtau.robots.robot import GROUND

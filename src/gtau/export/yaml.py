@@ -11,7 +11,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.estimates_table import estimates_table
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
-from gtau.export.identified import identifier
+from gtau.export.names import identifier
 
 HEAD = """\
 # Identified model of '{robot}', written by 'gtau export'. SI units; std: standard deviation; interval: 95 %.
