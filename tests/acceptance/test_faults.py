@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from five_bar_logs import GAINS as FIVE_BAR_GAINS
 from five_bar_logs import STEEL, Plant
 from orthoglide_logs import experiment
 
@@ -283,6 +284,25 @@ def test_a_wrong_parameter_of_the_payload_is_found_and_named() -> None:
     assert verdict.outcome == Outcome.CONTRADICTORY
     assert (verdict.finding.kind, verdict.finding.values["parameter"]) == (F.PAYLOAD_PARAMETER, kind)
     assert verdict.finding.values["found"] == pytest.approx(STEEL[kind], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("factor", "outcome", "against_gains"),
+    [(1.0, Outcome.GOOD, set()), (1.1, Outcome.CONTRADICTORY, set()), (10.0, Outcome.CONTRADICTORY, {F.PAYLOAD})],
+)
+def test_a_wrong_mass_contradicts_logs_of_torques(factor: float, outcome: Outcome, against_gains: set[F]) -> None:
+    """Even of a single payload, as the torques give the scale; where joints are unexplained too, it is named."""
+    robot = load_robot("five-bar")
+    torques = [replace(run, command=run.command * FIVE_BAR_GAINS, kind="torque") for run in steel({})]
+    result = identify(robot, [heavier(run, "steel", factor) for run in torques])
+    assert result.payloads[0].verdict.outcome == outcome
+    assert result.believable == (outcome == Outcome.GOOD)
+    against = [gain.verdict.finding for gain in result.drive_gains.values() if gain.verdict.finding]
+    assert {each.kind for each in against} == against_gains
+    if factor > 1:
+        finding = result.payloads[0].verdict.finding
+        assert finding.kind == F.PAYLOAD_MASS
+        assert finding.values["found"] == pytest.approx(STEEL["m"], rel=0.03)
 
 
 # Factors of a thousand

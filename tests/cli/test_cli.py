@@ -173,7 +173,12 @@ def test_runs_of_half_a_second_give_no_gain(here: Path, rows: int) -> None:
 
 def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
     """Without a word of a method; a fleet, which compares gains, says that there are none."""
-    (here / "torques.yaml").write_text(EXPERIMENT.replace("current:", "torque:").replace(bad_input.PRIOR, ""))
+    declared = EXPERIMENT.replace("current:", "torque:").replace(bad_input.PRIOR, "")
+    (here / "torques.yaml").write_text(declared)
+    refuted = run("identify", "torques.yaml")
+    assert refuted.exit_code == 3
+    assert "payload 'steel' contradictory" in refuted.stdout  # as these torques are currents
+    (here / "torques.yaml").write_text(declared.replace("{name: steel, mass: 1.2}", "{name: steel}"))
     found = document("identify", "torques.yaml", "--out", "torques")
     assert (found["method"], found["kind"]) == ("wls", "torque")
     assert {(gain["value"], gain["std"], gain["unit"]) for gain in found["drive_gains"]} == {(1.0, None, "1")}

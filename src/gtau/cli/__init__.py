@@ -11,7 +11,7 @@ import sys
 def main() -> None:
     """Run the command line; what it refuses, wrong options too, is one sentence on stderr and exit code 2.
 
-    The other exit codes: 0 done, 1 a fault of gtau itself, 3 done but no drive gain can be believed, 128 + signal where
+    The other exit codes: 0 done, 1 a fault of gtau itself, 3 done but not to be believed, 128 + signal where
     Ctrl-C (130), SIGHUP (129) or SIGTERM (143) ended it.
     """
     gc.set_threshold(50_000)  # imports make many objects and no garbage: collections took a fifth of their time

@@ -84,7 +84,7 @@ def identify(
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
-    The exit code is 3 if every drive gain is contradictory or not identifiable.
+    The exit code is 3 if any verdict is contradictory, or every drive gain is not identifiable.
     """
     with refusals(json_):
         refuse_as_folder(out)
@@ -118,8 +118,7 @@ def identify(
             from gtau.report.identification import full_page, summary_page
 
             show(full_page(result) if verbose else summary_page(result), written)
-        outcomes = {gain.verdict.outcome.value for gain in result.drive_gains.values()}
-        if outcomes.isdisjoint(("given", "good", "weak")):
+        if not result.believable:
             raise typer.Exit(3)  # so that a script does not go on with such a model
 
 

@@ -97,7 +97,7 @@ def estimate(
     examined = examine(fit, progress)
     uncertainty = uncertainty_of(fit, examined, options.correlated)
     essential = reduce_fit(fit, uncertainty.covariance, options.ratio, options.correlated, options.joint_reduction)
-    payloads = weigh_known(fit, estimator.name) if fit.free_gains else {}
+    payloads = weigh_known(fit, estimator.name, options.accuracy)
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
     progress("estimation", 1, 1)
     if options.joint_reduction:  # the gains that go with the essential parameters

@@ -93,7 +93,7 @@ def diagnose(
             ),
         ]
     else:
-        against += given_gains(fit, examined)
+        against += given_gains(fit, examined, payloads)
     delay_std = np.sqrt(np.diag(uncertainty.random))[problem.n_theta + len(problem.channels) :]
     period = 1 / min(run.rate for run in dataset.runs)
     delays = delay_verdicts(problem, fit.solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)

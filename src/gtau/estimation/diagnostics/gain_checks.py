@@ -21,6 +21,8 @@ import numpy as np
 from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
+from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.estimates import (
     APART_REFUTED,
@@ -55,7 +57,7 @@ def estimated_gains(
     stds = np.sqrt(np.diag(uncertainty.random))[problem.gain_rows] / np.abs(gains)
     halves = half_widths(fit, uncertainty)
     random_halves = halves * stds / (np.sqrt(np.diag(uncertainty.covariance)[problem.gain_rows]) / np.abs(gains))
-    misfits = solution.sigma / problem.balance(solution.theta)
+    misfits = unexplained_shares(problem, solution)
     wrenches, payload = {"wrenches": measured_wrenches(fit)}, {"payload": bool(fit.system.payloads)}
     yield from (replace(each, values={**each.values, **wrenches}) for each in examined.swapped)
     if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[problem.free[: len(gains)]] < 0):
@@ -114,15 +116,24 @@ def _widest(examined: Examination, uncertainty: Uncertainty, row: int) -> tuple[
     return F.WIDE_CAUSE, most.causes
 
 
-def given_gains(fit: Fit, examined: Examination) -> Iterator[Finding]:
-    """Check gains that are given, or 1 for torques: the model has to explain each joint."""
-    misfit = (fit.solution.sigma / fit.system.problem.balance(fit.solution.theta))[: len(fit.gains)]
+def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]) -> Iterator[Finding]:
+    """Check gains that are given, or 1 for torques: the model has to explain each joint.
+
+    Where a wrong value of a payload (``payloads``: verdicts by name) leaves a joint unexplained, that is named instead.
+    """
+    misfit = unexplained_shares(fit.system.problem, fit.solution)[: len(fit.gains)]
+    of_payload = {
+        joint: Finding(F.PAYLOAD, (joint,), name, {"given": True})
+        for name, each in payloads.items()
+        if each.finding is not None
+        for joint in each.finding.joints
+    }
     wrenches = {"wrenches": measured_wrenches(fit)}
     yield from (replace(each, values={**each.values, **wrenches}) for each in examined.swapped)
     for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
         if share > MISFIT_GIVEN:
             values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": True, **wrenches}
-            yield Finding(F.UNEXPLAINED, (joint,), values=values)
+            yield of_payload.get(joint, Finding(F.UNEXPLAINED, (joint,), values=values))
 
 
 def prior_gains_off(fit: Fit, priors: Mapping[str, float]) -> Iterator[Finding]:

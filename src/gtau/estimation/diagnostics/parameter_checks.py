@@ -61,13 +61,30 @@ def cannot_be_negative(regrouping: str) -> bool:
     return bool(terms) and all(sign == "+" and kind in NONNEGATIVE for sign, kind in terms)
 
 
-def known_verdict(parameter: str, declared: float, found: float, std: float, unit: str) -> Verdict:
-    """Judge a known ``parameter`` of a payload by its estimate from all else that is known."""
+def known_verdict(
+    parameter: str,
+    declared: float,
+    found: float,
+    std: float,
+    unit: str,
+    given: str = "",
+    explained: tuple[str, ...] = (),
+) -> Verdict:
+    """Judge a known ``parameter`` of a payload by its estimate from all else that is known.
+
+    ``given`` is the kind of the commands where gains are given, else empty; ``explained`` the joints whose torque only
+    the declared value leaves unexplained.
+    """
     if abs(found - declared) <= APART * std:
         return GOOD
-    values = {"parameter": parameter, "declared": declared, "found": found, "std": std, "unit": unit}
+    values = {"parameter": parameter, "declared": declared, "found": found, "std": std, "unit": unit, "given": given}
     kind = F.PAYLOAD_MASS if parameter == "m" else F.PAYLOAD_PARAMETER
-    return verdict_of(Finding(kind, values=values, severity=abs(found - declared) / std))
+    return verdict_of(Finding(kind, explained, values=values, severity=abs(found - declared) / std))
+
+
+def unexplained_shares(problem: Problem, solution: Solution) -> np.ndarray:
+    """Compute the share of each channel's current or torque that the model leaves unexplained, rms, (c,)."""
+    return np.asarray(solution.sigma / problem.balance(solution.theta))
 
 
 def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:

@@ -223,6 +223,18 @@ def _other_estimator(values: Values) -> Sentence:
     )
 
 
+def _given_scale(values: Values) -> str:
+    """Say what to do about a mass that contradicts gains that are given; empty where they are estimated."""
+    if not values.get("given"):
+        return ""
+    scale = "the unit and scale of the torques" if values["given"] == "torque" else "the gains that are given"
+    way = "declare torques of doubtful scale as 'current'" if values["given"] == "torque" else "identify the gains"
+    return (
+        f"check which runs carry the payload, its mass (kg) and {scale}; where the mass is certain, {way}, and it "
+        "gives their scale"
+    )
+
+
 PRIOR = "is {found:.4g} +- {std:.2g} from the data, but {prior:.4g} +- {prior_std:.2g} from its prior"
 IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
 
@@ -248,7 +260,12 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     ),
     F.REFUTED: _refuted,
     F.UNEXPLAINED: _unexplained,
-    F.PAYLOAD: ("it rests on payload '{subject}', which contradicts the data", "correct the payload"),
+    F.PAYLOAD: lambda values: (
+        "payload '{subject}', which contradicts the data, leaves this joint unexplained"
+        if values.get("given")
+        else "it rests on payload '{subject}', which contradicts the data",
+        "correct the payload",
+    ),
     F.SENSOR: ("it rests on the torque sensor of '{subject}', which contradicts all other data", SENSOR),
     F.WHOLE_MASS: ("the mass of the robot, {subject}, " + PRIOR, SCALE),
     F.UNSETTLED: (
@@ -305,9 +322,10 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         + ("friction that drives the joint" if values["friction"] else "a negative inertia"),
         IMPOSSIBLE,
     ),
-    F.PAYLOAD_MASS: (
+    F.PAYLOAD_MASS: lambda values: (
         "by all other data it weighs {found:.4g} +- {std:.2g} kg, not {declared:.4g} kg",
-        "weigh the payloads again; one of the masses is wrong, or a run carries another payload than declared",
+        _given_scale(values)
+        or "weigh the payloads again; one of the masses is wrong, or a run carries another payload than declared",
     ),
     F.PAYLOAD_PARAMETER: (
         "given its mass and all other data its {parameter} is {found:.4g} +- {std:.2g} {unit}, not {declared:.4g} "

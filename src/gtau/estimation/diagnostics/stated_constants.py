@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.parameter_checks import known_verdict
+from gtau.estimation.diagnostics.parameter_checks import known_verdict, unexplained_shares
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, verdict_of
 from gtau.estimation.estimators.estimator import Fit, Iterate, Solve, jackknife
 from gtau.estimation.estimators.newton import (
@@ -37,7 +37,7 @@ from gtau.estimation.regression.equations import KNOWN, SIGNALS, delayed_signal,
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.estimates import APART, PAYLOAD_MOVES
+from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.units import unit_of
 from gtau.signals.payload import Payload
@@ -275,19 +275,24 @@ def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> l
 
 @dataclass(frozen=True)
 class Freed:
-    """A payload's value estimated from all else, its standard deviation, the residual and the gains' move."""
+    """A payload's value estimated from all else, its standard deviation, the residual and the gains' move.
+
+    ``explained`` are the joints whose torque this value alone leaves unexplained.
+    """
 
     value: float
     std: float
     left: float
     moves: float
+    explained: tuple[str, ...]
 
 
-def weigh_known(fit: Fit, method: str) -> dict[str, Verdict]:
-    """Estimate what is known of each payload, one value at a time, with gains from all else that is known.
+def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
+    """Estimate what is known of each payload, one value at a time, with gains that are given or from all else.
 
     Of several values of a payload that the data contradict, the one is named that leaves least when it alone is freed.
-    A single payload's mass is not among them where it sets the scale alone.
+    A single payload's mass is not among them where it sets the scale alone. Gains that are given are taken for exact
+    to the ``accuracy`` (relative).
 
     Returns
     -------
@@ -298,16 +303,22 @@ def weigh_known(fit: Fit, method: str) -> dict[str, Verdict]:
     known = {run.payload.name: run.payload for run in dataset.runs if run.payload and run.payload.mass is not None}
     verdicts = {}
     for name, payload in known.items():
-        tested = (*(("m",) if len(known) > 1 or fit.system.problem.scaled else ()), *payload.parameters)
+        of_mass = not fit.free_gains or len(known) > 1 or fit.system.problem.scaled
+        tested = (*(("m",) if of_mass else ()), *payload.parameters)
         freed = {kind: _freed(fit, method, payload, kind) for kind in tested}
         found_of_kind = {kind: found for kind, found in freed.items() if found is not None}
         if not found_of_kind:
             continue
         kind = min(found_of_kind, key=lambda kind: found_of_kind[kind].left)
         found, unit = found_of_kind[kind], unit_of(kind, dataset.robot, dataset.robot.tool)
-        small = kind != "m" and found.moves < PAYLOAD_MOVES
         declared = known_values(payload)[kind]
-        verdicts[name] = GOOD if small else known_verdict(kind, declared, found.value, found.std, unit)
+        if fit.free_gains:
+            small = kind != "m" and found.moves < PAYLOAD_MOVES
+        else:
+            small = abs(found.value - declared) <= accuracy * abs(declared)
+        given = "" if fit.free_gains else dataset.runs[0].kind
+        verdict = known_verdict(kind, declared, found.value, found.std, unit, given, found.explained)
+        verdicts[name] = GOOD if small else verdict
     return verdicts
 
 
@@ -319,7 +330,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
     payloads = _with_payload(dataset, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
     other = dataset.system(system.friction, system.problem.slowest > 0, payloads)
     try:
-        require_scale(dataset.robot, other, payloads, method)
+        if fit.free_gains:
+            require_scale(dataset.robot, other, payloads, method)
         free = fit.solve(other.problem)
     except GtauError:
         return None  # without this value nothing gives the scale
@@ -338,7 +350,13 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
     of_mass = payload.mass_std if mass is None else value * payload.mass_std / mass
     left = float(other.problem.total_rows @ np.log(free.sigma))
     moves = float(np.abs(free.gains / fit.solution.gains - 1).max())
-    return Freed(value, float(np.hypot(std[best], of_mass)), left, moves)
+    misfits = [unexplained_shares(*each) for each in ((system.problem, fit.solution), (other.problem, free))]
+    explained = [
+        joint
+        for joint, before, after in zip(system.problem.joints, *misfits, strict=False)
+        if before > MISFIT_GIVEN >= after
+    ]
+    return Freed(value, float(np.hypot(std[best], of_mass)), left, moves, tuple(explained))
 
 
 def _with_payload(dataset: Dataset, name: str, other: Payload) -> Sequence[Payload | None]:
