@@ -8,6 +8,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -263,6 +264,8 @@ def test_robot(here: Path) -> None:
     assert "left_forearm" in text
     assert "25" in text
     assert "25" in run("robot", "five-bar").stdout
+    assert "mx_left_forearm + mx_right_forearm" not in run("robot", "five-bar").stdout
+    assert "mx_left_forearm + mx_right_forearm" in run("robot", "five-bar", "--verbose").stdout
 
 
 def test_robot_lists_the_catalog_and_fits_a_terminal(here: Path) -> None:
@@ -272,6 +275,14 @@ def test_robot_lists_the_catalog_and_fits_a_terminal(here: Path) -> None:
     assert {entry["name"] for entry in document("robot")["catalog"]} == set(catalog_names())
     for page in (listed, run("robot", "ur10e").stdout, run("robot", "orthoglide").stdout):
         assert max(map(len, page.splitlines())) <= 80
+
+
+def test_a_shell_completes_commands() -> None:
+    environment = os.environ | {"_GTAU_COMPLETE": "complete_bash", "COMP_WORDS": "gtau ident", "COMP_CWORD": "1"}
+    program = "import sys; from gtau.cli import main; sys.argv = ['gtau']; main()"
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert done.stdout.split() == ["identify"]
+    assert "--install-completion" in run("--help").stdout
 
 
 def test_help_and_version() -> None:

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import yaml
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
+from gtau.excitation.design_file import DesignFile
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.data_sheets import Drive
 from gtau.signals.experiment import Experiment, Prior
@@ -62,6 +63,25 @@ def test_a_page_names_every_key(page: str, models: list[type[BaseModel]]) -> Non
     for model in models:
         for key in model.model_fields:
             assert re.search(rf"\b{key}:", example) or re.search(rf"`[^`\n]*\b{key}\b[^`\n]*`", text), key
+
+
+@pytest.mark.parametrize(
+    ("page", "which"),
+    [("experiment-file.md", Experiment), ("simulation-file.md", Simulation), ("excitation.md", DesignFile)],
+)
+def test_what_an_example_has_as_a_comment_is_a_key_at_its_place(page: str, which: type[BaseModel]) -> None:
+    """Each ``# key: value`` is one that the file may have there: uncommented, the file has no unknown key."""
+    example, *_ = blocks(DOCS / page, "yaml")
+    lines = example.splitlines()
+    for k, line in enumerate(lines):
+        if found := re.fullmatch(r"( *)# (\w+: .*)", line):
+            others = [each for each in lines[:k] if not re.match(rf"{found[1]}{found[2].split(':')[0]}:", each)]
+            text = "\n".join([*others, found[1] + found[2], *lines[k + 1 :]])
+            try:
+                which.model_validate(yaml.safe_load(text))
+            except ValidationError as error:
+                unknown = [each["loc"] for each in error.errors() if each["type"] == "extra_forbidden"]
+                assert not unknown, (line, unknown)
 
 
 def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -141,7 +141,9 @@ def test_page_shows_gravity_limits_and_the_payload() -> None:
     assert found["gravity"] == [0.0, 0.0, -9.80665]
     limits = found["joints"][0]["limits"]
     assert limits == {"position": (np.pi / 2, np.deg2rad(150)), "velocity": 6, "acceleration": 100, "effort": 30}
-    page = plain(robot_page(found))
+    assert "mx_left_forearmR" not in plain(robot_page(found))
+    assert "25 base parameters of" in plain(robot_page(found))
+    page = plain(robot_page(found, verbose=True))
     assert "[0, 0, -9.80665] m/s2 in base axes" in page
     assert re.search(r"payload on +right_forearm", page)
     assert re.search(r"mx_left_forearmR +kg m +mx_left_forearm \+ mx_right_forearm\n", page)

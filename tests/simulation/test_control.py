@@ -286,6 +286,11 @@ def test_an_interruption_says_what_is_finished(tmp_path, monkeypatch):
     assert [path.name for path in out.iterdir()] == ["a.csv"]
 
 
+def test_a_bandwidth_that_nobody_wrote_suits_the_rate(tmp_path):
+    for rate, bandwidth in ((100, 20.0), (1000, 100.0)):
+        assert read_simulation(written(tmp_path, rate=rate)).bandwidth == bandwidth
+
+
 RUN = {"name": "a", "trajectory": {"sines": {"duration": 3.0}}}
 
 
@@ -305,7 +310,7 @@ def fourier(frequency: float, amplitude: float) -> dict:
         ({"drives": {"11": {"gain": 0}}}, "a drive with a gain of 0 gives no torque"),
         ({"seed": -1}, "-1 is out of range"),
         ({"parameters": {"m_99": 1.0}}, "has no standard parameter 'm_99'"),
-        ({"rate": 100}, "bandwidth of 100 rad/s cannot be had at a rate of 100 Hz; write at most 20"),
+        ({"rate": 100, "bandwidth": 100}, "bandwidth of 100 rad/s cannot be had at a rate of 100 Hz; write at most 20"),
         ({"runs": [RUN, RUN]}, "two runs are called 'a'"),
         ({"runs": [{**RUN, "name": "../a"}]}, "'../a' is to be"),
         ({"runs": [{**RUN, "weigh": True}]}, "'weigh' stands without 'payload'"),

@@ -41,7 +41,6 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,  # its tables name the type of every flag and cut long values
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 

@@ -53,7 +53,7 @@ def use(
         typer.Option(
             "--experiment",
             metavar="EXPERIMENT.yaml",
-            help="Take columns and units from an experiment file; default: t, q and v with the joint's name.",
+            help="Take columns and units from an experiment file.",
         ),
     ] = None,
     payload: Annotated[
@@ -63,7 +63,10 @@ def use(
 ) -> None:
     """Compute motor, model and external joint torques along a log, to see contacts and collisions.
 
-    External torque is what the environment exerts on a joint: the model's torque minus the motor's.
+    External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). For
+    each joint are printed its rms and largest value, when that was, the residual of the identification, and the share
+    of rows beyond four residuals. LOG has the columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or
+    m, A), unless an experiment file names others. FILE gets motor, model and external torque of every sample.
     """
     with refusals(json_):
         from dataclasses import asdict

@@ -42,6 +42,9 @@ def robot(
         list[str] | None,
         typer.Option("--joints", metavar="PATTERN", help="Joints that move ('FL_*'); others are held. Repeatable."),
     ] = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="List the base parameters, and what each of them regroups.")
+    ] = False,
     json_: Json = False,
 ) -> None:
     """Show the joints, loops, degrees of freedom and base parameters of a robot."""
@@ -77,7 +80,7 @@ def robot(
             print_json(description)
         else:
             written = [path for path in (save, figure) if path is not None]
-            show(robot_page(description), written)
+            show(robot_page(description, verbose), written)
 
 
 def _list_catalog(as_json: bool) -> None:
@@ -250,7 +253,9 @@ def compare_control(
 ) -> None:
     """Compare PID and computed torque with three sets of drive gains on a simulated robot (the paper's Table 4).
 
-    The models of computed torque are identified from the logs of EXPERIMENT.yaml, those that 'gtau simulate' wrote.
+    SIMULATION.yaml lists the motions under 'control'; each is simulated with every control law. EXPERIMENT.yaml, with
+    the logs that 'gtau simulate' wrote, has the manufacturer's 'prior_gains'; from its logs the models of computed
+    torque are identified. Printed are the largest and the rms tracking error of each law, motion and joint.
     """
     with refusals(json_):
         with progress_bar() as progress:

@@ -86,8 +86,8 @@ def robot_document(robot: Robot) -> dict[str, Any]:
     }
 
 
-def robot_page(found: dict[str, Any]) -> Page:
-    """Show the description that :func:`robot_document` makes."""
+def robot_page(found: dict[str, Any], verbose: bool = False) -> Page:
+    """Show the description that :func:`robot_document` makes, ``verbose`` with every base parameter."""
     loops, base, free = found["loops"], found["base_parameters"], base_rows(found["floating_base"] or "")
     source = f" ({found['source']})" if found["source"] else ""
     near = found["distances_at_home"]
@@ -106,6 +106,7 @@ def robot_page(found: dict[str, Any]) -> Page:
         f"{base['count']} base parameters of {base['standard']} standard ones ({base['without_effect']} have no "
         f"effect); {base['count_inertial_only']} without rotor inertia, friction and offset"
     )
+    listed = _base_table(base) if verbose else Text("Their names, units and regroupings: --verbose.", style="soft")
     terms = [
         f"{each['name']}: {' - '.join(each['between'])} ({', '.join(TERMS[kind] for kind in each['parameters'])})"
         for each in found["springs"]
@@ -116,7 +117,7 @@ def robot_page(found: dict[str, Any]) -> Page:
         section("Loops", Text(_loops_words(loops), tuple(_equations(loops))), id="loops") if loops["rows"] else None,
         section("Springs between two points, and the terms of their force", Text("", tuple(terms))) if terms else None,
         section("Notes", Text("", tuple(found["notes"]))) if found["notes"] else None,
-        section("Base parameters", Text(count), _base_table(base), id="parameters"),
+        section("Base parameters", Text(count), listed, id="parameters"),
     )
 
 

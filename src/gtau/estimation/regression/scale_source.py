@@ -83,8 +83,8 @@ def _hidden(stated: Sequence[str], other: str) -> GtauError:
     names = ", ".join(stated[:4]) + (" and others" if len(stated) > 4 else "")
     return GtauError(
         f"the known parameters under 'priors' ({names}) cannot give the scale of the drive gains, as they act on "
-        "the motors only together with unknown ones; give priors for all parameters of the same sums (gtau robot lists "
-        f"them), or for the base parameter, {other}."
+        "the motors only together with unknown ones; give priors for all parameters of the same sums (gtau robot "
+        f"--verbose lists them), or for the base parameter, {other}."
     )
 
 
