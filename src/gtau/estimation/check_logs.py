@@ -17,6 +17,7 @@ from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.experiment_runs import geometry_of, read_runs
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
+from gtau.estimation.regression.doubtful_currents import doubtful_currents
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.scale_source import require_scale
@@ -135,6 +136,7 @@ def check_logs(path: str | Path, progress: Progress = silent) -> ExperimentCheck
     used = [run for run in read[:count] if run is not None]
     if not used:
         return ExperimentCheck(robot, None, (), (*of_robot, *notes))
+    notes += doubtful_currents(used, robot.base)
     preparation = choose_preparation(used)
     checked, prepared_runs = [], []
     for k, run in enumerate(read):

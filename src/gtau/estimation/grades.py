@@ -31,6 +31,7 @@ GRADES: Mapping[Kind, Grade] = {
     Kind.NOISE: Grade.MEND,
     Kind.RATE: Grade.MEND,
     Kind.LIMITS: Grade.MEND,
+    Kind.UNIT: Grade.MEND,
     Kind.SINGULARITY: Grade.MEND,
     Kind.GEOMETRY: Grade.MEND,
     Kind.REPAIR: Grade.INFORMATION,
