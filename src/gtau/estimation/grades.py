@@ -31,6 +31,7 @@ GRADES: Mapping[Kind, Grade] = {
     Kind.NOISE: Grade.WARNING,
     Kind.RATE: Grade.WARNING,
     Kind.LIMITS: Grade.WARNING,
+    Kind.UNIT: Grade.WARNING,
     Kind.SINGULARITY: Grade.WARNING,
     Kind.GEOMETRY: Grade.WARNING,
     Kind.REPAIR: Grade.INFORMATION,

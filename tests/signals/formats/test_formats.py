@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -232,6 +233,16 @@ def test_files_without_numbers(tmp_path: Path) -> None:
         GtauError, match=r"log\.npz holds no columns of numbers; save the signals as plain numeric arrays"
     ):
         read_log(tmp_path / "log.npz", ["t"])
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_arrays_that_are_not_asked_for_are_not_read(tmp_path: Path, log: Log, save: Callable[..., None]) -> None:
+    save(tmp_path / "log.npz", t=log[0], q=log[1], tau=log[2], image=np.zeros((4_000_000, 5)))
+    tracemalloc.start()
+    read_run(tmp_path / "log.npz", signals("t", "q[#]", "tau[#]"))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 40e6  # of 160 MB
 
 
 def test_columns_of_different_length(tmp_path: Path, log: Log) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
+from gtau.signals.log_file import find_columns
 from gtau.signals.run import read_run
 from gtau.signals.storage import Sizes, working_with
 
@@ -168,3 +170,41 @@ def test_twincat_scope(tmp_path: Path, each: bool) -> None:
     np.testing.assert_allclose(run.time, TIME, atol=1e-9)
     assert str(run.notes[0]).startswith("skipped lines 1 to ")
     assert tuple(map(str, run.notes[1:])) == ("dropped 1 row with missing or non-numeric values (line 612)",)
+
+
+@pytest.mark.parametrize(
+    ("header", "separator", "names"),
+    [
+        ('"t","q, measured","v"', ",", ("t", "q, measured", "v")),
+        ('"t" "q measured"  "v" ', " ", ("t", "q measured", "v")),
+        ("'t';'q';'v'", ";", ("t", "q", "v")),
+    ],
+)
+def test_quoted_names_of_columns(
+    write: Callable[..., Path], header: str, separator: str, names: tuple[str, str, str]
+) -> None:
+    path = write(header, *(row.replace(",", separator) for row in ROWS))
+    assert find_columns(path).columns == names
+    run = read_run(path, {"time": names[0], "position": {"a": names[1]}, "current": {"a": names[2]}})
+    np.testing.assert_allclose(run.position[:, 0], VALUES[:, 0], atol=1e-8)
+
+
+def test_names_in_windows_1252(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(
+        "\n".join(["t;Position größer [°];Strom v", *(row.replace(",", ";") for row in ROWS)]).encode("cp1252")
+    )
+    assert find_columns(path).columns == ("t", "Position größer [°]", "Strom v")
+
+
+@pytest.mark.parametrize("before", [0, 2, 500])
+def test_lines_that_are_no_rows_are_refused_before_they_fill_the_memory(
+    write: Callable[..., Path], before: int
+) -> None:
+    path = write("t,q,v", *ROWS[:before], ",".join(["1.5"] * 5_000_000))
+    tracemalloc.start()
+    with pytest.raises(GtauError, match=r"line( \d+)? is longer than 1 MB, which no row of a log is; write one sample"):
+        read_run(path, SIGNALS)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 15e6  # of a file of 20 MB

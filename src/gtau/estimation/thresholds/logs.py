@@ -113,6 +113,20 @@ LEAST_SLIDE = Threshold(
     "0.0004 to 0.0006 (m read as mm)",
     "shared logs",
 )
+LARGEST_CURRENT = Threshold(
+    100.0,
+    "rms current of a joint, A, from which it is rather in mA",
+    "0.05 to 8.1 (five sets of shared logs with currents), 15 (simulated, catalog)",
+    "980 (dVRK), 8100 (UR10e, mA read as A)",
+    "shared logs; large drives do reach it, so that it is asked and not refused",
+)
+CURRENTS_APART = Threshold(
+    30.0,
+    "rms current of a joint over the next smaller one, from which units may differ between joints",
+    "1.2 to 4.5 (the same logs), 5.0 (simulated, catalog)",
+    "60 and more (one of two alike in %, or in counts)",
+    "shared logs; the factors between units",
+)
 
 
 # What torques and logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU described in docs/zoo.md).

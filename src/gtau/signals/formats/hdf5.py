@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -38,8 +38,8 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Tab
         file.visititems(visit)
 
     @contextmanager
-    def load() -> Iterator[Mapping[str, Any]]:
+    def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
         with h5py.File(path, "r") as file:
-            yield {column: file[name] for column, name in datasets.items()}
+            yield {column: file[datasets[column]] for column in names}
 
     return table_of_arrays(path, shapes, load)

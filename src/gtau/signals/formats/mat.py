@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ def open_mat(path: Path) -> Table:
     arrays = dict(_arrays({name: value for name, value in content.items() if not name.startswith("__")}, ""))
 
     @contextmanager
-    def load() -> Iterator[Mapping[str, Any]]:
+    def load(_: Collection[str]) -> Iterator[Mapping[str, Any]]:
         yield arrays
 
     return table_of_arrays(path, {name: array.shape for name, array in arrays.items()}, load)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,15 +22,9 @@ def open_npz(path: Path) -> Table:
         The file is damaged, or holds pickled objects and no arrays.
     """
     with readable(path, "a NumPy archive"), np.load(path, allow_pickle=False) as archive:
-        arrays, pickled = {}, []
-        for name in archive.files:
-            try:
-                array = archive[name]
-            except ValueError:  # an object array
-                pickled.append(name)
-                continue
-            if array.dtype.kind in "biuf":
-                arrays[name] = array
+        headers = {name: header for name in archive.files if (header := _header(archive, name)) is not None}
+    pickled = [name for name, (_, dtype) in headers.items() if dtype.hasobject]
+    arrays = {name: shape for name, (shape, dtype) in headers.items() if dtype.kind in "biuf"}
     if not arrays and pickled:
         raise GtauError(
             f"{path} holds pickled objects ('{pickled[0]}'), which are not read as they can run code; save plain "
@@ -38,7 +32,22 @@ def open_npz(path: Path) -> Table:
         )
 
     @contextmanager
-    def load() -> Iterator[Mapping[str, Any]]:
-        yield arrays
+    def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
+        with np.load(path, allow_pickle=False) as archive:
+            read = {name: archive[name] for name in names}
+        yield read
 
-    return table_of_arrays(path, {name: array.shape for name, array in arrays.items()}, load)
+    return table_of_arrays(path, arrays, load)
+
+
+def _header(archive: Any, name: str) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
+    """Read shape and type of an array, without its values; None for another member of the archive."""
+    members = archive.zip.namelist()
+    with archive.zip.open(name if name in members else f"{name}.npy") as member:
+        try:
+            version = np.lib.format.read_magic(member)
+        except ValueError:
+            return None
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(member)
+    return shape, dtype

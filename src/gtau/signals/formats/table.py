@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,7 +54,9 @@ def readable(path: Path, kind: str) -> Iterator[None]:
 
 
 def table_of_arrays(
-    path: Path, shapes: Mapping[str, tuple[int, ...]], load: Callable[[], AbstractContextManager[Mapping[str, Any]]]
+    path: Path,
+    shapes: Mapping[str, tuple[int, ...]],
+    load: Callable[[Collection[str]], AbstractContextManager[Mapping[str, Any]]],
 ) -> Table:
     """Make a table of named arrays, whose longer axis counts the samples.
 
@@ -68,7 +70,7 @@ def table_of_arrays(
     shapes : mapping
         Shapes of the arrays by name.
     load : callable
-        Opens the arrays, or what can be indexed as such, by name.
+        Opens arrays, given their names, or what can be indexed as such.
     """
     found: dict[str, tuple[str, int | None, bool]] = {}  # column: array, its number in it, samples on the last axis
     rows: dict[str, int] = {}
@@ -88,7 +90,7 @@ def table_of_arrays(
         import polars as pl
 
         count = common_length(path, {name: rows[name] for name in names})
-        with readable(path, "a log"), load() as arrays:
+        with readable(path, "a log"), load({found[name][0] for name in names}) as arrays:
             end = min(wanted.stop, count)
             for start in range(wanted.start, end, sizes().rows):
                 stop = min(start + sizes().rows, end)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from gtau.errors import GtauError
 from gtau.signals.formats.table import Table
-from gtau.signals.formats.text_layout import BOM, Layout, layout_of, split
+from gtau.signals.formats.text_layout import BOM, Layout, layout_of, refuse_long_line, split
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
@@ -83,6 +83,7 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
                 text, torn = torn + read[:end], b""
                 yield text, file.tell() / size
             torn += read[end:]
+            refuse_long_line(path, len(torn))
     if torn:
         yield torn, 1.0
 

@@ -6,6 +6,8 @@ begins with the first ``ROWS_ALIKE`` lines of mostly numbers that have as many f
 
 from __future__ import annotations
 
+import csv
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +19,7 @@ SEPARATORS = ";\t, "  # a semicolon or tab first: their files may hold decimal c
 MISSING = ("", "na", "n/a", "null", "none", "nan")
 LOOK = 200  # lines at most that stand before a table
 ROWS_ALIKE = 4
+LONGEST = 1 << 20  # bytes of a line; in the shared logs 954 at most
 BOM = b"\xef\xbb\xbf"
 
 
@@ -101,10 +104,12 @@ def _has_bom(path: Path) -> bool:
 def _first_lines(path: Path) -> list[_Line]:
     lines: list[_Line] = []
     with path.open("rb") as file:
-        while len(lines) < LOOK and (raw := file.readline()):
-            text = (raw if lines else raw.removeprefix(BOM)).decode(errors="replace").lstrip("# ").rstrip("\r\n")
-            separator = next((each for each in SEPARATORS if each in text), ",")
-            fields = tuple(field.strip().strip('"').strip() for field in split(text, separator))
+        while len(lines) < LOOK and (raw := file.readline(LONGEST + 1)):
+            refuse_long_line(path, len(raw), len(lines) + 1)
+            text = _decoded(raw if lines else raw.removeprefix(BOM)).lstrip("# ").rstrip("\r\n")
+            outside = re.sub(r'"[^"]*"', "", text)
+            separator = next((each for of in (outside, text) for each in SEPARATORS if each in of), ",")
+            fields = tuple(_unquoted(field) for field in split(text, separator))
             numbers = sum(is_number(field) for field in fields)
             rest = sum(field.lower() in MISSING for field in fields)
             numeric = numbers > 0 and 2 * (numbers + rest) > len(fields)
@@ -150,8 +155,38 @@ def _names(fields: tuple[str, ...], width: int) -> tuple[str, ...]:
     )
 
 
+def refuse_long_line(path: Path, length: int, number: int | None = None) -> None:
+    """Refuse a line that is no row of a table, before it fills the memory; raises GtauError."""
+    if length > LONGEST:
+        where = "a line" if number is None else f"line {number}"
+        raise GtauError(
+            f"{path}: {where} is longer than {LONGEST >> 20} MB, which no row of a log is; write one sample a line."
+        )
+
+
+def _decoded(raw: bytes) -> str:
+    """Decode a line in UTF-8, or else in Windows-1252 where that gives printable characters alone."""
+    try:
+        return raw.decode()
+    except UnicodeDecodeError:
+        text = raw.decode("cp1252", errors="replace")
+        return text if text.replace("\t", "").rstrip("\r\n").isprintable() else raw.decode(errors="replace")
+
+
+def _unquoted(field: str) -> str:
+    """Take blanks and the quotes around a field away."""
+    field = field.strip()
+    quote = field[:1] if field[:1] in ("'", '"') else '"'
+    return field.strip(quote).strip()
+
+
 def split(text: str, separator: str) -> list[str]:
-    """Split a line into fields; any number of spaces separates as one does."""
+    """Split a line into fields; any number of spaces separates as one does, and none within quotes."""
+    if '"' in text:
+        try:
+            return next(csv.reader([text.strip(" ")], delimiter=separator, skipinitialspace=True))
+        except csv.Error:  # a field of rubble, longer than any name
+            pass
     return text.split() if separator == " " and text.strip() else text.split(separator)
 
 
