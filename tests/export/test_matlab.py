@@ -74,6 +74,18 @@ def test_octave_gives_what_python_gives(robot: Robot, tmp_path: Path, rng: np.ra
         assert np.abs(friction).max() > 0
 
 
+@pytest.mark.parametrize("name", ["five-bar", "ur10e"])
+def test_a_position_that_is_no_number_has_the_status_of_c(name: str, tmp_path: Path) -> None:
+    robot = next(robot for robot in ROBOTS if robot.name == name)
+    export(model_of(robot), tmp_path)
+    its = robot.name.replace("-", "_")
+    script = f"model = {its}_parameters(); [c, s] = {its}_start(model.home);"
+    for wrong in ("NaN", "Inf"):
+        script += f"q = model.home; q(1) = {wrong}; [d, t] = {its}_move(c, q); [e, u] = {its}_start(q);"
+        script += "show([s t u isequal(c, d) all(isfinite(e))]);"
+    np.testing.assert_array_equal(octave(tmp_path, script), [0, 3, 3, 1, 1] * 2)
+
+
 def test_a_pose_out_of_reach_has_a_status(tmp_path: Path) -> None:
     robot = next(robot for robot in ROBOTS if robot.name == "five-bar")
     export(model_of(robot), tmp_path)

@@ -23,14 +23,15 @@ ARGUMENTS = {"gravity": "c, p", "inertia": "c, p"}  # of the others: c, qd, qdd,
 MOVE = """\
 function [c, status] = {name}_move(c, q)
 % {NAME}_MOVE  Bring the configuration c from the last pose to the actuated positions q.
-%   status 0: done; 1: the loops did not close from the last pose; 2: too close to a type 2 singularity. After a status
-%   other than 0, c is the last good configuration. Begin with {name}_start.
+%   status 0: done; 1: the loops did not close from the last pose; 2: too close to a type 2 singularity; 3: a position
+%   is infinite or not a number. After a status other than 0, c is the last good configuration. Begin with {name}_start.
   actuated = [{actuated}];
   moved = c(:);
   moved(actuated) = q(:);
   first = 0;
-  status = 1;
+  status = 3;
   if ~all(isfinite(q(:))), return; end
+  status = 1;
   for step = 1:{steps}
     if step < {steps}
       [moved, size_] = newton(moved);
@@ -60,17 +61,19 @@ function [c, status] = {name}_start(q)
 end
 """
 SERIAL_MOVE = """\
-function [c, status] = {name}_move(c, q) %#ok<INUSL>
-% {NAME}_MOVE  Configuration of the actuated positions q: they themselves, as the robot has no loops; status is 0.
+function [c, status] = {name}_move(c, q)
+% {NAME}_MOVE  Configuration of the actuated positions q: they themselves, as the robot has no loops.
+%   status 0: done; 3: a position is infinite or not a number, and c the last configuration.
+  status = 3;
+  if ~all(isfinite(q(:))), return; end
   c = q(:);
   status = 0;
 end
 """
 SERIAL_START = """\
 function [c, status] = {name}_start(q)
-% {NAME}_START  Configuration of the actuated positions q: they themselves, as the robot has no loops; status is 0.
-  c = q(:);
-  status = 0;
+% {NAME}_START  Configuration of the actuated positions q, home where one of them is no finite number.
+  [c, status] = {name}_move([{home}].', q);
 end
 """
 
@@ -90,7 +93,12 @@ def matlab_files(model: Identified) -> dict[str, str]:
         f"% {name.upper()}_CURRENTS  Motor currents (A): torques of the actuated joints over the drive gains.\n"
         f"  current = {name}_torques(c, qd, qdd, p) ./ [{_list(model.gains)}].';\nend\n"
     )
-    fields = {"name": name, "NAME": name.upper(), "actuated": " ".join(str(k + 1) for k in made.actuated)}
+    fields = {
+        "name": name,
+        "NAME": name.upper(),
+        "home": _list(made.home),
+        "actuated": " ".join(str(k + 1) for k in made.actuated),
+    }
     numbers = {"closed": repr(CLOSED), "contraction": repr(CONTRACTION), "condition": repr(CONDITION)}
     if made.step is None or made.last_step is None:
         files[f"{name}_move.m"], files[f"{name}_start.m"] = (
@@ -99,7 +107,7 @@ def matlab_files(model: Identified) -> dict[str, str]:
     else:
         kernels = _kernel(made.step, "newton") + _kernel(made.last_step, "last_newton")
         files[f"{name}_move.m"] = MOVE.format(**fields, **numbers, steps=NEWTON_STEPS) + "\n" + kernels
-        files[f"{name}_start.m"] = START.format(**fields, steps=STARTING_STEPS, home=_list(made.home))
+        files[f"{name}_start.m"] = START.format(**fields, steps=STARTING_STEPS)
     files[f"{name}_parameters.m"] = _parameters(model, made)
     return files
 

@@ -54,7 +54,7 @@ Model = TypeVar("Model", bound=IdentifiedModel)
 class _Group(BaseModel):
     """A group of ``model.json``, of which what follows from other values is not read."""
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True)
 
 
 def _gathered(entry: Any) -> Any:
