@@ -151,7 +151,7 @@ def test_total_least_squares_admits_that_noise_hides_the_payload(here: Path) -> 
     assert found["statistics"]["singular_ratio"] < 1.2
     assert {gain["outcome"] for gain in found["drive_gains"]} == {"not identifiable"}
     shown = " ".join(run("identify", "experiment.yaml", "--method", "tls").stdout.split())
-    assert "total least squares confuses the payload with the noise" in shown
+    assert "total least squares cannot separate the payload from the noise" in shown
     assert "use --method ml" in shown
     assert "contradict" not in shown
 
@@ -183,9 +183,8 @@ def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
     found = document("identify", "torques.yaml", "--out", "torques")
     assert (found["method"], found["kind"]) == ("wls", "torque")
     assert {(gain["value"], gain["std"], gain["unit"]) for gain in found["drive_gains"]} == {(1.0, None, "1")}
-    assert (
-        "given gains (the logs hold torques, whose gain is 1)\n" in run("identify", "torques.yaml", "--verbose").stdout
-    )
+    shown = " ".join(run("identify", "torques.yaml", "--verbose").stdout.split())
+    assert "given gains (the logs hold torques, whose gain is 1)" in shown
     fleet = run("fleet", "torques.yaml", "--out", "fleet")
     assert fleet.exit_code == 3
     shown = " ".join(fleet.stdout.split())
@@ -233,7 +232,7 @@ def test_payload(here: Path, gains: str) -> None:
     table = run("payload", "model.json", "weighing.yaml", "--gains", gains).stdout
     assert "'lead'" in table
     assert table.splitlines() == [line.rstrip() for line in table.splitlines()]
-    assert f"weighed with the {gains} drive gains" in table
+    assert f"Weighed with the {gains} drive gains" in table
 
 
 def test_wrong_prior_gains_weigh_wrong(here: Path) -> None:
@@ -387,8 +386,8 @@ def test_no_gain_to_believe_is_an_exit_code_of_its_own(here: Path, monkeypatch: 
     )  # every deviation is too large for it
     result = run("identify", "experiment.yaml", "--out", "out")
     assert result.exit_code == 3
-    assert result.stdout.count("not identifiable") >= len(JOINTS)
-    assert (here / "out" / "model.json").exists()
+    written = json.loads((here / "out" / "model.json").read_text())
+    assert {gain["outcome"] for gain in written["drive_gains"]} == {"not identifiable"}
 
 
 def test_a_robot_is_not_written_over_what_it_was_read_from(here: Path) -> None:
