@@ -397,6 +397,21 @@ def limited(run: Run, share: float) -> Run:
     return replace(run, command=np.round(np.clip(run.command, -highest, highest), 9))
 
 
+@pytest.mark.parametrize("quantum", [1e-6, 0.1], ids=["fine", "coarse"])
+def test_currents_without_sign_are_named(quantum: float, runs: list[Run], tmp_path: Path) -> None:
+    unsigned = replace(runs[0], command=np.round(np.abs(runs[0].command) / quantum) * quantum)
+    with pytest.raises(GtauError, match="never negative although joints reverse, so the columns hold magnitudes"):
+        logged(tmp_path / "unsigned.csv", unsigned)
+
+
+def test_one_current_without_sign_that_rests_at_zero_is_named(runs: list[Run], tmp_path: Path) -> None:
+    highest = np.abs(runs[0].command[:, 0]).max()
+    command = runs[0].command.copy()
+    command[:, 0] = np.where(np.abs(command[:, 0]) < 0.3 * highest, 0.0, np.abs(command[:, 0]))
+    with pytest.raises(GtauError, match="command of joint '11' is never negative"):
+        logged(tmp_path / "unsigned.csv", replace(runs[0], command=command))
+
+
 def test_clipped_currents_are_masked_and_said(runs: list[Run], tmp_path: Path) -> None:
     clipped = [logged(tmp_path / f"run_{k}.csv", limited(run, 0.85)) for k, run in enumerate(runs)]
     masked = [int((~run.valid).sum()) for run in clipped]

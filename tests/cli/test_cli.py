@@ -229,8 +229,10 @@ def test_payload(here: Path, gains: str) -> None:
         assert estimate["known"] is False
         assert abs(estimate["value"] - true) < 4.5 * estimate["std"]
     assert payload["parameters"]["m"]["value"] == pytest.approx(0.8, abs=0.01)
+    assert found["gain_uncertainty_included"] == (gains == "identified")
     table = run("payload", "model.json", "weighing.yaml", "--gains", gains).stdout
     assert "'lead'" in table
+    assert ("with these gains taken for exact, 95 % interval" in " ".join(table.split())) == (gains == "prior")
     assert table.splitlines() == [line.rstrip() for line in table.splitlines()]
     assert f"Weighed with the {gains} drive gains" in table
 

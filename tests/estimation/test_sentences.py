@@ -170,13 +170,13 @@ SENTENCES = [  # finding, reason, advice
      "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"),
     (Finding(F.POSITION_NOISE, (), "my_L2", values={"count": 3, "all": 20, "deviations": 2.13, "t": 5.2}),
      "position noise biases 3 of 20 estimates by more than their standard deviations: my_L2 by 2.1 of them "
-     "(Hausman's test against instrumental variables: 5 standard deviations of the difference); the intervals "
-     "include it",
+     "(instrumental variables, which such noise does not bias, differ by 5 standard deviations of the difference); "
+     "the intervals include it",
      "use --method iv or didim, or encoders with less noise"),
     (Finding(F.POSITION_NOISE, ("left",), values={"count": 3, "all": 20, "deviations": 2.13, "t": 5.2}),
      "position noise biases 3 of 20 estimates by more than their standard deviations: the gain of 'left' by 2.1 of "
-     "them (Hausman's test against instrumental variables: 5 standard deviations of the difference); the intervals "
-     "include it",
+     "them (instrumental variables, which such noise does not bias, differ by 5 standard deviations of the "
+     "difference); the intervals include it",
      "use --method iv or didim, or encoders with less noise"),
     (Finding(F.RIPPLE, ("left",), values={"share": 0.44, "move": 0.012, "moved": "right", "base": False}),
      "residuals repeat at the same positions (44 % of the variance at joint 'left'): ripple of the motors, cables "

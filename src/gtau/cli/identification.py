@@ -219,7 +219,13 @@ def payload(
             settings = {**settings_of(result), "drive gains": gains.value}
             written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings)]
         if json_:
-            print_json({"payloads": payload_documents(found), "gains": gains.value})
+            print_json(
+                {
+                    "payloads": payload_documents(found),
+                    "gains": gains.value,
+                    "gain_uncertainty_included": gains.value == "identified",
+                }
+            )
         else:
             show(weighing_page(result, found, gains.value), written)
 

@@ -119,10 +119,12 @@ def weighing_page(result: Result, payloads: Sequence[PayloadEstimate], gains: st
     """Show what payloads weigh with the ``gains`` (identified or prior)."""
     said = [f"Weighed with the {gains} drive gains."]
     if gains == "prior":
-        said.append("the standard deviations do not contain the uncertainty of the prior gains")
+        said.append(
+            "the intervals leave out the uncertainty of the prior gains: 1 % of error in all of them is 1 % of a mass"
+        )
     return page(
         f"Payloads of {result.robot.name}",
-        section("Verdict", Text(masses_words(payloads), tuple(said), "neutral"), id="verdict"),
+        section("Verdict", Text(masses_words(payloads, gains), tuple(said), "neutral"), id="verdict"),
         masses_section(payloads),
         payloads_section(payloads, "Inertial parameters"),
     )
@@ -137,16 +139,16 @@ def weighing_report(
     return replace(short, sections=(*short.sections, *more))
 
 
-def masses_words(payloads: Sequence[PayloadEstimate]) -> str:
-    """Summarise the masses in one sentence."""
-    parts = []
+def masses_words(payloads: Sequence[PayloadEstimate], gains: str) -> str:
+    """Summarise the masses in one sentence, with the intervals that the ``gains`` (identified or prior) leave."""
+    parts, exact = [], "with these gains taken for exact, " if gains == "prior" else ""
     for each in payloads:
         mass = each.parameters.get("m")
         if mass is None or mass.value is None:
             parts.append(f"the mass of '{each.name}' is not identifiable")
             continue
         ends = mass.interval()
-        between = "" if ends is None else f" (95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
+        between = "" if ends is None else f" ({exact}95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
         parts.append(f"'{each.name}' weighs {mass.value:.4g} kg{between}")
     words = "; ".join(parts)
     return f"{words[:1].upper()}{words[1:]}."

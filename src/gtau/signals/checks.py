@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.clock import Clock, clock_of
-from gtau.signals.faults import clipped, find_glitches, glitch_note, refuse_slips, without_glitches
+from gtau.signals.faults import clipped, find_glitches, glitch_note, refuse_magnitudes, refuse_slips, without_glitches
 from gtau.signals.notes import Kind, Note
 from gtau.signals.resampling import Resampling, UniformSamples, holds_of, uniform
 from gtau.signals.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
@@ -78,6 +78,7 @@ def check(
         clock = clock_of(samples.time, samples.position, settings.clock)
         instants, holds = clock.instants(samples.time), holds_of(samples)
     refuse_slips(samples, instants, holds.position)
+    refuse_magnitudes(samples)
     clips = tuple(clipped(samples, notes))
     grid = Resampling(clock, clips, holds, settings.delay)
     return uniform(samples, instants, grid, settings.clock is not None, notes)

@@ -257,6 +257,34 @@ def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.nda
     return np.column_stack([np.interp(time, time[fresh], each[fresh]) for each in position.T])
 
 
+REVERSING = 1.5  # travel of a joint over its range; a motion in one direction has 1
+NEAR_ZERO = 0.02  # smallest over largest magnitude; no joint of nine robots is unsigned in 23 shared logs
+UNSIGNED = (
+    "never negative although joints reverse, so the columns hold magnitudes; log signed values (some drives keep the "
+    "sign in a bit or a column of its own)"
+)
+
+
+def refuse_magnitudes(samples: Samples) -> None:
+    """Refuse commands without sign.
+
+    A joint that holds against gravity may need one sign only, but then it stays away from zero; and not all joints do.
+
+    Raises
+    ------
+    GtauError
+        Where no command of a joint that moves is ever negative, all come near zero, and these joints reverse.
+    """
+    source, n = samples.source, len(samples.source.joints)
+    low, high = (each[:n] for each in extremes(samples.command))
+    steps = [np.abs(np.diff(block(samples.position, *span), axis=0)).sum(axis=0) for span in ahead(len(samples.time))]
+    first, last = extremes(samples.position)
+    acting = (high > low) & (last > first)
+    reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
+    if acting.any() and np.all(((low >= 0) & (low <= NEAR_ZERO * high) & reversing)[acting]):
+        raise GtauError(f"{source.name}: its commands are {UNSIGNED}.")
+
+
 CLIPPED_RUN = 3  # samples in a row at the extreme value
 PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
 MAX_CLIPPED = 0.1
@@ -268,7 +296,7 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
     Raises
     ------
     GtauError
-        More than a tenth of the samples are clipped.
+        More than a tenth of the samples are clipped, or a command has no sign.
     """
     source, count = samples.source, len(samples.time)
     found = []
@@ -283,6 +311,8 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
                 continue
             if _longest_at(samples, j, mover, level) < CLIPPED_RUN:
                 continue
+            if at > MAX_CLIPPED * count and level == low[j] == 0.0:
+                raise GtauError(f"{source.name}: {what} is {UNSIGNED}.")
             if at > MAX_CLIPPED * count:
                 raise GtauError(
                     f"{source.name}: {what} is clipped at {level:.4g} in "

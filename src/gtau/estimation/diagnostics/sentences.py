@@ -343,8 +343,8 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
     F.POSITION_NOISE: (
         "position noise biases {count} of {all} estimates by more than their standard deviations: {estimate} by "
-        "{deviations:.1f} of them (Hausman's test against instrumental variables: {t:.0f} standard deviations of the "
-        "difference); the intervals include it",
+        "{deviations:.1f} of them (instrumental variables, which such noise does not bias, differ by {t:.0f} standard "
+        "deviations of the difference); the intervals include it",
         INSTRUMENTS,
     ),
     F.RIPPLE: _ripple,
