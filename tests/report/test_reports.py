@@ -167,6 +167,9 @@ def test_a_report_is_one_file_with_its_sections(reports: Path, command: str) -> 
 
 
 def test_the_report_shows_the_numbers_of_the_model(reports: Path) -> None:
+    text = text_of(reports, "identify")
+    for words in ("largest torque residual of the rows used", "largest torque error of one run, %", "at every sample"):
+        assert words in text
     page = Links(text_of(reports, "identify"))
     model = json.loads((reports / "identify" / "model.json").read_text())
     for gain in model["drive_gains"]:

@@ -33,7 +33,7 @@ def gains_section(
 ) -> Section:
     """Show drive gains with their 95 % intervals, beside the prior ones, and what their scale rests on."""
     estimated = any(gain.std is not None for gain in result.drive_gains.values())
-    words = "±95 %: half the interval; random, model: standard deviations; % of the gain"
+    words = "±: half the 95 % interval; random, model: standard deviations; % of the gain"
     return section(
         "Drive gains",
         gains_table(result, prior or {}),

@@ -125,10 +125,10 @@ def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[
     """Find the largest torque error of the fit, and on the runs kept for validation."""
     found = {}
     if worst := largest(result.residuals):
-        found["largest torque error of the fit"] = f"{worst.relative:.2f} % ({worst.joint})"
+        found["largest torque residual of the rows used"] = f"{worst.relative:.2f} % ({worst.joint})"
     if worst := largest([error for run in runs if not run.used for error in run.errors]):
         more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % with reversals"
-        found["largest torque error of validation"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
+        found["largest torque error of a validation run"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
     return found
 
 
@@ -152,9 +152,8 @@ def _fit_words(result: IdentifiedModel) -> list[Item]:
     if worst is None:
         return []
     best = min(each.relative for each in result.residuals)
-    found: list[Item] = [
-        Text(f"Torque residuals: {best:.2f} to {worst.relative:.2f} % rms, the largest at '{worst.joint}'.")
-    ]
+    range_ = f"{best:.2f} to {worst.relative:.2f} % rms"
+    found: list[Item] = [Text(f"Torque residuals of the rows used: {range_}, the largest at '{worst.joint}'.")]
     if result.consistency is not None:
         cost = _growth(_overall(result.consistency))
         found.append(Text(f"Physically consistent parameters: torque residuals {cost}."))

@@ -79,7 +79,7 @@ def largest_errors_table(runs: Sequence[RunEvidence]) -> Table:
         for words, used in (("runs used", True), ("validation", False))
     ]
     groups = [(words, members) for words, members in groups if members]
-    columns = [Column("largest torque error, %")]
+    columns = [Column("largest torque error of one run, %")]
     for words, _ in groups:
         columns.append(Column(f"{words}: away from reversals", Kind.NUMBER, decimals=2))
         columns.append(Column(f"{words}: all samples", Kind.NUMBER, decimals=2))
@@ -113,8 +113,14 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
         "A small residual does not prove the gains, as both sides carry them. In the shaded stretches the friction "
         "model does not hold or samples are missing; identification leaves them out."
     )
+    each_run = (
+        "Errors are of single runs, at every sample, and so not those of the fit, whose residuals are of the decimated "
+        "rows used of all runs together."
+    )
     every = section("Torque errors of every run", errors_table(runs), Text(REVERSALS, style="soft"), folded=True)
-    return section("Torques", Text(words), largest_errors_table(runs), every, *parts, id="torques")
+    return section(
+        "Torques", Text(words), largest_errors_table(runs), Text(each_run, style="soft"), every, *parts, id="torques"
+    )
 
 
 def units_of(result: IdentifiedModel, prediction: Prediction) -> list[str]:
