@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
     from gtau.robots.robot import Robot
+    from gtau.signals.experiment import Prior
     from gtau.signals.run import Run, read_run
     from gtau.simulation.experiment_files import simulate_experiment as simulate
 
@@ -32,6 +33,7 @@ __all__ = [
     "Estimate",
     "GtauError",
     "InverseDynamics",
+    "Prior",
     "Result",
     "Robot",
     "Run",
@@ -52,6 +54,7 @@ _HOMES = {
     "Estimate": "estimation.results.estimate",
     "GtauError": "errors",
     "InverseDynamics": "model.inverse_dynamics",
+    "Prior": "signals.experiment",
     "Result": "estimation.results.result",
     "Robot": "robots.robot",
     "Run": "signals.run",

@@ -16,6 +16,7 @@ import pytest
 from five_bar_logs import Plant, path, write_experiment
 
 import gtau
+from gtau.signals.experiment import read_experiment
 from gtau.signals.payload import as_payload
 
 ROOT = Path(__file__).parents[2]
@@ -119,6 +120,28 @@ class _LikePandas:
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self._frame[name].to_numpy()
+
+
+def test_compare_takes_a_robot_with_runs_and_priors_are_mappings(folder: Path) -> None:
+    signals = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
+    steel = {"name": "steel", "mass": 1.2}
+    robot = gtau.load_robot("five-bar")
+    runs = [gtau.read_run(folder / f"{name}.csv", signals, load) for name, load in (("free", None), ("loaded", steel))]
+    expected = read_experiment(folder / "experiment.yaml").expected_gains
+    of_file, of_runs = gtau.compare(folder / "experiment.yaml"), gtau.compare(robot, runs, expected)
+    for one, other in zip(of_file.rows, of_runs.rows, strict=True):
+        assert (one.method, one.outcome) == (other.method, other.outcome)
+        assert one.gains is None or one.gains == pytest.approx(other.gains, rel=1e-6)
+    priors = {"m_left": {"value": 1.0, "std": 0.4}}
+    same = [gtau.identify(robot, runs, priors=each) for each in (priors, {"m_left": gtau.Prior(value=1.0, std=0.4)})]
+    assert same[0].gains == pytest.approx(same[1].gains, rel=1e-12)
+    for use in (gtau.identify, gtau.compare):
+        with pytest.raises(gtau.GtauError, match="a int cannot be identified; give the path of an experiment file"):
+            use(3)  # type: ignore[arg-type]
+        with pytest.raises(gtau.GtauError, match=r"read each log with gtau\.read_run"):
+            use(robot, ["free.csv"])  # type: ignore[list-item]
+        with pytest.raises(gtau.GtauError, match="unknown key 'deviation'"):
+            use(robot, runs, priors={"m_left": {"value": 1.0, "deviation": 0.4}})
 
 
 def test_a_path_in_the_place_of_a_run(result: gtau.Result) -> None:

@@ -134,7 +134,7 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
             from gtau.report.write import inputs_of, write_report
             from gtau.signals.experiment import read_experiment
 
-            found = run(experiment, progress)
+            found = run(experiment, progress=progress)
         described = read_experiment(experiment)
         page = comparison_page(found, described.expected_gains)
         written = []

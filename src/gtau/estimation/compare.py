@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -15,16 +15,17 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
 from gtau.estimation.estimators.registry import ESTIMATORS
-from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.experiment_runs import subject_of
 from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.model.home import load_robot
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
+from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit
-from gtau.signals.experiment import check_robot, read_experiment
+from gtau.signals.experiment import Experiment, Prior
+from gtau.signals.run import Run
 
 if TYPE_CHECKING:
     import polars as pl
@@ -87,29 +88,33 @@ class EstimatorComparison:
         return html
 
 
-def compare(path: str | Path, progress: Progress = silent) -> EstimatorComparison:
-    """Identify an experiment with every estimator, each as :func:`gtau.identify` does.
+def compare(
+    source: str | Path | Experiment | Robot,
+    runs: Sequence[Run] | None = None,
+    prior_gains: Mapping[str, float] | None = None,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+    progress: Progress = silent,
+) -> EstimatorComparison:
+    """Identify with every estimator, each as :func:`gtau.identify` does, which takes the same.
 
     Raises
     ------
     GtauError
         Where a file is wrong, the logs hold torques, or the runs cannot fix the scale of the gains.
     """
-    experiment = read_experiment(path)
-    robot = load_robot(experiment.robot)
-    check_robot(experiment, robot)
-    runs = read_runs(experiment, experiment.runs, progress)
-    priors = experiment.expected_parameters
-    if runs[0].kind == "torque":
-        raise GtauError(f"{path}: the logs hold torques, so there are no drive gains to compare; use 'gtau identify'.")
+    subject = subject_of(source, runs, prior_gains, priors, progress)
+    robot, taken_runs, known = subject.robot, subject.runs, subject.priors
+    if taken_runs[0].kind == "torque":
+        where = f"{source}: " if isinstance(source, (str, Path)) else ""
+        raise GtauError(f"{where}the logs hold torques, so there are no drive gains to compare; use 'gtau identify'.")
 
     def row(estimator: Estimator) -> Row:
         start = perf_counter()
         try:
-            gains = require_inputs(estimator, robot, runs, experiment.expected_gains, experiment.priors)
-            given = Given(gains, priors, progress)
-            taken = replace(dataset, priors=usable(estimator, priors))
-            result = estimate(taken, estimator, given, prior_gains=experiment.expected_gains)
+            gains = require_inputs(estimator, robot, taken_runs, subject.prior_gains, subject.stated)
+            given = Given(gains, known, progress)
+            taken = replace(dataset, priors=usable(estimator, known))
+            result = estimate(taken, estimator, given, prior_gains=subject.prior_gains)
         except GtauError as refusal:
             return Row(estimator.name, refusal=str(refusal))
         seconds, found = perf_counter() - start, list(result.drive_gains.values())
@@ -123,9 +128,9 @@ def compare(path: str | Path, progress: Progress = silent) -> EstimatorCompariso
         return Row(estimator.name, values, std, residuals, seconds, outcome, half_widths=halves)
 
     with single_threaded_blas():
-        dataset = reduce_runs(robot, runs, progress=progress, priors=priors)
-        require_identifiable(choose_estimator("ml", runs), None, dataset, dataset.system(Friction()))
-        chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or experiment.expected_gains]
+        dataset = reduce_runs(robot, taken_runs, progress=progress, priors=known)
+        require_identifiable(choose_estimator("ml", taken_runs), None, dataset, dataset.system(Friction()))
+        chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or subject.prior_gains]
         rows = []
         for k, estimator in enumerate(chosen):
             progress("estimators", k, len(chosen))

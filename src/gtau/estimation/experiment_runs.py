@@ -1,10 +1,11 @@
-"""The runs of experiment files, read."""
+"""What is to be identified: a robot, its runs and what is known, from an experiment file or given in Python."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
@@ -12,10 +13,69 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.signals.experiment import Experiment, check_robot, read_experiment
+from gtau.robots.robot import Robot
+from gtau.signals.experiment import Experiment, Prior, as_priors, check_robot, read_experiment
 from gtau.signals.logged_run import LoggedRun
 from gtau.signals.run import Run, read_run
 from gtau.signals.side_signals import read_poses
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A robot with its runs, and what is known: ``priors`` with those of data sheets, and ``stated`` without.
+
+    ``experiment`` is None where robot and runs were given in Python.
+    """
+
+    robot: Robot
+    runs: Sequence[Run]
+    prior_gains: Mapping[str, float]
+    priors: Mapping[str, Prior]
+    stated: Mapping[str, Prior]
+    experiment: Experiment | None = None
+
+
+def subject_of(
+    source: str | Path | Experiment | Robot,
+    runs: Sequence[Run] | None = None,
+    prior_gains: Mapping[str, float] | None = None,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+    progress: Progress = silent,
+) -> Subject:
+    """Read an experiment, or take a robot with its runs; what is given beside an experiment replaces what it says.
+
+    Raises
+    ------
+    GtauError
+        Where a file is wrong, or a robot has no runs, an experiment other ones, or something is of another type.
+    """
+    given = None if priors is None else as_priors(priors)
+    if isinstance(source, Robot):
+        if not runs:
+            raise GtauError("a robot alone cannot be identified; give its runs too.")
+        if isinstance(runs, Run) or not all(isinstance(run, Run) for run in runs):
+            raise GtauError("the runs of a robot are a list of runs; read each log with gtau.read_run.")
+        return Subject(source, runs, prior_gains or {}, given or {}, given or {})
+    if runs is not None:
+        raise GtauError(
+            "runs are given beside an experiment file, which lists its own; give a robot with runs, or the file alone."
+        )
+    if not isinstance(source, (str, Path, Experiment)):
+        raise GtauError(
+            f"a {type(source).__name__} cannot be identified; give the path of an experiment file, or a robot "
+            "(gtau.load_robot) with its runs."
+        )
+    experiment = source if isinstance(source, Experiment) else read_experiment(source)
+    robot = load_robot(experiment.robot)
+    check_robot(experiment, robot)
+    return Subject(
+        robot,
+        read_runs(experiment, experiment.runs, progress),
+        experiment.expected_gains if prior_gains is None else prior_gains,
+        experiment.expected_parameters if given is None else given,
+        experiment.priors if given is None else given,
+        experiment,
+    )
 
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
@@ -12,20 +13,19 @@ from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
-from gtau.estimation.experiment_runs import geometry_of, read_runs
+from gtau.estimation.experiment_runs import geometry_of, subject_of
 from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
-from gtau.model.home import load_robot
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.data_sheets import Drive, data_sheet_notes
-from gtau.signals.experiment import Experiment, Prior, check_robot, read_experiment
+from gtau.signals.experiment import Experiment, Prior
 from gtau.signals.notes import Note
 from gtau.signals.run import Run
 
@@ -38,7 +38,7 @@ def identify(
     ratio: float | None = None,
     as_paper: bool = False,
     consistent: bool = False,
-    priors: Mapping[str, Prior] | None = None,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     accuracy: float = ACCURACY,
     progress: Progress = silent,
 ) -> Result:
@@ -69,7 +69,8 @@ def identify(
         Also find standard parameters that rigid bodies can have (see
         :mod:`gtau.estimation.estimators.physical_consistency`).
     priors : mapping, optional
-        What is known of standard and base parameters, by name; the experiment file's if left out.
+        What is known of standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like those of
+        the experiment file (``{"value": 1.2, "std": 0.4}``); the experiment file's if left out.
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
     progress : callable, optional
@@ -89,28 +90,21 @@ def identify(
     if method is not None:
         estimator_of(method)  # before logs are read
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
-    if isinstance(source, Robot):
-        robot, runs, drives, stated, experiment = source, _given_runs(runs), {}, priors, None
-    else:
-        experiment = _experiment_alone(source, runs)
-        robot = load_robot(experiment.robot)
-        check_robot(experiment, robot)
-        runs = read_runs(experiment, experiment.runs, progress)
-        drives, stated = experiment.drives, experiment.priors if priors is None else priors
-        prior_gains = experiment.expected_gains if prior_gains is None else prior_gains
-        priors = experiment.expected_parameters if priors is None else priors
-    estimator = choose_estimator(method, runs, as_paper)
+    subject = subject_of(source, runs, prior_gains, priors, progress)
+    robot, experiment, known = subject.robot, subject.experiment, subject.priors
+    estimator = choose_estimator(method, subject.runs, as_paper)
     _check_combination(estimator, as_paper, consistent)
-    priors = priors or {}
-    gains = require_inputs(estimator, robot, runs, prior_gains, stated or {}, consistent)
+    gains = require_inputs(estimator, robot, subject.runs, subject.prior_gains, subject.stated, consistent)
     with single_threaded_blas():
         dataset = reduce_runs(
-            robot, runs, decimator=options.decimator, progress=progress, priors=usable(estimator, priors)
+            robot, subject.runs, decimator=options.decimator, progress=progress, priors=usable(estimator, known)
         )
         system = dataset.system(Friction())
         require_identifiable(estimator, gains, dataset, system)
         try:
-            result = estimate(dataset, estimator, Given(gains, priors, progress), options, prior_gains, consistent)
+            result = estimate(
+                dataset, estimator, Given(gains, known, progress), options, subject.prior_gains, consistent
+            )
         except GtauError:
             require_felt_payload(system)
             raise
@@ -119,7 +113,7 @@ def identify(
             require_felt_payload(system)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
-        notes = (*found, *_data_sheet_notes(drives, result), *result.notes)
+        notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
         return replace(result, geometry=geometry, notes=notes)
 
 
@@ -127,20 +121,6 @@ def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note
     gains = {Parameter("gain", joint).name: gain for joint, gain in result.drive_gains.items() if gain.std is not None}
     found = {name: (each.value, each.std) for name, each in (gains | dict(result.parameters)).items()}
     return data_sheet_notes(drives, result.robot, found)
-
-
-def _given_runs(runs: Sequence[Run] | None) -> Sequence[Run]:
-    if not runs:
-        raise GtauError("a robot alone cannot be identified; give its runs too.")
-    return runs
-
-
-def _experiment_alone(source: str | Path | Experiment, runs: Sequence[Run] | None) -> Experiment:
-    if runs is not None:
-        raise GtauError(
-            "runs are given beside an experiment file, which lists its own; give a robot with runs, or the file alone."
-        )
-    return source if isinstance(source, Experiment) else read_experiment(source)
 
 
 def _check_combination(estimator: Estimator, as_paper: bool, consistent: bool) -> None:

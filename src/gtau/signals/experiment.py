@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from pydantic import (
     Field,
@@ -20,7 +21,7 @@ from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
-from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.columns import SampleRate, Signals, Units, document_of
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload
@@ -42,6 +43,14 @@ class Prior(Keys):
         if self.min is not None and self.max is not None and self.min >= self.max:
             raise ValueError(f"'min' is {self.min:g} and 'max' {self.max:g}; write the smaller one as 'min'")
         return self
+
+
+def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
+    """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
+    return {
+        name: each if isinstance(each, Prior) else validate(Prior, document_of(f"prior of {name}", each))
+        for name, each in priors.items()
+    }
 
 
 class Experiment(Keys):
