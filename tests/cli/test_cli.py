@@ -20,6 +20,7 @@ from five_bar_logs import DESIGN, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write
 from programs import start, wait_until
 from typer.testing import CliRunner
 
+import gtau.estimation.experiment_runs
 import gtau.estimation.identify
 from gtau.cli.commands import COMMANDS, app
 from gtau.estimation.estimators.registry import NAMES
@@ -612,7 +613,7 @@ def test_usage_errors_name_the_help_of_the_command(here: Path) -> None:
 
 
 def test_a_file_for_the_folder_is_refused_before_the_work(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gtau.estimation.identify, "read_runs", None)  # would fail if it were called
+    monkeypatch.setattr(gtau.estimation.experiment_runs, "read_runs", None)  # would fail if it were called
     for command in ("identify", "check"):
         result = run(command, "experiment.yaml", "--out", "free.csv")
         assert result.exit_code == 2
