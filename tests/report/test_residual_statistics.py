@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import signal
 
-from gtau.report.residual_statistics import autocorrelation, histogram, spectrum, welch
+from gtau.report.residual_statistics import autocorrelation, histogram, spectrum
 
 
 def test_autocorrelation_of_a_first_order_process_with_masked_samples(rng: np.random.Generator) -> None:
@@ -40,12 +39,3 @@ def test_a_histogram_is_a_density_with_the_deviation_of_what_is_kept(rng: np.ran
     assert np.sum(found.density * np.diff(found.edges)) == pytest.approx(1.0)
     assert found.std == pytest.approx(np.nanstd(values))
     assert histogram([(np.arange(5.0), np.ones(5))]) is None
-
-
-@pytest.mark.parametrize("length", [256, 77])
-@pytest.mark.parametrize("centred", [True, False])
-def test_welch_is_that_of_scipy(length: int, centred: bool) -> None:
-    values = 3.0 + np.random.default_rng(0).normal(size=1000)
-    theirs = signal.welch(values, 50.0, nperseg=length, detrend="constant" if centred else False)
-    for mine, expected in zip(welch(values, 50.0, length, centred), theirs, strict=True):
-        np.testing.assert_allclose(mine, expected, rtol=1e-10, atol=1e-14)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import find_peaks
 
 from gtau.errors import GtauError
-from gtau.signals.bandwidth import SEGMENT, _peaks, spectra
+from gtau.signals.bandwidth import SEGMENT, spectra
 from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run
 
@@ -102,11 +101,3 @@ def test_a_long_log_has_the_bandwidth_of_its_parts(rng: np.random.Generator) -> 
     position = (motion(time) + 1e-5 * rng.standard_normal(time.size))[:, None]
     (whole,), (part,) = spectra(run_of(position, rate)), spectra(run_of(position[: SEGMENT // 2], rate))
     assert whole.bandwidth == pytest.approx(part.bandwidth, abs=0.05)
-
-
-def test_peaks_are_those_of_scipy() -> None:
-    source = np.random.default_rng(0)
-    for _ in range(300):
-        level = np.r_[-9.0, source.integers(0, 6, source.integers(3, 40)), -9.0]  # with flat tops
-        for prominence in (0.5, 2.0, 3.0):
-            np.testing.assert_array_equal(_peaks(level, prominence), find_peaks(level, prominence=prominence)[0])

@@ -17,22 +17,6 @@ def phasor(x: np.ndarray, time: np.ndarray, frequency: float) -> complex:
     return complex(sine, cosine)
 
 
-@pytest.mark.parametrize(("rate", "cutoff", "samples"), [(1000.0, 5.0, 5000), (200.0, 49.0, 5000), (100.0, 5.0, 9)])
-def test_low_pass_is_that_of_scipy(rate: float, cutoff: float, samples: int) -> None:
-    x = np.cumsum(np.random.default_rng(0).normal(size=(samples, 3)), axis=0)
-    sections = signal.butter(4, cutoff, fs=rate, output="sos")
-    whole = signal.sosfiltfilt(sections, x, axis=0, padlen=min(samples - 1, filter_edge(rate, cutoff)))
-    np.testing.assert_allclose(low_pass(x, rate, cutoff), whole, rtol=0, atol=1e-11 * np.abs(x).max())
-
-
-@pytest.mark.parametrize("factor", [2, 5, 20])
-def test_decimation_is_that_of_scipy(factor: int) -> None:
-    x, decimator = np.random.default_rng(0).normal(size=(2, 500)), Decimator(factor)
-    taps = signal.firwin(2 * decimator.support + 1, 0.8 / factor, window=("kaiser", 5.0))
-    whole = signal.oaconvolve(x, taps[None], mode="same", axes=-1)
-    np.testing.assert_allclose(decimator.apply(x), whole[:, decimator.instants(500)], rtol=0, atol=1e-13)
-
-
 @pytest.mark.parametrize("frequency", [1.0, 5.0, 20.0])
 def test_low_pass_has_its_gain_and_no_phase(frequency: float) -> None:
     rate, cutoff = 1000.0, 10.0

@@ -20,7 +20,6 @@ from gtau.report.page import (
     section,
     table,
 )
-from gtau.report.residual_statistics import welch
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
 from gtau.signals.bandwidth import spectra
@@ -106,10 +105,12 @@ def valid_share(run: Run) -> float:
 
 def _density(run: Run, j: int) -> tuple[np.ndarray, np.ndarray]:
     """Compute frequencies (K,), Hz, and the power spectral density (K,) of a command by Welch's method."""
+    from scipy.signal import welch
+
     values = np.asarray(block(run.command, 0, min(len(run.time), LONGEST))[:, j], dtype=float)
     if len(values) < FEWEST:
         return np.zeros(0), np.zeros(0)
-    return welch(values, run.rate, min(SEGMENT, len(values) // 4), centred=True)
+    return welch(values, run.rate, nperseg=min(SEGMENT, len(values) // 4))
 
 
 def _amplitude(label: str, frequency: np.ndarray, density: np.ndarray, hue: str) -> list[Series]:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 SEGMENT = 256  # samples of a segment of the spectrum, at most
 FEWEST = 16  # samples that a statistic needs
@@ -59,22 +58,10 @@ def histogram(series: Series) -> Histogram | None:
     return Histogram(edges, density, float(values.mean()), float(values.std()))
 
 
-def welch(values: np.ndarray, rate: float, length: int, centred: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Compute frequencies (K,), Hz, and the one-sided power density (K,) by Welch's method, Hann's window, half over.
-
-    Segments are of ``length`` samples, each less its mean if ``centred``. (SciPy's takes half a second to import.)
-    """
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
-    parts = sliding_window_view(values, length)[:: length - length // 2]
-    spectra = np.fft.rfft((parts - parts.mean(axis=1, keepdims=True) * centred) * window)
-    density = (np.abs(spectra) ** 2).mean(axis=0) * 2 / (rate * (window**2).sum())
-    density[:1] /= 2  # neither 0 nor the Nyquist frequency has another side
-    density[length // 2 if length % 2 == 0 else length :] /= 2
-    return np.fft.rfftfreq(length, 1 / rate), density
-
-
 def spectrum(series: Series) -> Spectrum | None:
     """Compute Welch's spectrum over all runs, masked residuals as zero, scaled by the share that is kept."""
+    from scipy.signal import welch
+
     whole = [(time, values) for time, values in series if np.isfinite(values).sum() >= FEWEST]
     if not whole:
         return None
@@ -84,7 +71,7 @@ def spectrum(series: Series) -> Spectrum | None:
         kept = np.isfinite(values)
         rate = (len(time) - 1) / (time[-1] - time[0])
         filled = np.where(kept, values - values[kept].mean(), 0.0)
-        frequency, density = welch(filled, rate, length)
+        frequency, density = welch(filled, rate, nperseg=length, detrend=False)
         total += kept.sum() * density / kept.mean()
         weight += kept.sum()
     return Spectrum(frequency[1:], total[1:] / weight)

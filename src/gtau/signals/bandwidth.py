@@ -86,12 +86,13 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
 
 def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute frequencies (K,) above zero, up to ``TOP``, and the power density of the second differences (K, n)."""
+    from scipy.signal.windows import tukey
+
     count = len(position) - 2
     segments = min(-(-count // SEGMENT), SEGMENTS)
     length = min(count, SEGMENT)
     # The window keeps a log that begins or ends in motion from looking like a jump.
-    ends = np.linspace(0.0, 1.0, length)
-    window = (0.5 - 0.5 * np.cos(np.pi * np.minimum(np.minimum(ends, 1 - ends) / 0.05, 1.0)))[:, None]  # Tukey's
+    window = tukey(length, 0.1)[:, None]
     power = np.zeros((length // 2 + 1, position.shape[1]))
     for start in np.linspace(0, count - length, segments).astype(int):
         part = block(position, start, start + length + 2)
@@ -104,6 +105,7 @@ def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.nd
 def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: bool) -> JointSpectrum:
     """Find the end of the signal and the bandwidth in the spectrum of one joint's accelerations."""
     from scipy.ndimage import grey_closing
+    from scipy.signal import find_peaks
 
     centre, of_band = _in_bands(frequency, density)
     band_gain = np.interp(centre, frequency, gain)
@@ -111,7 +113,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
         return JointSpectrum(centre, of_band, of_band, np.nan, np.nan, 0.0)
     level = -np.log(np.maximum(grey_closing(of_band, size=CLOSING, mode="nearest"), 1e-30 * of_band.max()))
     bottom = level.min() - 2 * np.log(PROMINENCE)  # a spectrum that falls as far as it goes ends there
-    valleys = _peaks(np.r_[bottom, level, bottom], np.log(PROMINENCE)) - 1
+    valleys = find_peaks(np.r_[bottom, level, bottom], prominence=np.log(PROMINENCE))[0] - 1
     speed = density / gain
     held = np.cumsum(speed)
     below = held[np.searchsorted(frequency, centre[valleys], side="right") - 1]
@@ -135,23 +137,6 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
         bandwidth=float(frequency[found]) if moves else np.nan,
         signal_to_noise=ratio,
     )
-
-
-def _peaks(level: np.ndarray, prominence: float) -> np.ndarray:
-    """List the peaks, the middles of flat ones, that stand out this much above the higher of the lows beside them.
-
-    A low is between the peak and the next higher level, or the end.
-    """
-    first = np.flatnonzero(np.r_[True, np.diff(level) != 0])
-    last, height = np.r_[first[1:], len(level)] - 1, level[first]
-    found = []
-    for k in range(1, len(height) - 1):
-        higher = np.flatnonzero(height > height[k])
-        left, right = higher[higher < k], higher[higher > k]
-        before, after = height[left[-1] if len(left) else 0 : k], height[k + 1 : right[0] if len(right) else None]
-        if len(before) and len(after) and height[k] - max(before.min(), after.min()) >= prominence:
-            found.append((first[k] + last[k]) // 2)
-    return np.array(found, dtype=int)
 
 
 def _is_white(frequency: np.ndarray, position: np.ndarray, valley: int, end: int) -> bool:

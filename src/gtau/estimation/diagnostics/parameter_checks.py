@@ -196,7 +196,7 @@ def leg_differences(
         One for each leg that has like ones (of two like legs only the first), in the order of the robot; empty for a
         robot without like legs.
     """
-    from scipy.special import chdtrc
+    from scipy.stats import chi2
 
     found = []
     for group in identical_legs(robot):
@@ -226,7 +226,7 @@ def leg_differences(
                     deviations,
                     100 * np.abs(np.divide(difference, others, out=np.full(len(shared), np.inf), where=others != 0)),
                     float(np.sqrt(square)),
-                    float(chdtrc(rank, square)),
+                    float(chi2.sf(square, rank)),
                 )
             )
     return found
