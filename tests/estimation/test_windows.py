@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from five_bar_logs import STEEL, Plant
 
-from gtau.estimation.diagnostics.examine import FEWEST, examine
+from gtau.estimation.diagnostics.examine import examine
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.verdict import Outcome
@@ -18,6 +18,7 @@ from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
@@ -62,7 +63,7 @@ def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
     examined = examine(replace(fit, dataset=replace(data, prepared=few)))
     ((said,), rows) = examined.untested, usable_rows(data, central_windows(data, 10))
     assert (said.kind, said.values["rows"], examined.alternatives) == (F.FEW_ROWS, 0, ())
-    assert rows > FEWEST * said.values["unknowns"]
+    assert rows > FEWEST_FOR_TESTS * said.values["unknowns"]
 
 
 @pytest.mark.parametrize("robot", ["arm_idle", "five_bar_idle"])

@@ -342,7 +342,7 @@ def test_a_check_counts_rows_and_repairs(folder: Path) -> None:
         lines[k] = ",".join([t, q1, "1.0471976", v1, v2])
     (folder / "resting.csv").write_text("\n".join(lines))
     (folder / "resting.yaml").write_text(EXPERIMENT.replace("free.csv", "resting.csv"))
-    document = json.loads(run("check", str(folder / "resting.yaml"), "--json"))
+    document = json.loads(run("check", str(folder / "resting.yaml"), "--json", code=2))  # as identify refuses it
     log = document["logs"][0]
     assert [each["moves"] for each in log["joints"]] == [True, False]
     assert log["joints"][1]["usable"] == 0
@@ -352,7 +352,7 @@ def test_a_check_counts_rows_and_repairs(folder: Path) -> None:
     assert findings == [("information", "resting")]
     assert log["samples"] == 5000
     assert log["rate"] == pytest.approx(500.0)
-    text = run("check", str(folder / "resting.yaml"))
+    text = run("check", str(folder / "resting.yaml"), code=2)
     assert "rest" in text
     assert "type 2 (parallel)" in text
 

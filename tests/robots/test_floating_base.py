@@ -189,9 +189,10 @@ def test_the_command_shows_a_floating_base(tmp_path: Path) -> None:
     path = written(tmp_path, "arm.urdf", ARM)
     shown = CliRunner().invoke(app, ["robot", str(path), "--base", "floating"])
     assert shown.exit_code == 0, shown.output
-    assert "8 degrees of freedom" in shown.output
-    assert "floating base: base; its six equations are the rows base_x to base" in shown.output
-    assert "21 without rotor inertia, friction and offset" in shown.output  # 10 + 7 + 4
+    words = " ".join(shown.output.split())
+    assert "8 degrees of freedom" in words
+    assert "floating base base; its six equations are the rows base_x to base" in words
+    assert "21 without rotor inertia, friction and offset" in words  # 10 + 7 + 4
     refused = CliRunner().invoke(app, ["robot", str(path)])
     assert "base: fixed" in refused.output
     assert "base: floating" in refused.output

@@ -152,7 +152,7 @@ LOGS = [
     Case("a picture", "free.csv is a picture, not a log", {"free.csv": b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 9}),
     Case(
         "Latin-1",
-        "free.csv is not a text file",
+        "free.csv: there is no column 't'; the columns are temps écoulé, q1, q2, v1, v2.",
         {"free.csv": lambda text: text.replace("t,", "temps \xe9coul\xe9,").encode("latin-1")},
     ),
     Case("UTF-16", "free.csv is text in UTF-16; save it as UTF-8", {"free.csv": lambda text: text.encode("utf-16")}),

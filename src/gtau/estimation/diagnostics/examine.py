@@ -31,6 +31,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.thresholds.estimates import (
     DOMINANT,
+    FEWEST_FOR_TESTS,
     LACKING,
     OF_REPEATING,
     PLAUSIBLE_GAIN_CHANGE,
@@ -39,8 +40,6 @@ from gtau.estimation.thresholds.estimates import (
     SCALED,
 )
 from gtau.progress import Progress, silent
-
-FEWEST = 3  # rows for each unknown, with fewer the tests fit the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +102,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     """
     lack = lack_of_fit(fit.system.problem, fit.solution)
     rows, unknowns = usable_rows(fit.dataset, central_windows(fit.dataset, WINDOWS)), len(fit.solution.stacked)
-    if rows < FEWEST * unknowns:
+    if rows < FEWEST_FOR_TESTS * unknowns:
         few = Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns})
         return Examination(lack, (), PositionRipple.none(fit), (), (few,))
     alternatives = list(find_alternatives(fit))

@@ -178,10 +178,10 @@ class _Covariance(_Group):
         return self
 
 
-class _Statistics(_Group):
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, FiniteFloat]
-    lack_of_fit: FiniteFloat
+def _statistics(found: dict[str, float]) -> dict[str, float]:
+    if "lack_of_fit" not in found:
+        raise ValueError("'lack_of_fit' is missing")
+    return found
 
 
 class _Model(_Group):
@@ -198,7 +198,7 @@ class _Model(_Group):
     covariance: _Covariance
     preparation: _Preparation
     logged_speeds: dict[str, NonNegativeFloat]
-    statistics: _Statistics
+    statistics: Annotated[dict[str, FiniteFloat], AfterValidator(_statistics)]
     runs: tuple[str, ...]
     notes: tuple[NoteEntry, ...]
     temperatures: ReferenceTemperatures | None = None
@@ -224,7 +224,7 @@ class _Model(_Group):
             covariance=np.array(self.covariance.matrix),
             preparation=self.preparation.made(),
             logged_speeds=self.logged_speeds,
-            statistics=self.statistics.model_dump(),
+            statistics=self.statistics,
             runs=self.runs,
             notes=self.notes,
             temperatures=self.temperatures,
