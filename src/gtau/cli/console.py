@@ -58,7 +58,7 @@ def _bar(first: str) -> Iterator[Callable[[str, int, int], None]]:
 
 @contextmanager
 def _lines(first: str, every: float) -> Iterator[Callable[[str, int, int], None]]:
-    """Print the progress once every so many seconds, also while nothing is reported."""
+    """Print the progress at regular intervals, also while nothing is reported."""
     begun, finished, now = time.monotonic(), threading.Event(), [first]
 
     def report(stage: str, done: int, total: int) -> None:
