@@ -36,6 +36,12 @@ SENTENCES = [  # finding, reason, advice
      "an error in the zero of encoder 'left' (1.2 deg) would explain 31 % of the residual variance and move this "
      "gain by -4.5 %",
      "check the zeros of the encoders against the robot's own"),
+    (Finding(F.REFUTED, ("left",),
+     values={"size": 1.2, "unit": "deg", "share": 0.31, "move": -23.0},
+     causes=(Finding(F.ENCODER_ZERO, ("left",)),)),
+     "an error in the zero of encoder 'left' (1.2 deg) would explain 31 % of the residual variance and move this "
+     "gain by more than 1000 %",
+     "check the zeros of the encoders against the robot's own"),
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False}),
      "the model leaves 31 % of this joint's current unexplained",
      "check that its position and current columns belong together, in all runs, and their signs and units"),
@@ -267,6 +273,17 @@ SENTENCES = [  # finding, reason, advice
      "another gravity, about (0.0, -1.2, 9.7) m/s2",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
+    (Finding(F.GRAVITY, ("left", "right"),
+     values={"gravity": [9.80665, 0.0, 0.0], "also": [[-9.80665, 0.0, 0.0]], "floating": False,
+             "left": {"left": [0.05, 0.01], "right": [0.31, 0.0013]}}),
+     "gravity along +x or -x of the base, which leaves 0.13 % of 'right' unexplained instead of 31 %,",
+     "check how the base is mounted, and write 'gravity: [9.807, 0, 0]' in the robot file, or "
+     "'base: {rpy: [0, 1.571, 0]}' beside its 'file' in the experiment file"),
+    (Finding(F.GRAVITY, ("left",),
+     values={"gravity": [0.0, -5.88, -7.85], "also": [], "floating": True, "left": {"left": [0.05, 0.01]}}),
+     "gravity along (0, -0.6, -0.8) of the world, which leaves 1 % of 'left' unexplained instead of 5 %,",
+     "check how the world axes lie, and write 'gravity: [0, -5.88, -7.85]' in the robot file, in axes of the logged "
+     "poses, or turn the poses so that their z axis points up"),
     (Finding(F.CLOCK, values={"factor": 1.4, "rate": 125.0}),
      "a sampling rate that is too high, as accelerations are too large against gravity (or wrong lengths throughout"
      " the robot)",

@@ -16,6 +16,7 @@ from gtau.estimation.diagnostics.alternatives import (
 )
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses.description import GRAVITY
 from gtau.estimation.diagnostics.lengths import other_length
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.log_checks import lack_of_fit, swapped_channels
@@ -24,6 +25,7 @@ from gtau.estimation.diagnostics.other_estimators import (
     other_estimators,
     two_stage_difference,
 )
+from gtau.estimation.diagnostics.other_gravity import gravity_asked_for, other_gravity
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.score_test import gain_changes
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
@@ -117,9 +119,12 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         changes = _of_gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += changes
-    if lack > LACKING:
+    turned = _of_gravity(fit, progress) if lack > LACKING and gravity_asked_for(fit, alternatives) else []
+    if turned:  # what a few degrees, other lengths or ripple would explain is its effect
+        alternatives = [each for each in alternatives if each.hypothesis != GRAVITY.name] + turned
+    elif lack > LACKING:
         alternatives += _of_lengths(fit, progress)
-    ripple = PositionRipple.none(fit) if scaled or lack < LACKING else position_ripple(fit)
+    ripple = PositionRipple.none(fit) if scaled or turned or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
     return Examination(lack, weighed, ripple, swapped, untested)
@@ -151,6 +156,14 @@ def _of_lengths(fit: Fit, progress: Progress) -> list[Alternative]:
     if found is None:
         return []
     return [replace(_certain(fit, "lengths", found.cause, found.change, np.nan, found.moves), share=found.share)]
+
+
+def _of_gravity(fit: Fit, progress: Progress) -> list[Alternative]:
+    found = other_gravity(fit, progress)
+    if found is None:
+        return []
+    certain = _certain(fit, GRAVITY.name, found.cause, 1.0, np.nan, found.moves)
+    return [replace(certain, unit="", share=found.share)]
 
 
 def _of_gain_changes(fit: Fit) -> list[Alternative]:

@@ -130,6 +130,9 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
     }
     wrenches = {"wrenches": measured_wrenches(fit)}
     yield from (replace(each, values={**each.values, **wrenches}) for each in examined.swapped)
+    for turned in (each for each in examined.refuted if each.causes[0].kind == F.GRAVITY):
+        values = {"size": turned.size, "unit": turned.unit, "share": turned.share, **wrenches}
+        yield Finding(F.REFUTED, turned.causes[0].joints, values=values, causes=turned.causes, severity=turned.share)
     for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
         if share > MISFIT_GIVEN:
             values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": True, **wrenches}

@@ -6,21 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from math import ceil, floor, log10, sqrt, tau
 from typing import Any
 
+from gtau.estimation.diagnostics.cause_sentences import CAUSES, INSTRUMENTS, Sentence, Values
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.regression.motion_limits import clock_advice
 from gtau.estimation.thresholds.estimates import LOST_GAIN
 from gtau.signals.notes import Kind, Note
 
-Values = Mapping[str, Any]
-Sentence = tuple[str, str]
-"""Reason and advice, of a cause its name and advice, which is empty where there is nothing to do.
-
-Fields in braces are the values of the finding, its ``subject``, its first ``joint`` and the ``other`` one, the
-``estimate`` that it is about, the ``cause`` and what ``to_do`` about it.
-"""
-
 LISTED = 3  # parameters that are named
+MOVED = 10.0  # of itself: a gain that moves by more was no estimate
 THOUSAND = 2.0  # a factor between 1000 / 2 and 1000 * 2 is one of a thousand
 WRENCHES = (
     "check the signs, axes, point ('at') and body of each wrench, that none is missing, and that they share the "
@@ -34,16 +28,8 @@ UNLOADED = (
     "use longer runs, motions in which this joint lifts or accelerates more, or also a payload of known mass; check "
     "the direction of gravity"
 )
-GRAVITY = (
-    "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and on "
-    "which body"
-)
 SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
 SENSOR = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
-FILTER = "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"
-OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from the rest"
-INSTRUMENTS = "use --method iv or didim, or encoders with less noise"
-DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
 
 
 def reason(finding: Finding) -> str:
@@ -117,7 +103,10 @@ def _refuted(values: Values) -> Sentence:
     size = (
         " ({size:.2g%} of itself)" if values["unit"] == RELATIVE else " ({size:.2g} {unit})" if values["unit"] else ""
     )
-    explains = " would explain {share:.0f%} of the residual variance and move this gain by {move:+.2g%}"
+    explains = " would explain {share:.0f%} of the residual variance"
+    if "move" in values:
+        large = abs(values["move"]) > MOVED
+        explains += " and move this gain by " + (f"more than {100 * MOVED:.0f} %" if large else "{move:+.2g%}")
     return "{cause}" + size + explains, "{to_do}"
 
 
@@ -182,35 +171,6 @@ def _command_lag(values: Values) -> Sentence:
         f"time constant attenuates them by {100 * (1 - 1 / sqrt(1 + phase**2)):.2g} % at the bandwidth of the motion, "
         "{bandwidth:.3g} Hz",
         "log the {kind}s before any filter and with the time stamps of the positions",
-    )
-
-
-def _clock(values: Values) -> Sentence:
-    """Explain residuals that ask for another strength of gravity.
-
-    Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
-    torques against those of gravity, whose length on Earth is known to 0.3 %.
-    """
-    rate, accelerations = ("high", "large") if values["factor"] > 1 else ("low", "small")
-    return (
-        f"a sampling rate that is too {rate}, as accelerations are too {accelerations} against gravity (or wrong "
-        "lengths throughout the robot)",
-        "{clock}; then check the robot's lengths",
-    )
-
-
-def _length(values: Values) -> Sentence:
-    bodies = ", ".join(f"'{body}'" for body in values["bodies"])
-    return f"a wrong length, such as the {1e3 * values['length']:.4g} mm at {bodies}", "check the robot's geometry"
-
-
-def _gain_change(values: Values) -> Sentence:
-    names, several = " and ".join(f"'{run}'" for run in values["runs"]), len(values["runs"]) > 1
-    way = "larger" if values["change"] > 0 else "smaller"
-    return (
-        f"a current of '{{joint}}' that is {way} in run{'s' * several} {names} than in the others",
-        "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
-        "loaded and unloaded runs, as a motor's torque constant falls as it warms up",
     )
 
 
@@ -381,42 +341,7 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     ),
     F.COMMAND_LAG: _command_lag,
     F.SLIGHT_COMMAND_LAG: _command_lag,
-    F.CUBIC_FRICTION: ("cubic friction of '{joint}'", OTHER_FRICTION),
-    F.LOAD_FRICTION: ("load-dependent friction of '{joint}'", OTHER_FRICTION),
-    F.STRIBECK_FRICTION: ("Stribeck friction of '{joint}'", OTHER_FRICTION),
-    F.VISCOUS_DRIFT: ("viscous friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
-    F.COULOMB_DRIFT: ("Coulomb friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
-    F.SATURATION: (
-        "the torque constant of '{joint}' falling with its current",
-        "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the actual "
-        "current; friction that grows with the load has the same effect",
-    ),
-    F.GAIN_DRIFT: ("the torque constant of '{joint}' falling along the runs", "let the robot warm up before the runs"),
-    F.CURRENT_LAG: (
-        "a low-pass filter of the current of '{joint}', or an elastic transmission",
-        "log the current before any filter, and move more slowly",
-    ),
-    F.ENCODER_ZERO: (
-        "an error in the zero of encoder '{joint}'",
-        "check the zeros of the encoders against the robot's own",
-    ),
-    F.GRAVITY_TILT: ("gravity tilted towards ({towards[0]:.2g}, {towards[1]:.2g}, {towards[2]:.2g})", GRAVITY),
-    F.GRAVITY_STRENGTH: ("gravity of another strength", GRAVITY),
-    F.GRAVITY: ("another gravity, about ({gravity[0]:.1f}, {gravity[1]:.1f}, {gravity[2]:.1f}) m/s2", GRAVITY),
-    F.CLOCK: _clock,
-    F.LENGTH: _length,
-    F.GAIN_CHANGE: _gain_change,
-    F.BANDWIDTH: ("{estimate} with a bandwidth {factor:g} times as large", FILTER),
-    F.SLOW_ROWS: (
-        "{estimate} without rows below {fraction:.2g%} of a joint's rms speed",
-        "make motions with fewer reversals, or give 'preparation' by hand",
-    ),
-    F.TWO_STAGE: (
-        "{estimate} by two-stage least squares",
-        "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction "
-        "that grows with the load has the same effect",
-    ),
-    F.INSTRUMENTS: ("{estimate} by instrumental variables", INSTRUMENTS),
+    **CAUSES,
 }
 
 NOTES: Mapping[F, Kind] = {

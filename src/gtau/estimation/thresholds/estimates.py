@@ -232,6 +232,36 @@ TOGETHER_SHARE = Threshold(
     "0.9 (gravity along another axis)",
     "faults, clean",
 )
+GRAVITY_SHARE = Threshold(
+    0.5,
+    "share of the residual variance, in the geometric mean of all joints or of one that it helps, that gravity along "
+    "another axis takes away",
+    "up to 0.07 (dVRK, whose cables repeat), 0.013 (Rokae), 0 (UR10e, TX40, Panda, KUKA, Orthoglide, five-bar)",
+    "0.88 and more along another axis, 0.84 and 0.995 tilted by 11 degrees (UR10e); 0.53 and more (five-bar, "
+    "Orthoglide, with a payload), nothing from torques of these two, which hardly see it",
+    "shared logs; tests/estimation/test_gravity.py, torques and currents simulated with 0.3 % of noise",
+)
+GRAVITY_LEAST = Threshold(
+    5.0,
+    "angle from the stated gravity, degrees, below which a base is not level and the linear test speaks",
+    NONE,
+    NONE,
+    "five times PLAUSIBLE_TILT",
+)
+GRAVITY_ALIKE = Threshold(
+    1.05,
+    "residual variance over that of the best axis, below which another one explains as much",
+    "1.00 (either normal of a planar robot)",
+    "1.5 and more (the next axis of a UR10e)",
+    "tests/estimation/test_gravity.py",
+)
+GRAVITY_MISFIT = Threshold(
+    0.1,
+    "share of a joint's current or torque that is unexplained, from which gravity along other axes is tried",
+    "0.002 to 0.11 (Orthoglide, UR10e, dVRK, TX40), 0.57 (Panda polled at few hertz)",
+    "0.08 to 0.98 (gravity along another axis); where it is less, a tilt helps",
+    "the same; it decides on some seconds of work, not on an outcome",
+)
 SAME_EFFECT = Threshold(
     1e-5,
     "1 - cos2 of the torques of two alternatives, below which they count once",
