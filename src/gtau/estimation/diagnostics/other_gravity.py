@@ -102,6 +102,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
             joint: [float(shares[j]), float(shares[j] * after[j] / before[j])]
             for joint, j in zip(joints, helped, strict=True)
         },
+        "remains": left,
         "floating": bool(fit.dataset.robot.floating),
     }
     rows = own.system.problem.total_rows

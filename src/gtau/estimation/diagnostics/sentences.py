@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import ceil, floor, log10, sqrt, tau
 from typing import Any
 
-from gtau.estimation.diagnostics.cause_sentences import CAUSES, INSTRUMENTS, Sentence, Values
+from gtau.estimation.diagnostics.cause_sentences import CAUSES, INSTRUMENTS, Sentence, Values, carried
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.regression.motion_limits import clock_advice
@@ -24,10 +25,7 @@ LOADED = (
     "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; if other joints "
     "are weak too, check which runs carry the payload, on which body, and gravity"
 )
-UNLOADED = (
-    "use longer runs, motions in which this joint lifts or accelerates more, or also a payload of known mass; check "
-    "the direction of gravity"
-)
+MAY_BE_WRENCHES = {F.SWAPPED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
 SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
 SENSOR = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
 
@@ -38,9 +36,13 @@ def reason(finding: Finding) -> str:
 
 
 def advice(finding: Finding) -> str:
-    """Say what to do about it, wrenches first where they may be the cause."""
-    found = _sentence(finding)[1]
-    return f"{WRENCHES}; otherwise {found}" if finding.values.get("wrenches") else found
+    """Say what to do about it, wrenches first where they may be the cause and none of them is."""
+    found, of_wrenches = (
+        _sentence(finding)[1],
+        {F.WRENCH_OFFSET, F.WRENCH_POINT} & {each.kind for each in finding.causes},
+    )
+    first = finding.values.get("wrenches") and finding.kind in MAY_BE_WRENCHES and not of_wrenches
+    return f"{WRENCHES}; otherwise {found}" if first else found
 
 
 def named(causes: Sequence[Finding]) -> str:
@@ -85,7 +87,9 @@ def _sentence(finding: Finding) -> Sentence:
         values["joint"], values["other"] = finding.joints[0], finding.joints[-1]
         values["estimate"] = f"the gain of '{finding.joints[0]}'"
     if finding.causes:
-        values["cause"], values["to_do"] = named(finding.causes), advice(finding.causes[0])
+        first, loaded = finding.causes[0], {"payload": finding.values.get("payload", True)}
+        first = replace(first, values={**first.values, **loaded})
+        values["cause"], values["to_do"] = named(finding.causes), advice(first)
     values["clock"] = clock_advice(finding.values.get("rate"))
     return what.format(**values), to_do.format(**values)
 
@@ -131,11 +135,20 @@ def _prior_gain(values: Values) -> Sentence:
 
 
 def _lost(why: str) -> Callable[[Values], Sentence]:
-    loaded = (
-        "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
-        "gravity, which runs carry the payload, and on which body"
-    )
-    return lambda values: (why, loaded if values["payload"] else UNLOADED)
+    def sentence(values: Values) -> Sentence:
+        loaded = (
+            "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
+        )
+        return why, loaded + "gravity" + carried(values) if values["payload"] else _unloaded(values)
+
+    return sentence
+
+
+def _unloaded(values: Values) -> str:
+    """Advise motions; a payload only where no wrench gives the scale, of which the payload might be a part."""
+    motions = "longer runs, motions in which this joint lifts or accelerates more"
+    payload = "" if values.get("wrenches") else ", or also a payload of known mass"
+    return f"use {motions}{payload}; check the direction of gravity"
 
 
 def _wide(why: str, to_do: str = "", more: bool = True) -> Callable[[Values], Sentence]:
@@ -209,9 +222,9 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "%)",
         "use --method ml, or a heavier payload and longer runs with less noise",
     ),
-    F.ALL_NEGATIVE: (
+    F.ALL_NEGATIVE: lambda values: (
         "all drive gains are negative",
-        "check the sign of the currents and positions, gravity, which runs carry the payload, and on which body",
+        "check the sign of the currents and positions, gravity" + carried(values),
     ),
     F.SWAPPED: (
         "the {kind}s of '{joint}' and '{other}' look swapped: exchanged, {exchanged:.2g%} of them is unexplained, as "
@@ -246,7 +259,7 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "calibrate the sensors, or weigh the payload, more accurately",
         more=False,
     ),
-    F.WIDE_RANDOM: lambda values: _wide("", LOADED if values["payload"] else UNLOADED, more=False)(values),
+    F.WIDE_RANDOM: lambda values: _wide("", LOADED if values["payload"] else _unloaded(values), more=False)(values),
     F.WIDE_RIPPLE: _wide(
         ", as residuals repeat at the same positions (ripple of the motors, cables or springs)",
         "use other paths in the loaded and unloaded runs",

@@ -130,6 +130,16 @@ PLAUSIBLE_LAG = Threshold(
 )
 PLAUSIBLE_ZERO = Threshold(0.5, "error of an encoder's zero, degrees or mm", NONE, NONE, "experience")
 PLAUSIBLE_TILT = Threshold(1.0, "tilt of the base, degrees", NONE, NONE, "experience")
+PLAUSIBLE_OFFSET = Threshold(
+    0.01,
+    "offset of a measured wrench, of the rms of its force or moment",
+    "0.1 to 1 % of the range of a tared six-axis sensor",
+    "17 % (5 N on a flange that carries 30 N, not tared)",
+    "experience; tests/estimation/test_wrench_errors.py",
+)
+PLAUSIBLE_POINT = Threshold(
+    2.0, "error of the point about which a wrench is stated, mm", NONE, "20 (a plate, a flange)", "experience"
+)
 PLAUSIBLE_GRAVITY = Threshold(
     0.2, "difference of local gravity from the standard, per cent", "0.26 at most on Earth", NONE, "latitude and height"
 )
@@ -217,6 +227,13 @@ REFUTED_SHARE = Threshold(
     "beside a lag or elasticity of 0.07 to 0.39, which then explains it",
     "0.06 to 0.86 (faults)",
     "faults, UR10e pairs; a dVRK arm, and currents low-passed or joints elastic in benchmarks/calibration.py",
+)
+OF_BEST = Threshold(
+    0.5,
+    "share of the residual variance that it explains over that of the description alternative that explains most",
+    "0.19 to 0.25 (a length, a current between runs, beside an offset or a point of a wrench that is off)",
+    "1 (itself)",
+    "tests/estimation/test_wrench_errors.py",
 )
 OF_REPEATING = Threshold(
     0.5,
