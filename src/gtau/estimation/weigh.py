@@ -22,6 +22,7 @@ from gtau.estimation.results.result import Result
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
+from gtau.signals.experiment import Experiment
 from gtau.signals.run import without_sensors
 
 
@@ -49,8 +50,8 @@ def weigh(
     Returns
     -------
     tuple of PayloadEstimate
-        One for each run with an unknown payload. The standard deviations include what the identified
-        gains' own uncertainty does.
+        One for each run with an unknown payload. The standard deviations include what the gains' own uncertainty does,
+        of prior gains as far as their standard deviations are given (see :func:`exact_gains`).
 
     Raises
     ------
@@ -67,7 +68,9 @@ def weigh(
     chosen = [run for run in described.runs if run.payload is None or run.payload.mass is None or not bare]
     runs = read_runs(described, chosen, progress)
     if gains == "prior":
-        g_tau, covariance = given_gains(robot, runs, described.expected_gains, "wls"), None
+        g_tau = given_gains(robot, runs, described.expected_gains, "wls")
+        stds = {} if described.signals.kind == "torque" else described.gain_stds
+        covariance = np.diag([stds.get(joint, 0.0) ** 2 for joint in robot.actuated])
     else:
         g_tau = model.gains
         rows = [model.covariance_names.index(Parameter("gain", joint).name) for joint in robot.actuated]
@@ -87,13 +90,20 @@ def weigh(
         )
     solution = solve(system.problem)
     total = solution.jackknife + scale_uncertainty(dataset, system, solve)
-    if covariance is not None:
+    if covariance.any():
         slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
     estimates = payload_estimates(
         dataset, system, solution.theta, total, {}, degrees_of_freedom(system.problem, solution, False)
     )
     return tuple(each for each in estimates if "m" not in each.known)
+
+
+def exact_gains(experiment: Experiment, gains: str) -> tuple[str, ...]:
+    """List the joints whose gain weighing takes for exact, as no standard deviation of it is known."""
+    if gains != "prior":
+        return ()
+    return tuple(joint for joint in experiment.signals.joints if joint not in experiment.gain_stds)
 
 
 def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -> np.ndarray:

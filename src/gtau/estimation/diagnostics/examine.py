@@ -137,7 +137,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
 
 
 def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
-    """Find the largest share that an error of the wrenches explains: lengths and single currents then look wrong too."""
+    """Find the largest share that an error of wrenches explains: lengths and single currents then look wrong too."""
     of_wrenches = (WRENCH_OFFSETS.name, WRENCH_POINTS.name)
     return max(
         (each.share for each in alternatives if each.hypothesis in of_wrenches and each.significant), default=0.0
