@@ -13,11 +13,12 @@ from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
-from gtau.estimation.experiment_runs import geometry_of, subject_of
+from gtau.estimation.experiment_runs import geometry_of, read_runs, subject_of
 from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.estimation.results.requirement import judge
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.interpreter.threads import single_threaded_blas
@@ -114,7 +115,15 @@ def identify(
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
         notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
-        return replace(result, geometry=geometry, notes=notes)
+        return _judged(replace(result, geometry=geometry, notes=notes), experiment, progress)
+
+
+def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:
+    """Compare a result with what its experiment requires."""
+    if experiment is None:
+        return result
+    tested = experiment.validation if experiment.require.torque_error is not None else ()
+    return replace(result, requirements=judge(result, experiment.require, read_runs(experiment, tested, progress)))
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:

@@ -25,6 +25,7 @@ from gtau.signals.columns import SampleRate, Signals, Units, document_of
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload
+from gtau.signals.requirements import Requirements
 from gtau.signals.settings import CHOSEN, PreparationSettings
 
 
@@ -58,7 +59,7 @@ class Experiment(Keys):
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
     ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
-    by joint, and ``preparation`` what is set of it by hand.
+    by joint, ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
     """
 
     robot: AnySource
@@ -68,6 +69,7 @@ class Experiment(Keys):
     priors: dict[str, Prior] = Field(default_factory=dict)
     drives: dict[str, Drive] = Field(default_factory=dict)
     preparation: PreparationSettings = CHOSEN
+    require: Requirements = Requirements()
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
 
@@ -145,6 +147,14 @@ class Experiment(Keys):
             if drive.inertia is not None and Parameter("ia", joint).name in info.data.get("priors", {}):
                 raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
         return drives
+
+    @field_validator("require")
+    @classmethod
+    def _gains_to_require(cls, require: Requirements, info: ValidationInfo) -> Requirements:
+        signals: Signals | None = info.data.get("signals")
+        if signals is not None and signals.kind == "torque" and require.gain_interval is not None:
+            raise ValueError("the signals hold torques, which have no drive gains; remove 'gain_interval'")
+        return require
 
     @property
     def expected_gains(self) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -203,6 +203,26 @@ class TorqueError:
     def relative_all(self) -> float | None:
         """Error over signal of all valid rows, reversals included, per cent."""
         return None if self.rms_all is None or not self.signal_all else 100 * self.rms_all / self.signal_all
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A limit that the experiment file sets, per cent, and what was ``found``; None where nothing can be said.
+
+    A torque error is the largest of all joints, over the rows used, or on the ``run`` kept for validation that is
+    named; a gain's interval is half the widest of 95 %.
+    """
+
+    name: Literal["torque_error", "gain_interval"]
+    limit: float
+    found: float | None
+    joint: str = ""
+    run: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether what was found is within the limit."""
+        return self.found is not None and self.found <= self.limit
 
 
 @dataclass(frozen=True)
