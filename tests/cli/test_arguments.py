@@ -103,8 +103,9 @@ def test_their_representations_are_short(tmp_path: Path) -> None:
     checked = gtau.check(file)
     task, _ = gtau.read_design(tmp_path / "design.yaml")
     base = gtau.base_parameters(gtau.InverseDynamics(gtau.load_robot("five-bar")))
-    for each in (experiment, experiment.signals, experiment.units, experiment.runs[1].payload, checked, checked.logs[0],
-                 checked.logs[0].run, task, base, gtau.Prior(value=1, std=2), gtau.Part(), gtau.PreparationSettings()):  # fmt: skip
+    described = (experiment, experiment.signals, experiment.units, experiment.runs[1].payload, task, base)
+    made = (gtau.Prior(value=1, std=2), gtau.Part(), gtau.PreparationSettings())
+    for each in (*described, *made, checked, checked.logs[0], checked.logs[0].run):
         assert len(repr(each)) < 200
 
 
