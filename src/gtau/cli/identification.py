@@ -211,7 +211,7 @@ def payload(
             from gtau.signals.experiment import read_experiment
 
             result = Result.load(model)
-            found = weigh(result, experiment, gains.value, progress)
+            found = weigh(result, experiment, gains=gains.value, progress=progress)
         written = []
         if out is not None:
             described = read_experiment(experiment)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
@@ -31,6 +32,7 @@ from gtau.signals.notes import Note
 from gtau.signals.run import Run
 
 
+@takes(method=TEXT, ratio=NUMBER, as_paper=TRUTH, consistent=TRUTH, accuracy=NUMBER, progress=FUNCTION)
 def identify(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
@@ -90,6 +92,10 @@ def identify(
     options = AS_PAPER if as_paper else DEFAULT
     if method is not None:
         estimator_of(method)  # before logs are read
+    if not 0 < accuracy <= 0.5:
+        raise GtauError(f"an accuracy of {accuracy:g} cannot be asked for; write 0.03 for 3 %.")
+    if ratio is not None and not ratio >= 1:
+        raise GtauError(f"a ratio of {ratio:g} cannot be asked for; write one of the paper's, 10 to 30.")
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
     subject = subject_of(source, runs, prior_gains, priors, progress)
     robot, experiment, known = subject.robot, subject.experiment, subject.priors

@@ -162,7 +162,8 @@ def alternatives_section(result: IdentifiedModel) -> Section | None:
             each.subject,
             each.probability,
             *(each.moves.get(joint) for joint in motors),
-            "not identifiable" if each.std is None else f"{each.size:.2g} ± {each.std:.2g}",
+            "not identifiable" if each.std is None else each.size,
+            each.std,
             each.unit,
             each.share,
         )
@@ -172,7 +173,8 @@ def alternatives_section(result: IdentifiedModel) -> Section | None:
         Column("alternative"),
         Column("probability, %", Kind.SHARE, decimals=1),
         *(Column(f"moves {joint_label(joint)} by, %", Kind.NUMBER, decimals=2) for joint in motors),
-        Column("size", Kind.NUMBER),
+        Column("size", Kind.NUMBER, 2),
+        Column("std", Kind.NUMBER, 2),
         Column("unit"),
         Column("share of the residual, %", Kind.SHARE, decimals=1),
     )

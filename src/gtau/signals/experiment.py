@@ -14,6 +14,7 @@ from pydantic import (
     model_validator,
 )
 
+from gtau.documents.arguments import MAPPING, PATH, expect, takes
 from gtau.documents.files import EXPERIMENT, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
@@ -48,8 +49,9 @@ class Prior(Keys):
 
 def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
     """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
+    expect("'priors'", priors, MAPPING)
     return {
-        name: each if isinstance(each, Prior) else validate(Prior, document_of(f"prior of {name}", each))
+        str(name): each if isinstance(each, Prior) else validate(Prior, document_of(f"prior of {name}", each))
         for name, each in priors.items()
     }
 
@@ -72,6 +74,11 @@ class Experiment(Keys):
     require: Requirements = Requirements()
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
+
+    def __repr__(self) -> str:
+        robot = self.robot if isinstance(self.robot, str) else self.robot.file
+        joints, runs = ", ".join(self.signals.joints), f"runs: {len(self.runs)}, validation: {len(self.validation)}"
+        return f"Experiment({robot!r}, joints {joints}, {runs})"
 
     @field_validator("robot")
     @classmethod
@@ -214,6 +221,7 @@ def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
             )
 
 
+@takes(path=PATH)
 def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     """Read an experiment file.
 
