@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
+from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate
 from gtau.estimation.results.result import Result
@@ -41,7 +42,7 @@ def model(folder: Path) -> Result:
 
 def weighed(model: Result, folder: Path, runs: str, gains: str) -> PayloadEstimate:
     (folder / "weighing.yaml").write_text(runs)
-    (found,) = weigh(model, folder / "weighing.yaml", gains)
+    (found,) = weigh(model, folder / "weighing.yaml", gains=gains)
     return found
 
 
@@ -72,6 +73,11 @@ def test_the_interval_has_that_of_the_prior_gains(model: Result, folder: Path) -
     moves = [each.value - exact.value for each in larger]
     assert min(map(abs, moves)) > 2 * exact.std
     assert both.std == pytest.approx(np.hypot(exact.std, np.hypot(*moves)), rel=0.02)
+    in_python = dict(zip(("left", "right"), stated, strict=True))
+    (same,) = weigh(model, folder / "weighing.yaml", gains="prior", prior_gains=in_python)
+    assert same.parameters["m"].std == pytest.approx(both.std)
+    with pytest.raises(GtauError, match="std: -1 is out of range"):
+        weigh(model, folder / "weighing.yaml", gains="prior", prior_gains=in_python | {"left": {"value": 2, "std": -1}})
     # with all gains 3 % too large, the interval holds the mass, which it does not where gains are taken for exact
     wrong = with_prior_gains(model, folder, 2.575, 4.12)
     low, high = wrong.interval(0.95)
