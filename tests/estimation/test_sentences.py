@@ -87,8 +87,9 @@ SENTENCES = [  # finding, reason, advice
      "it is 3 times its prior of 2 N m/A",
      "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"),
     (Finding(F.EFFORT, ("left",), values={"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m"}),
-     "at this gain the torque is 250 N m (rms), 2.5 times the joint's limit of 100 N m",
-     "check the payload's mass (kg), the unit of the currents, and 'limits: effort' in the robot file"),
+     "the torque of 'left' is 250 N m (rms), 2.5 times its limit of 100 N m",
+     "check the payload's mass (kg) and the unit of the currents; where the limit is a placeholder, write its own "
+     "under 'robot' of the experiment file ({file: ..., limits: {left: ...}})"),
     (Finding(F.WIDE_SCALE, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
      "its 95 % interval is +-5.1 %, limited by the uncertainty of its scale reference",
      "calibrate the sensors, or weigh the payload, more accurately"),

@@ -80,7 +80,6 @@ def diagnose(
     against = [
         *wrench_contradictions(fit),
         *(replace(each, kind=F.WHOLE_MASS, joints=joints) for each in priors if each.subject == mass),
-        *efforts_exceeded(fit),
     ]
     if fit.free_gains:
         against += [
@@ -101,6 +100,7 @@ def diagnose(
     beside = [
         *unlike_legs(dataset, fit.system, fit.solution.theta, uncertainty.covariance),
         *priors,
+        *efforts_exceeded(fit),
         *position_noise(fit, examined.alternatives),
         *ripple_findings(examined.ripple, fit),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),

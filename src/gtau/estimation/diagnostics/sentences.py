@@ -10,7 +10,7 @@ from typing import Any
 from gtau.estimation.diagnostics.cause_sentences import CAUSES, INSTRUMENTS, Sentence, Values, carried
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.regression.motion_limits import clock_advice
+from gtau.estimation.regression.motion_limits import clock_advice, write_limits
 from gtau.estimation.thresholds.estimates import LOST_GAIN
 from gtau.signals.notes import Kind, Note
 
@@ -80,7 +80,9 @@ class _Number(float):
 
 def _sentence(finding: Finding) -> Sentence:
     found = SENTENCES[finding.kind]
-    what, to_do = found if isinstance(found, tuple) else found(_literal(finding.values))
+    what, to_do = (
+        found if isinstance(found, tuple) else found(_literal({**finding.values, "joint": "".join(finding.joints[:1])}))
+    )
     values = {key: _Number(each) if isinstance(each, float) else each for key, each in finding.values.items()}
     values["subject"], values["estimate"] = finding.subject, finding.subject or "estimates"
     if finding.joints:
@@ -249,10 +251,10 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.SIGN_OPEN: _lost("the 95 % interval includes zero"),
     F.OTHER_ESTIMATOR: _other_estimator,
     F.PRIOR_GAIN: _prior_gain,
-    F.EFFORT: (
-        "at this gain the torque is {torque:.3g} {unit} (rms), {ratio:.3g} times the joint's limit of {limit:.4g} "
-        "{unit}",
-        "check the payload's mass (kg), the unit of the currents, and 'limits: effort' in the robot file",
+    F.EFFORT: lambda values: (
+        "the torque of '{joint}' is {torque:.3g} {unit} (rms), {ratio:.3g} times its limit of {limit:.4g} {unit}",
+        "check the payload's mass (kg) and the unit of the currents; where the limit is a placeholder, "
+        + _literal(write_limits(values["joint"])),
     ),
     F.WIDE_SCALE: _wide(
         ", limited by the uncertainty of its scale reference",
@@ -362,6 +364,7 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
 }
 
 NOTES: Mapping[F, Kind] = {
+    F.EFFORT: Kind.LIMITS,
     F.POSITION_NOISE: Kind.NOISE,
     F.COMMAND_LAG: Kind.FILTERED,
     F.SLIGHT_COMMAND_LAG: Kind.READING,
