@@ -167,7 +167,7 @@ def motors(fit: Fit) -> tuple[str, ...]:
 
 
 def in_context(fit: Fit, finding: Finding) -> Finding:
-    """Say a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
+    """Note in a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
     wrenches = bool(fit.system.problem.wrenches or fit.system.problem.of("base"))
     return replace(finding, values={"payload": bool(fit.system.payloads), "wrenches": wrenches, **finding.values})
 
