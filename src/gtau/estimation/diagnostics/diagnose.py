@@ -13,6 +13,7 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
     efforts_exceeded,
     estimated_gains,
+    gains_apart,
     given_gains,
     motors,
     prior_gains_off,
@@ -103,6 +104,7 @@ def diagnose(
         *position_noise(fit, examined.alternatives),
         *ripple_findings(examined.ripple, fit),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
+        *(gains_apart(fit, uncertainty) if fit.free_gains else []),
         *examined.untested,
     ]
     gains = dict(zip(joints, decide(joints, against, GOOD if fit.free_gains else GIVEN), strict=True))
