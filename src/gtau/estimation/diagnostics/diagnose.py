@@ -13,6 +13,7 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
     efforts_exceeded,
     estimated_gains,
+    gains_apart,
     given_gains,
     in_context,
     motors,
@@ -104,6 +105,7 @@ def diagnose(
         *position_noise(fit, examined.alternatives),
         *ripple_findings(examined.ripple, fit),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
+        *(gains_apart(fit, uncertainty) if fit.free_gains else []),
         *examined.untested,
     ]
     against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))

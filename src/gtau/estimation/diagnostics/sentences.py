@@ -189,6 +189,16 @@ def _command_lag(values: Values) -> Sentence:
     )
 
 
+def _late(values: Values) -> Sentence:
+    way = "late" if values["lag"] > 0 else "early"
+    return (
+        f"its {{kind}}s were logged {1e3 * abs(values['lag']):.0f} ms too {way}: shifted by that, {{shifted:.2g%}} of "
+        "them is unexplained, as logged {as_logged:.2g%}",
+        "log them with the time stamps of the positions, or where those of all joints are as late, write 'preparation: "
+        f"{{{{delay: {values['lag']:.3g}}}}}'",
+    )
+
+
 def _other_estimator(values: Values) -> Sentence:
     way = "larger" if values["move"] > 0 else "smaller"
     return (
@@ -233,6 +243,7 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "logged {as_logged:.2g%}",
         "check that position and {kind} columns belong together, in all runs",
     ),
+    F.LATE: _late,
     F.REFUTED: _refuted,
     F.UNEXPLAINED: _unexplained,
     F.PAYLOAD: lambda values: (
@@ -320,6 +331,11 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "check that they are built alike",
     ),
     F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
+    F.GAINS_APART: (
+        "the gains of '{joint}' and '{other}' are a factor of {ratio:.2g} apart ({smaller:.3g} and {larger:.3g} "
+        "{unit}), which motors and gears of one robot hardly are",
+        "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not",
+    ),
     F.POSITION_NOISE: (
         "position noise biases {count} of {all} estimates by more than their standard deviations: {estimate} by "
         "{deviations:.1f} of them (instrumental variables, which such noise does not bias, differ by {t:.0f} standard "
@@ -369,6 +385,7 @@ NOTES: Mapping[F, Kind] = {
     F.COMMAND_LAG: Kind.FILTERED,
     F.SLIGHT_COMMAND_LAG: Kind.READING,
     F.UNTESTED: Kind.READING,
+    F.GAINS_APART: Kind.UNIT,
     F.WEAK_INSTRUMENTS: Kind.READING,
     F.NOT_SEPARATED: Kind.SEPARATION,
 }

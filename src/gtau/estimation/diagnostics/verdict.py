@@ -53,6 +53,7 @@ OUTCOMES: Mapping[F, Outcome] = {
     # a gain that is noise: what it seems to contradict is noise too
     F.TLS_CONFUSED: Outcome.NOT_IDENTIFIABLE,
     # the data against the description of robot and logs
+    F.LATE: Outcome.CONTRADICTORY,
     F.ALL_NEGATIVE: Outcome.CONTRADICTORY,
     F.SWAPPED: Outcome.CONTRADICTORY,
     F.REFUTED: Outcome.CONTRADICTORY,
