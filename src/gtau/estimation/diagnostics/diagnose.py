@@ -14,6 +14,7 @@ from gtau.estimation.diagnostics.gain_checks import (
     efforts_exceeded,
     estimated_gains,
     given_gains,
+    in_context,
     motors,
     prior_gains_off,
     wrench_contradictions,
@@ -105,6 +106,7 @@ def diagnose(
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
         *examined.untested,
     ]
+    against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))
     gains = dict(zip(joints, decide(joints, against, GOOD if fit.free_gains else GIVEN), strict=True))
     return Diagnosis(gains, tuple(delays), payloads, tuple(map(note, beside)), accuracy, sensors)
 
