@@ -28,7 +28,7 @@ from gtau.report.page import (
     table,
 )
 from gtau.report.render.charts import figure_of, palette, svg_of
-from gtau.report.render.html import frame, html
+from gtau.report.render.html import MINUS, frame, html, minus
 from gtau.report.render.live import arrays_for, envelope, spec_of, stretches
 from gtau.report.render.terminal import plain
 
@@ -147,6 +147,12 @@ def test_findings_are_listed_by_grade() -> None:
 
 
 # HTML
+
+
+def test_signs_of_numbers_are_minus_signs_and_hyphens_stay() -> None:
+    assert minus("-1 to -0.5 (-3), run-2, a-1/-5, --json, 2e-5") == (
+        f"{MINUS}1 to {MINUS}0.5 ({MINUS}3), run-2, a-1/-5, --json, 2e{MINUS}5"
+    )
 
 
 def test_html_escapes_everything_and_loads_nothing(whole: Page) -> None:

@@ -179,11 +179,12 @@ def _logs_table(checked: ExperimentCheck) -> Table:
 def _joints(log: LogCheck, robot: Robot) -> Section:
     kind = {"A": "current", "N": "force"}.get(command_unit(robot, log.joints[-1].joint, log.run.kind), "torque")
     speeds = [f"{position_unit(robot, each.joint)}/s" for each in log.joints]
+    mixed = len(set(speeds)) > 1
     commands = [command_unit(robot, each.joint, log.run.kind) for each in log.joints]
     columns = (
         Column("joint"),
-        Column("position", Kind.INTERVAL),
-        *_of_unit("speed", speeds),
+        Column(f"position{'' if mixed else ', ' + speeds[0].removesuffix('/s')}", Kind.INTERVAL),
+        *_of_unit("speed", speeds, wide=True),
         Column("bandwidth, Hz", Kind.NUMBER, 3, missing="at rest"),
         *_of_unit(kind, commands),
         Column("rows used, %", Kind.SHARE, decimals=0),
@@ -205,10 +206,10 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
     )
 
 
-def _of_unit(what: str, units: Sequence[str]) -> list[Column]:
-    """Make the columns of a quantity; its unit is in the title where all joints share it."""
+def _of_unit(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:
+    """Make the columns of a quantity, the largest values ``wide``; its unit is in the title where joints share it."""
     unit = f", {units[0]}" if len(set(units)) == 1 else ""
-    columns = [Column(f"{what} rms{unit}", Kind.NUMBER, 3), Column(f"max{unit}", Kind.NUMBER, 3)]
+    columns = [Column(f"{what} rms{unit}", Kind.NUMBER, 3), Column(f"max{unit}", Kind.NUMBER, 3, wide=wide)]
     return columns if unit else [*columns, Column("unit")]
 
 

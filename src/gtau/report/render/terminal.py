@@ -20,7 +20,7 @@ WIDTH = 80
 GAP = 2
 LONGEST = 40  # characters of a word that is not broken
 COLOURS = {"good": "green", "weak": "yellow", "bad": "bold red"}
-ASCII = str.maketrans({"±": "+-", "\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "×": "x", "‘": "'", "’": "'"})
+ASCII = str.maketrans({"±": "+-", "\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "×": "x", "²": "2", "‘": "'", "’": "'"})
 
 
 def show(page: Page) -> None:
