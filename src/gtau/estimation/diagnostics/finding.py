@@ -75,6 +75,8 @@ class FindingKind(StrEnum):
     GRAVITY_TILT = "gravity tilt"
     GRAVITY_STRENGTH = "gravity strength"
     GRAVITY = "gravity"
+    WRENCH_OFFSET = "wrench offset"
+    WRENCH_POINT = "wrench point"
     CLOCK = "clock"
     LENGTH = "length"
     GAIN_CHANGE = "gain change"
