@@ -208,6 +208,17 @@ def _given_scale(values: Values) -> str:
     )
 
 
+def _mass_unseen(values: Values) -> Sentence:
+    sums = values["sums"]
+    what = (
+        f"only sums with other parameters of it act on the joints: {', '.join(sums)}"
+        if sums
+        else "it acts on no joint: what carries it turns about a fixed point"
+    )
+    to_do = "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"
+    return f"the mass of payload '{{subject}}' is not identifiable, as {what}", to_do
+
+
 PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
 IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
 
@@ -351,6 +362,7 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "given",
         "add runs that move all joints in other ways",
     ),
+    F.MASS_UNSEEN: _mass_unseen,
     F.FEW_ROWS: (
         "the tests of the model were skipped, as the robot moves too little for them ({rows} rows in the middle of the "
         "runs, for {unknowns} unknowns): the intervals hold scatter alone",
