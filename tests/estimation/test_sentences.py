@@ -30,6 +30,10 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.SWAPPED, ("a", "b"), values={"kind": "current", "exchanged": 0.021, "as_logged": 0.84}),
      "the currents of 'a' and 'b' look swapped: exchanged, 2.1 % of them is unexplained, as logged 84 %",
      "check that position and current columns belong together, in all runs"),
+    (Finding(F.LATE, ("a",), values={"kind": "current", "lag": 0.0998, "shifted": 0.0021, "as_logged": 0.17}),
+     "its currents were logged 100 ms too late: shifted by that, 0.21 % of them is unexplained, as logged 17 %",
+     "log them with the time stamps of the positions, or where those of all joints are as late, write 'preparation: "
+     "{delay: 0.0998}'"),
     (Finding(F.REFUTED, ("left",),
      values={"size": 1.2, "unit": "deg", "share": 0.31, "move": -0.045},
      causes=(Finding(F.ENCODER_ZERO, ("left",)),)),
@@ -87,8 +91,9 @@ SENTENCES = [  # finding, reason, advice
      "it is 3 times its prior of 2 N m/A",
      "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"),
     (Finding(F.EFFORT, ("left",), values={"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m"}),
-     "at this gain the torque is 250 N m (rms), 2.5 times the joint's limit of 100 N m",
-     "check the payload's mass (kg), the unit of the currents, and 'limits: effort' in the robot file"),
+     "the torque of 'left' is 250 N m (rms), 2.5 times its limit of 100 N m",
+     "check the payload's mass (kg) and the unit of the currents; where the limit is a placeholder, write its own "
+     "under 'robot' of the experiment file ({file: ..., limits: {left: ...}})"),
     (Finding(F.WIDE_SCALE, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
      "its 95 % interval is +-5.1 %, limited by the uncertainty of its scale reference",
      "calibrate the sensors, or weigh the payload, more accurately"),
@@ -201,6 +206,10 @@ SENTENCES = [  # finding, reason, advice
      "more than 0.71 %",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
+    (Finding(F.GAINS_APART, ("a", "b"), values={"ratio": 61.2, "smaller": 0.2, "larger": 12.24, "unit": "N m/A"}),
+     "the gains of 'a' and 'b' are a factor of 61 apart (0.2 and 12.2 N m/A), which motors and gears of one robot "
+     "hardly are",
+     "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not"),
     (Finding(F.WEAK_INSTRUMENTS, values={"strength": 1.43, "needed": 6.8}),
      "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of 1.4, "
      "where it needs 6.8), so that it would differ by its own bias",

@@ -45,8 +45,8 @@ def identify(
         str | None,
         typer.Option(
             metavar=METHODS,
-            help="Estimator; wls and ols take the file's prior_gains. Default: ml; tls with --as-paper; "
-            "wls where the logs hold torques.",
+            help="Estimator; docs/trust.md says when to choose which. Default: ml; tls with --as-paper; wls where the "
+            "logs hold torques.",
             show_default=False,
         ),
     ] = None,

@@ -16,7 +16,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.robot import Robot
+from gtau.robots.robot import Limits, Robot
 from gtau.signals.columns import document_of
 from gtau.signals.experiment import Experiment, Prior, StatedGain, as_priors, check_robot, read_experiment
 from gtau.signals.logged_run import LoggedRun
@@ -164,7 +164,7 @@ def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:
 
 def require_same(model: IdentifiedModel, robot: Robot, kind: str, where: str) -> None:
     """Check that a robot and the kind of its logs are those of an identified model; raises GtauError."""
-    if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
+    if _mechanism(robot) != _mechanism(model.robot):
         raise GtauError(
             f"{where} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
             "another geometry; give the model of this robot."
@@ -174,3 +174,9 @@ def require_same(model: IdentifiedModel, robot: Robot, kind: str, where: str) ->
             f"the logs of {where} hold {kind}s, but the model was identified from {model.kind}s; "
             "give logs of the same kind."
         )
+
+
+def _mechanism(robot: Robot) -> Robot:
+    """Take from a robot what its equations of motion do not depend on."""
+    joints = tuple(replace(joint, limits=Limits()) for joint in robot.joints)
+    return replace(robot, name="", source="", notes=(), joints=joints)

@@ -19,6 +19,7 @@ from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY
 from gtau.estimation.diagnostics.hypotheses.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
+from gtau.estimation.diagnostics.late_currents import late_currents
 from gtau.estimation.diagnostics.lengths import other_length
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.log_checks import lack_of_fit, swapped_channels
@@ -60,7 +61,7 @@ class Examination:
     ripple : PositionRipple
         What of the residuals repeats at the same positions.
     swapped : tuple of Finding
-        Pairs of joints whose channels look swapped.
+        Pairs of joints whose channels look swapped, and joints whose currents are late.
     untested : tuple of Finding
         Tests that refused these data or have no power on them, and why.
     """
@@ -133,6 +134,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     ripple = PositionRipple.none(fit) if scaled or turned or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
+    swapped += late_currents(fit.dataset, fit.system.problem.slowest)
     return Examination(lack, weighed, ripple, swapped, untested)
 
 

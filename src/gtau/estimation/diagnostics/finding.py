@@ -19,6 +19,7 @@ class FindingKind(StrEnum):
     TLS_CONFUSED = "payload lost in noise"
     ALL_NEGATIVE = "all gains negative"
     SWAPPED = "swapped channels"
+    LATE = "currents logged late"
     REFUTED = "description refuted"
     UNEXPLAINED = "unexplained current"
     PAYLOAD = "contradictory payload"
@@ -49,6 +50,7 @@ class FindingKind(StrEnum):
     # notes
     UNLIKE_LEGS = "unlike legs"
     PRIOR = "contradictory prior"
+    GAINS_APART = "gains far apart"
     POSITION_NOISE = "position noise"
     RIPPLE = "position ripple"
     SMALL_REFUTATION = "description refuted, gains unmoved"

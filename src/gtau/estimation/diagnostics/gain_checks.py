@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from gtau.estimation.thresholds.estimates import (
     APART_REFUTED,
     BASE_MISFIT,
     EFFORT_FACTOR,
+    GAINS_APART,
     LOST_GAIN,
     MISFIT,
     MISFIT_GIVEN,
@@ -90,6 +92,22 @@ def estimated_gains(
             yield Finding(kind, mine, values=values, causes=causes)
         if gains[j] < 0:
             yield Finding(F.NEGATIVE_GAIN, mine)
+
+
+def gains_apart(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
+    """Find joints whose gains are further apart than motors and gears of one robot make them; those lost are none."""
+    known, robot = half_widths(fit, uncertainty) < 1, fit.dataset.robot
+    joints = zip(fit.system.problem.joints, np.abs(fit.gains), known & ~np.isin(fit.system.problem.joints, robot.base),
+                 strict=True)  # fmt: skip
+    of_unit: dict[str, list[tuple[float, str]]] = {}
+    for joint, gain, judged in joints:
+        if judged:
+            of_unit.setdefault(f"{torque_unit(robot, joint)}/A", []).append((float(gain), joint))
+    for unit, gains in of_unit.items():
+        for (smaller, below), (larger, above) in pairwise(sorted(gains)):
+            if larger > GAINS_APART * smaller:
+                values = {"ratio": larger / smaller, "smaller": smaller, "larger": larger, "unit": unit}
+                yield Finding(F.GAINS_APART, (below, above), values=values)
 
 
 def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
@@ -167,7 +185,7 @@ def motors(fit: Fit) -> tuple[str, ...]:
 
 
 def in_context(fit: Fit, finding: Finding) -> Finding:
-    """Tell a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
+    """Note in a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
     wrenches = bool(fit.system.problem.wrenches or fit.system.problem.of("base"))
     return replace(finding, values={"payload": bool(fit.system.payloads), "wrenches": wrenches, **finding.values})
 

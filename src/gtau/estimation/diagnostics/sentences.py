@@ -10,7 +10,7 @@ from typing import Any
 from gtau.estimation.diagnostics.cause_sentences import CAUSES, INSTRUMENTS, Sentence, Values, carried
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.regression.motion_limits import clock_advice
+from gtau.estimation.regression.motion_limits import clock_advice, write_limits
 from gtau.estimation.thresholds.estimates import LOST_GAIN
 from gtau.signals.notes import Kind, Note
 
@@ -80,7 +80,9 @@ class _Number(float):
 
 def _sentence(finding: Finding) -> Sentence:
     found = SENTENCES[finding.kind]
-    what, to_do = found if isinstance(found, tuple) else found(_literal(finding.values))
+    what, to_do = (
+        found if isinstance(found, tuple) else found(_literal({**finding.values, "joint": "".join(finding.joints[:1])}))
+    )
     values = {key: _Number(each) if isinstance(each, float) else each for key, each in finding.values.items()}
     values["subject"], values["estimate"] = finding.subject, finding.subject or "estimates"
     if finding.joints:
@@ -187,6 +189,16 @@ def _command_lag(values: Values) -> Sentence:
     )
 
 
+def _late(values: Values) -> Sentence:
+    way = "late" if values["lag"] > 0 else "early"
+    return (
+        f"its {{kind}}s were logged {1e3 * abs(values['lag']):.0f} ms too {way}: shifted by that, {{shifted:.2g%}} of "
+        "them is unexplained, as logged {as_logged:.2g%}",
+        "log them with the time stamps of the positions, or where those of all joints are as late, write 'preparation: "
+        f"{{{{delay: {values['lag']:.3g}}}}}'",
+    )
+
+
 def _other_estimator(values: Values) -> Sentence:
     way = "larger" if values["move"] > 0 else "smaller"
     return (
@@ -242,6 +254,7 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "logged {as_logged:.2g%}",
         "check that position and {kind} columns belong together, in all runs",
     ),
+    F.LATE: _late,
     F.REFUTED: _refuted,
     F.UNEXPLAINED: _unexplained,
     F.PAYLOAD: lambda values: (
@@ -260,10 +273,10 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.SIGN_OPEN: _lost("the 95 % interval includes zero"),
     F.OTHER_ESTIMATOR: _other_estimator,
     F.PRIOR_GAIN: _prior_gain,
-    F.EFFORT: (
-        "at this gain the torque is {torque:.3g} {unit} (rms), {ratio:.3g} times the joint's limit of {limit:.4g} "
-        "{unit}",
-        "check the payload's mass (kg), the unit of the currents, and 'limits: effort' in the robot file",
+    F.EFFORT: lambda values: (
+        "the torque of '{joint}' is {torque:.3g} {unit} (rms), {ratio:.3g} times its limit of {limit:.4g} {unit}",
+        "check the payload's mass (kg) and the unit of the currents; where the limit is a placeholder, "
+        + _literal(write_limits(values["joint"])),
     ),
     F.WIDE_SCALE: _wide(
         ", limited by the uncertainty of its scale reference",
@@ -329,6 +342,11 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "check that they are built alike",
     ),
     F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
+    F.GAINS_APART: (
+        "the gains of '{joint}' and '{other}' are a factor of {ratio:.2g} apart ({smaller:.3g} and {larger:.3g} "
+        "{unit}), which motors and gears of one robot hardly are",
+        "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not",
+    ),
     F.POSITION_NOISE: (
         "position noise biases {count} of {all} estimates by more than their standard deviations: {estimate} by "
         "{deviations:.1f} of them (instrumental variables, which such noise does not bias, differ by {t:.0f} standard "
@@ -374,10 +392,12 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
 }
 
 NOTES: Mapping[F, Kind] = {
+    F.EFFORT: Kind.LIMITS,
     F.POSITION_NOISE: Kind.NOISE,
     F.COMMAND_LAG: Kind.FILTERED,
     F.SLIGHT_COMMAND_LAG: Kind.READING,
     F.UNTESTED: Kind.READING,
+    F.GAINS_APART: Kind.UNIT,
     F.WEAK_INSTRUMENTS: Kind.READING,
     F.NOT_SEPARATED: Kind.SEPARATION,
 }

@@ -154,6 +154,13 @@ PRIOR_FACTOR = Threshold(
     "1000 (mA for A)",
     "faults; the paper's introduction",
 )
+GAINS_APART = Threshold(
+    15.0,
+    "gain of a joint over the next smaller one, turning joints and slides each among themselves",
+    "up to 1.3 (Orthoglide, UR10e, Rokae, dVRK), 1.5 (AIRBOT Play); within 5 by gears and motors (Puma 560, WAM, KUKA)",
+    "15 and more (one of several within a factor of 4 in counts, 60; in %, 100; in mA, 1000)",
+    "shared logs, data sheets; the factors between units",
+)
 EFFORT_FACTOR = Threshold(2.0, "rms torque over the joint's limit of effort", "below 1", "1000 (g for kg)", "faults")
 PAYLOAD_MOVES = Threshold(
     0.01,

@@ -28,6 +28,7 @@ COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z
 
 
 def _offsets(fit: Fit) -> Candidates | None:
+    """Add a constant to a measured force or moment."""
     bodies = [frame.body for frame in fit.dataset.runs[0].wrenches]
     if not bodies:
         return None
@@ -55,6 +56,7 @@ def _offsets(fit: Fit) -> Candidates | None:
 
 
 def _points(fit: Fit) -> Candidates | None:
+    """Add another point about which a measured moment is stated."""
     bodies = [frame.body for frame in fit.dataset.runs[0].wrenches]
     if not bodies:
         return None
