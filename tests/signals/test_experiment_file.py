@@ -41,7 +41,8 @@ def test_a_good_file(folder: Path) -> None:
     assert experiment.robot == "orthoglide"
     assert experiment.signals.joints == ("11", "12")
     assert experiment.signals.command == {"11": "v1", "12": "v2"}
-    assert experiment.prior_gains == {"11": 2001.0, "12": 2001.0}
+    assert experiment.expected_gains == {"11": 2001.0, "12": 2001.0}
+    assert experiment.gain_stds == {}
     assert experiment.runs[0].log == (folder / "free.csv",)
     assert experiment.runs[0].payload is None
     payload = experiment.runs[1].payload
@@ -97,6 +98,7 @@ BAD = [
     ("gain missing", "{11: 2001, 12: 2001}", "{11: 2001}", "joint '12' has no gain"),
     ("gain zero", "{11: 2001,", "{11: 0,", "the gain of joint '11' is zero"),
     ("gain a word", "{11: 2001,", "{11: high,", "line 3, prior_gains.11: 'high' is not a number"),
+    ("gain's spread", "{11: 2001,", "{11: {value: 2001, std: -3},", "prior_gains.11.std: -3 is out of range"),
     ("gain infinite", "{11: 2001,", "{11: inf,", "prior_gains.11: 'inf' is not a number"),
     ("gains of torques", ", current:", ", torque:", "the signals hold torques, which need no gains"),
     ("log missing", "log: free.csv", "log: fre.csv", "fre.csv'; did you mean 'free.csv'?"),
@@ -114,6 +116,19 @@ BAD = [
     ("parameter fv", "mass: 1.983", "parameters: {fv: 2}", "a payload has no parameter 'fv'; choose from xx xy"),
     ("same name, other mass", "1.983}}\nval", "1.9}}\nval", "the payload 'steel' is described differently in two runs"),
     ("nothing after a key", "log: free.csv", "log: ", "nothing is written after 'log'"),
+    (
+        "require a share",
+        "runs:",
+        "require: {torque_error: 5}\nruns:",
+        "require.torque_error: write per cent, such as '5 %'",
+    ),
+    ("require nothing", "runs:", "require: {torque_error: 0 %}\nruns:", "write a number above 0"),
+    (
+        "require of torques",
+        GOOD[GOOD.index("current") : GOOD.index("runs")],
+        "torque: {11: v1, 12: v2}}\nrequire: {gain_interval: 3 %}\n",
+        "which have no drive gains; remove 'gain_interval'",
+    ),
     ("a tag", "time: t", "time: !!python/name:os.system t", "the tag"),
     ("a torn bracket", "{log: free.csv}", "{log: free.csv", "this is not valid YAML"),
 ]

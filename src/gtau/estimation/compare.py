@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau import display
+from gtau.documents.arguments import FUNCTION, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
@@ -88,6 +89,7 @@ class EstimatorComparison:
         return html
 
 
+@takes(progress=FUNCTION)
 def compare(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
@@ -130,12 +132,11 @@ def compare(
     with single_threaded_blas():
         dataset = reduce_runs(robot, taken_runs, progress=progress, priors=known)
         require_identifiable(choose_estimator("ml", taken_runs), None, dataset, dataset.system(Friction()))
-        chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or subject.prior_gains]
         rows = []
-        for k, estimator in enumerate(chosen):
-            progress("estimators", k, len(chosen))
+        for k, estimator in enumerate(ESTIMATORS.values()):
+            progress("estimators", k, len(ESTIMATORS))
             rows.append(row(estimator))
-        progress("estimators", len(chosen), len(chosen))
+        progress("estimators", len(ESTIMATORS), len(ESTIMATORS))
     units = tuple(f"{torque_unit(robot, joint)}/A" for joint in robot.motors)
     return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)
 

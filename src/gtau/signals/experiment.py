@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import (
+    BeforeValidator,
     Field,
     FiniteFloat,
     ValidationInfo,
@@ -14,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from gtau.documents.arguments import MAPPING, PATH, expect, takes
 from gtau.documents.files import EXPERIMENT, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
@@ -25,6 +27,7 @@ from gtau.signals.columns import SampleRate, Signals, Units, document_of
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload
+from gtau.signals.requirements import Requirements
 from gtau.signals.settings import CHOSEN, PreparationSettings
 
 
@@ -45,10 +48,23 @@ class Prior(Keys):
         return self
 
 
+class StatedGain(Keys):
+    """Drive gain of a joint, N m/A or N/A, with its standard deviation where that is known."""
+
+    value: FiniteFloat
+    std: Positive | None = None
+
+
+def _with_std(gain: Any) -> Any:
+    """Read a gain that is a number alone."""
+    return gain if isinstance(gain, dict | StatedGain) else {"value": gain}
+
+
 def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
     """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
+    expect("'priors'", priors, MAPPING)
     return {
-        name: each if isinstance(each, Prior) else validate(Prior, document_of(f"prior of {name}", each))
+        str(name): each if isinstance(each, Prior) else validate(Prior, document_of(f"prior of {name}", each))
         for name, each in priors.items()
     }
 
@@ -58,18 +74,24 @@ class Experiment(Keys):
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
     ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
-    by joint, and ``preparation`` what is set of it by hand.
+    by joint, ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
     """
 
     robot: AnySource
     signals: Signals
     units: Units = Units()
-    prior_gains: dict[str, FiniteFloat] = Field(default_factory=dict)
+    prior_gains: dict[str, Annotated[StatedGain, BeforeValidator(_with_std)]] = Field(default_factory=dict)
     priors: dict[str, Prior] = Field(default_factory=dict)
     drives: dict[str, Drive] = Field(default_factory=dict)
     preparation: PreparationSettings = CHOSEN
+    require: Requirements = Requirements()
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
+
+    def __repr__(self) -> str:
+        robot = self.robot if isinstance(self.robot, str) else self.robot.file
+        joints, runs = ", ".join(self.signals.joints), f"runs: {len(self.runs)}, validation: {len(self.validation)}"
+        return f"Experiment({robot!r}, joints {joints}, {runs})"
 
     @field_validator("robot")
     @classmethod
@@ -113,7 +135,7 @@ class Experiment(Keys):
 
     @field_validator("prior_gains")
     @classmethod
-    def _gains_of_signals(cls, gains: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+    def _gains_of_signals(cls, gains: dict[str, StatedGain], info: ValidationInfo) -> dict[str, StatedGain]:
         signals: Signals | None = info.data.get("signals")
         if signals is None or not gains:
             return gains
@@ -123,7 +145,7 @@ class Experiment(Keys):
         missing = [joint for joint in signals.position if joint not in gains]
         if missing:
             raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
-        zero = [joint for joint, gain in gains.items() if gain == 0]
+        zero = [joint for joint, gain in gains.items() if gain.value == 0]
         if zero:
             raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N/A) of its drive")
         return gains
@@ -146,11 +168,25 @@ class Experiment(Keys):
                 raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
         return drives
 
+    @field_validator("require")
+    @classmethod
+    def _gains_to_require(cls, require: Requirements, info: ValidationInfo) -> Requirements:
+        signals: Signals | None = info.data.get("signals")
+        if signals is not None and signals.kind == "torque" and require.gain_interval is not None:
+            raise ValueError("the signals hold torques, which have no drive gains; remove 'gain_interval'")
+        return require
+
     @property
     def expected_gains(self) -> dict[str, float]:
         """Gains known beforehand, N m/A or N/A: ``prior_gains``, and those of data sheets."""
         sheets = {joint: drive.gain[0] for joint, drive in self.drives.items() if drive.gain is not None}
-        return self.prior_gains | sheets
+        return {joint: gain.value for joint, gain in self.prior_gains.items()} | sheets
+
+    @property
+    def gain_stds(self) -> dict[str, float]:
+        """Standard deviations of these gains, where they are known."""
+        sheets = {joint: drive.gain[1] for joint, drive in self.drives.items() if drive.gain is not None}
+        return {joint: gain.std for joint, gain in self.prior_gains.items() if gain.std is not None} | sheets
 
     @property
     def expected_parameters(self) -> dict[str, Prior]:
@@ -204,6 +240,7 @@ def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
             )
 
 
+@takes(path=PATH)
 def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     """Read an experiment file.
 

@@ -29,6 +29,7 @@ STEP = 0.1  # of the unit: the torques' change is linear over this
 
 
 def _encoder_zeros(fit: Fit) -> Candidates:
+    """Add a constant error of a joint's position."""
     dataset = fit.dataset
     model, n = dataset.model, len(dataset.model.actuated)
     turns = [dataset.robot.joint(joint).kind == "revolute" for joint in model.actuated]
@@ -59,6 +60,7 @@ ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, description=Tr
 
 
 def _gravity(fit: Fit) -> Candidates | None:
+    """Add a tilt of the base, or another strength of gravity (a wrong clock)."""
     dataset = fit.dataset
     gravity = np.array(dataset.robot.gravity)
     size = float(np.linalg.norm(gravity))
