@@ -191,7 +191,7 @@ EXPERIMENTS = [
     ),
     Case(
         "a log for the experiment",
-        "free.csv is a log, not an experiment file; name it under 'runs'",
+        "free.csv does not say of which robot it is; give it (--robot ROBOT)",
         command=("identify", "free.csv"),
     ),
     Case("not UTF-8", "the text is not UTF-8", {"experiment.yaml": b"robot: caf\xe9\n"}),

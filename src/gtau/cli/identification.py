@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,7 @@ from gtau.cli.console import (
     refusals,
     show,
 )
+from gtau.cli.drafting import KindOfLogs, Payloads, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 
@@ -36,7 +38,10 @@ class Gains(StrEnum):
 
 
 def identify(
-    experiment: ExperimentFile,
+    sources: Sources,
+    robot: RobotOfLogs = None,
+    payload: Payloads = None,
+    kind: KindOfLogs = None,
     out: Annotated[
         Path,
         typer.Option("--out", metavar="DIR", help="Folder for report.html, model.json, summary.txt and singularities."),
@@ -84,12 +89,16 @@ def identify(
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
+    Logs in the place of EXPERIMENT.yaml are drafted as by 'gtau init', without a question; the summary lists what was
+    guessed, which --payload, --kind and --robot state, or the draft, DIR/experiment.yaml, once it is corrected.
+
     The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, or the result misses what
     EXPERIMENT.yaml requires of it.
     """
     with refusals(json_):
         refuse_as_folder(out)
         start = perf_counter()
+        experiment, guessed = experiment_of(sources, robot, payload, kind, out)
         with progress_bar() as progress:
             from gtau.estimation.identify import identify as run
             from gtau.estimation.results.model_document import to_document
@@ -106,13 +115,14 @@ def identify(
         from gtau.estimation.results.singularity_distances import write_distances
         from gtau.report.write import write_identification
 
+        result = replace(result, notes=(*guessed, *result.notes))
         written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
         result.save(written[0])
         write_atomically(written[1], result.summary(True) + "\n")
         write_distances(result.distances, written[2])
         with progress_bar() as progress:
             report = write_identification(result, experiment, out, perf_counter() - start, progress)
-        written.insert(0, report)
+        written = [*([experiment] if guessed else []), report, *written]
         if json_:
             print_json(to_document(result))
         else:
