@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from bags import TOPIC, write_bag
 from typer.testing import CliRunner
@@ -178,3 +179,111 @@ def test_topics_at_rates_of_their_own(tmp_path: Path, motion: Any) -> None:
     said = [note.what for note in guesses(draft, Path("e.yaml"))]
     assert "time is /motor_currents/received, the stamps of receipt" in said
     assert any(words.startswith("columns were given to the joints in their order") for words in said)
+
+
+def lerobot(path: Path, log: tuple[np.ndarray, ...], episodes: int, arrays: bool) -> Path:
+    """Write lists of states, actions (goals of position, reached late) and efforts; time restarts in every episode."""
+    time, position, current = log
+    length = len(time) // episodes
+    goals = np.vstack([position[8:], np.repeat(position[-1:], 8, axis=0)])
+    kind = pl.Array(pl.Float64, 2) if arrays else pl.List(pl.Float64)
+    pl.DataFrame(
+        {
+            "action": pl.Series(goals.tolist(), dtype=kind),
+            "observation.state": pl.Series(position.tolist(), dtype=kind),
+            "observation.effort": pl.Series(current.tolist(), dtype=kind),
+            "timestamp": np.arange(len(time)) % length / RATE,
+            "episode_index": np.arange(len(time)) // length,
+            "task": ["swing"] * len(time),
+        }
+    ).write_parquet(path)
+    return path
+
+
+@pytest.mark.parametrize("arrays", [False, True])
+def test_episodes_of_lists(tmp_path: Path, motion: Any, arrays: bool) -> None:
+    """Every episode is a run with its own time; actions are goals of position and no torques."""
+    log = lerobot(tmp_path / "file-000.parquet", motion["empty"], 4, arrays)
+    (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
+    draft = draft_logs([log], str(tmp_path / "arm.urdf"))
+    assert draft.position == {"shoulder": "observation.state[1]", "elbow": "observation.state[2]"}
+    assert draft.command == {"shoulder": "observation.effort[1]", "elbow": "observation.effort[2]"}
+    said = [note.what for note in guesses(draft, Path("e.yaml"))]
+    assert "each of the 4 episodes in file-000.parquet is a run" in said
+    write_draft(draft, tmp_path / "experiment.yaml")
+    experiment = read_experiment(tmp_path / "experiment.yaml")
+    assert [run.episode for run in experiment.runs] == [0, 1, 2, 3]
+    third = read_run(log, experiment.signals, part=experiment.runs[2].part)
+    assert third.name == "file-000 episode 2"
+    np.testing.assert_allclose(third.position, motion["empty"][1][2000:3000], atol=1e-9)
+    np.testing.assert_allclose(third.command, motion["empty"][2][2000:3000], atol=1e-9)
+    text = (tmp_path / "experiment.yaml").read_text()
+    (tmp_path / "twice.yaml").write_text(text.replace("episode: 3", "episode: 1"))
+    with pytest.raises(GtauError, match=r"file-000.parquet' is listed twice"):
+        read_experiment(tmp_path / "twice.yaml")
+    (tmp_path / "none.yaml").write_text(text.replace("episode: 3", "episode: 7"))
+    with pytest.raises(GtauError, match=r"has no episode 7; its episodes are 0 to 3"):
+        _ = read_experiment(tmp_path / "none.yaml").runs[-1].part
+
+
+def test_goals_alone_are_no_torques(tmp_path: Path, motion: Any) -> None:
+    """A data set of states and actions, the usual one, has nothing to identify from, and says so."""
+    log = lerobot(tmp_path / "a.parquet", motion["empty"], 2, arrays=False)
+    pl.read_parquet(log).drop("observation.effort").write_parquet(log)
+    with pytest.raises(GtauError, match="no columns of currents or torques are recognised"):
+        draft_logs([log])
+
+
+def test_one_command_from_episodes(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    arm = (
+        URDF.replace("prismatic", "fixed").replace('name="elbow"', 'name="a2"').replace('name="shoulder"', 'name="a1"')
+    )
+    (tmp_path / "arm.urdf").write_text(arm)
+    logs = []
+    for name, (time, position, current) in motion.items():  # columns in the order of the joints, as there are no names
+        log = (time, position[:, ::-1], current[:, ::-1])
+        logs.append(str(lerobot(tmp_path / f"{name}.parquet", log, 2, arrays=False)))
+    done = CliRunner().invoke(app, ["identify", *logs, "--robot", "arm.urdf", "--kind", "current", "--json"])
+    assert done.exit_code == 0, done.output
+    gains = {each["joint"]: each["value"] for each in json.loads(done.stdout)["drive_gains"]}
+    assert gains == pytest.approx({"a1": 8.0, "a2": 5.0}, rel=0.01)
+
+
+def test_the_airbot_pair(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What its N m are worth, in one command: joints 2 and 3 lift, and need about 1.2 to 1.7 times what is reported."""
+    monkeypatch.chdir(tmp_path)
+    data = shared / "airbot_play"
+    logs = [str(data / "chirp_unloaded.csv"), str(data / "chirp_loaded_480g.csv")]
+    robot = str(data / "airbot_play_v3_0_gripper.urdf")
+    done = CliRunner().invoke(app, ["identify", *logs, "--robot", robot, "--kind", "current", "--json"])
+    document = json.loads(done.stdout)
+    gains = {each["joint"]: each["value"] for each in document["drive_gains"]}
+    assert 1.2 < gains["joint2"] < 1.7
+    assert 1.2 < gains["joint3"] < 1.7
+    assert [each["what"].split(":")[0] for each in document["notes"] if each["kind"] == "draft"] == [
+        "columns were given to the joints in their order",
+        "payloads are taken from the names of the files",
+        "without a mass in the name, nothing is taken to be carried in chirp_unloaded.csv",
+    ]
+
+
+@pytest.mark.slow
+def test_the_ur10e_pair_as_bags(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Currents as efforts, joints in the driver's order, the robot in the bag: gains near those of the controller."""
+    monkeypatch.chdir(tmp_path)
+    data, order = shared / "ur10e", [2, 1, 0, 3, 4, 5]
+    joints = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint"]
+    joints.append("wrist_3_joint")
+    for name, source in (("empty", "ur-20_02_19_14harm50sec.csv"), ("load", "ur-20_02_19_14harm50secLoad.csv")):
+        log = np.loadtxt(data / source, delimiter=",")
+        columns = (log[:, 1:7][:, order], log[:, 13:19][:, order])
+        write_bag(
+            tmp_path / name, [joints[k] for k in order], log[:, 0], *columns, urdf=(data / "ur10e.urdf").read_text()
+        )
+    command = ["identify", "empty", "load", "--payload", "load=2.805", "--kind", "current", "--json"]
+    gains = {
+        each["joint"]: each["value"] for each in json.loads(CliRunner().invoke(app, command).stdout)["drive_gains"]
+    }
+    controller = dict(zip(joints, (11.976, 11.976, 9.839, 10.763, 10.76), strict=False))
+    assert {joint: gains[joint] for joint in controller} == pytest.approx(controller, rel=0.07)

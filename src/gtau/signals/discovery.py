@@ -14,6 +14,7 @@ from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.column_names import base_like, is_pose, is_temperature, mass_in_name, wrench_like
 from gtau.signals.log_contents import Group, LogContents
+from gtau.signals.log_file import find_columns
 
 LARGEST_CURRENT = 100.0  # A; commands of no known kind that reach further are taken for torques, to be checked
 TURNS = 20.0  # rad or m; joints that are said to move further are logged in deg or mm
@@ -30,7 +31,7 @@ class Draft:
     of ``temperature`` are by joint, or one for all; those of a ``pose``, of the ``motion`` of a base and of
     ``wrenches`` are only listed. ``base`` says how the robot's base is placed. Payloads of
     logs that are ``stated`` do not come from their names. ``urdf`` is the text of the robot's file where a bag holds
-    it, ``moving`` its joints that the log has, where it lacks others.
+    it, ``moving`` its joints that the log has, where it lacks others. ``episodes`` are those of logs with several.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -56,6 +57,7 @@ class Draft:
     stated: frozenset[Path] = frozenset()
     urdf: str | None = None
     moving: tuple[str, ...] = ()
+    episodes: Mapping[Path, tuple[int, ...]] = field(default_factory=dict)
 
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
@@ -161,6 +163,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         wrenches=wrenches,
         base=base,
         masses=masses,
+        episodes={run[0]: tuple(of) for run in runs if (of := find_columns(run[0]).episodes)},
         others=tuple(
             listed
             for listed, group in alike.items()

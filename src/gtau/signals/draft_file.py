@@ -98,11 +98,13 @@ def draft_text(draft: Draft, folder: Path) -> str:
     lines += ["", *_units(draft), "runs:"]
     for run in draft.logs:
         paths = [_relative(path, folder) for path in run]
-        lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
-        if (mass := draft.masses.get(run[0])) is not None:
-            payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
-            doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the name of the file"
-            lines.append(_line(f"    payload: {_flow(payload)}", doubt))
+        for episode in draft.episodes.get(run[0], (None,)):
+            lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
+            lines += [] if episode is None else [f"    episode: {episode}"]
+            if (mass := draft.masses.get(run[0])) is not None:
+                payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
+                doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the name of the file"
+                lines.append(_line(f"    payload: {_flow(payload)}", doubt))
     if draft.kind == "current" and not draft.masses and not draft.sensors:
         lines += [
             "# Drive gains need the mass (kg) of the payload of one run or more, and a run with another one or none:",
@@ -140,6 +142,9 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
         found.append((f"payloads are taken from the names of the files: {', '.join(loads)}", STATE))
     if empty := [path.name for path in named if path not in draft.masses]:
         found.append((f"without a mass in the name, nothing is taken to be carried in {', '.join(empty)}", STATE))
+    for log, episodes in draft.episodes.items():
+        what = f"each of the {len(episodes)} episodes in {log.name} is a run"
+        found.append((what, "remove those of the 'runs' that are not to be used"))
     if draft.urdf is not None:
         found.append(("the robot is the one that the bag describes (/robot_description)", "for another give --robot"))
     if draft.moving:
