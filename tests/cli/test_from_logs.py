@@ -100,7 +100,7 @@ def test_one_command_from_bags(tmp_path: Path, motion: Any, monkeypatch: pytest.
     (tmp_path / "result" / "experiment.yaml").write_text(corrected)
     again = CliRunner().invoke(app, ["identify", *logs, "--kind", "current"])
     assert again.exit_code == 2
-    assert "result/experiment.yaml exists already and is not what these logs give" in again.stderr
+    assert "result/experiment.yaml exists already and is no draft as gtau wrote it" in again.stderr
 
 
 def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,6 +120,8 @@ def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch:
     assert loaded.payload is not None
     assert loaded.payload.mass == 0.75
     assert not any("payloads are taken from" in words for words in said)
+    CliRunner().invoke(app, [*command, "--kind", "current"])  # a draft that nobody edited is replaced
+    assert read_experiment(tmp_path / "looked" / "experiment.yaml").signals.kind == "current"
 
 
 def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,6 +132,7 @@ def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypat
         (["--payload", "full=1"], "'full' names no log of a payload; the logs are empty, loaded_0.8kg."),
         (["--payload", "empty"], "--payload is 'empty'; write the name of a log and kg"),
         (["--payload", "empty=-1"], "the payload of 'empty' is -1 kg"),
+        (logs[:1], "the log 'empty' is given twice; give every log once."),
         (["experiment.yaml"], "experiment.yaml is an experiment file; give it alone, or logs without it."),
     ):
         done = CliRunner().invoke(app, ["identify", *logs, *more])

@@ -26,7 +26,7 @@ Sources = Annotated[
     list[Path],
     typer.Argument(
         metavar="EXPERIMENT.yaml|LOG...",
-        help="Experiment file; or logs, of which one is drafted as DIR/experiment.yaml.",
+        help="Experiment file; or logs, for which one is drafted (DIR/experiment.yaml).",
         show_default=False,
     ),
 ]

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
+from zlib import crc32
 
 from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
@@ -18,6 +19,7 @@ from gtau.signals.formats import is_rosbag
 from gtau.signals.formats.rosbag import robot_description
 from gtau.signals.log_file import find_columns
 
+SEAL = "# as drafted: "  # a checksum of all above follows
 URDF = "robot.urdf"  # beside the experiment file, where a bag holds it
 
 
@@ -48,6 +50,9 @@ def draft_logs(
     GtauError
         A log or the robot cannot be read, or a mass is of no log.
     """
+    if len(set(logs)) < len(logs):
+        twice = next(log for log in logs if list(logs).count(log) > 1)
+        raise GtauError(f"the log '{twice}' is given twice; give every log once.")
     urdf = robot_description(logs[0]) if robot is None and is_rosbag(logs[0]) else None
     known, moving = (None, ()) if robot is None and urdf is None else _robot(logs[0], robot, urdf, base)
     if known is not None and known.floating:
@@ -78,25 +83,35 @@ def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
 
 
 def write_draft(draft: Draft, file: Path) -> list[Path]:
-    """Write the experiment file of a draft, and the robot's where a bag holds it; what is there already stays.
+    """Write the experiment file of a draft, and the robot's where a bag holds it, in place of those of earlier drafts.
 
     Raises
     ------
     GtauError
-        Another file of that name is there, which may have been edited.
+        Other files of these names are there, or an earlier draft that has been edited.
     """
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}
-    texts[file] = draft_text(draft, folder)
+    texts[file] = _sealed(draft_text(draft, folder))
     for path, text in texts.items():
-        if path.exists() and path.read_bytes() != text.encode():
+        if path.exists() and path.read_bytes() != text.encode() and not _unedited(file):
             raise GtauError(
-                f"{path} exists already and is not what these logs give; use it (gtau identify {file}), give another "
+                f"{path} exists already and is no draft as gtau wrote it; use it (gtau identify {file}), give another "
                 "folder (--out), or remove it."
             )
     for path, text in texts.items():
         write_atomically(path, text)
     return list(texts)
+
+
+def _sealed(text: str) -> str:
+    return f"{text}{SEAL}{crc32(text.encode()):08x}\n"
+
+
+def _unedited(file: Path) -> bool:
+    """Decide by its last line whether a file is a draft as it was written."""
+    text = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
+    return SEAL in text and text == _sealed(text.rpartition(SEAL)[0])
 
 
 def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> tuple[Robot, tuple[str, ...]]:
