@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from gtau.estimation.results.friction_law import carried
+from gtau.estimation.friction.law import carried
 from gtau.export.identified import Identified
 from gtau.model.closures import closure_maps
 from gtau.model.dynamics import torques
@@ -92,7 +92,7 @@ def _standard(model: Identified, chi: list[ca.SX]) -> dict[str, ca.SX]:
 
 @dataclass(frozen=True, eq=False)
 class _Friction:
-    """Torques of friction and offsets by :class:`gtau.estimation.results.friction_law.FrictionLaw`, of parameters p."""
+    """Torques of friction and offsets by :class:`gtau.estimation.friction.law.FrictionLaw`, of parameters p."""
 
     model: Identified
     p: ca.SX

@@ -105,6 +105,39 @@ class Named(dict[str, Estimate]):
 
 
 @dataclass(frozen=True)
+class FrictionCurve:
+    """Friction of a joint, identified on all samples; see :mod:`gtau.estimation.friction.law`.
+
+    Attributes
+    ----------
+    joint : str
+        Its name.
+    parameters : dict
+        ``off_J``, ``fv_J``, ``fs_J``, ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, as far as it has them; name to
+        :class:`Estimate`. One that would be negative is 0, without a standard deviation.
+    width, speed : Estimate, optional
+        Of presliding, and v_s, at which friction bends; None where the logs do not show them.
+    evidence : dict
+        By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
+    error, plain_error : float
+        Of blocks left out, with this friction and with the plain law, per cent of the torque that is left to friction.
+    """
+
+    joint: str
+    parameters: Mapping[str, Estimate]
+    width: Estimate | None
+    speed: Estimate | None
+    evidence: Mapping[str, float]
+    error: float
+    plain_error: float
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """All that is estimated of it."""
+        return (*self.parameters.values(), *(each for each in (self.width, self.speed) if each is not None))
+
+
+@dataclass(frozen=True)
 class PayloadEstimate:
     """Inertial parameters of the payload of a run, by kind, in the frame of the body that carries it."""
 

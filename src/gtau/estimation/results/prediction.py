@@ -13,7 +13,7 @@ from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.results.estimate import Prediction, TorqueError
-from gtau.estimation.results.friction_law import carried
+from gtau.estimation.friction.law import carried
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
