@@ -162,8 +162,7 @@ def torques_chart(
 def part_of(prediction: Prediction, time: np.ndarray, start: float, stop: float) -> tuple[Prediction, np.ndarray]:
     """Take the part of a prediction between two instants of its ``time`` (K,), s."""
     window = (time >= start) & (time <= stop)
-    arrays = (prediction.predicted, prediction.measured, prediction.keep, prediction.valid)
-    return Prediction(prediction.joints, prediction.time[window], *(each[window] for each in arrays)), time[window]
+    return prediction.part(window), time[window]
 
 
 def stretch_title(name: str, start: float, stop: float, length: float) -> str:

@@ -31,8 +31,8 @@ class IdentifiedFriction:
     freedom : float
         Degrees of freedom behind the standard deviations.
     evidence : dict
-        Of each term taken (``presliding``, ``bent``, ``load``, ``temperature``): by how many standard errors blocks that
-        were left out are better for it.
+        Of each term taken (``presliding``, ``bent``, ``load``, ``temperature``): by how many standard errors blocks
+        that were left out are better for it.
     error, plain_error : float
         Of blocks left out, with this friction and with the plain law, rms over the rms torque left to friction; of all
         joints that share motors.
@@ -79,9 +79,7 @@ def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:
     problem, names, n = fit.system.problem, fit.dataset.base.names, len(fit.dataset.model.actuated)
     place = {name: k for k, name in enumerate(problem.parameters)}
     # friction of the plain law is not subtracted from the torque, so that its errors do not count
-    inertial = [
-        place.get(name, -1) if name.split("_")[0] not in ("fv", "fs", "off") else -1 for name in names
-    ]
+    inertial = [place.get(name, -1) if name.split("_")[0] not in ("fv", "fs", "off") else -1 for name in names]
     index = np.array([*range(problem.n_theta, problem.n_theta + n), *inertial])
     known = index < 0
     found = covariance[np.ix_(np.maximum(index, 0), np.maximum(index, 0))].copy()

@@ -25,7 +25,7 @@ amplifiers for instance: they do no work around a closed path, and stay as they 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import ModuleType
@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.friction.stop import stop
+from gtau.estimation.friction.stop import Follower
 from gtau.estimation.regression.dataset import motor_to_joint_speed
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
@@ -86,12 +86,19 @@ class FrictionLaw:
         joints = self.model.robot.joints
         return np.array([self.shapes[joints[row].name].width for row in self.states], dtype=float)
 
-    def presliding(self, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Follow positions (n, N) of the actuated joints by the states z (s, N); they begin in a ``direction`` (n,)."""
-        paths, begin = self.ratios[list(self.states)] @ q, np.sign(self.ratios[list(self.states)] @ direction)
-        pairs = zip(paths, self.widths, begin, strict=True)
-        found = [stop(path, np.array([width]), np.array([z]))[0] for path, width, z in pairs]
-        return np.reshape(found, (len(found), q.shape[1]))
+    def followers(self) -> Callable[[np.ndarray, Motion], np.ndarray]:
+        """Make what follows a run that comes in blocks: from times (N,) and the motion to the states z (s, N)."""
+        actuated, rows = self.model.layout.actuated, self.states
+        elements = [Follower(np.array([width])) for width in self.widths]
+
+        def follow(time: np.ndarray, motion: Motion) -> np.ndarray:
+            paths = self.ratios[list(rows)] @ motion.c[actuated]
+            found = [
+                element(time, path, motion.yd[row])[0] for element, path, row in zip(elements, paths, rows, strict=True)
+            ]
+            return np.reshape(found, (len(rows), len(time)))
+
+        return follow
 
     @cached_property
     def ratios(self) -> np.ndarray:
@@ -167,9 +174,9 @@ class FrictionLaw:
         return 1.0 - (1.0 - allowed) * math.fmax(-math.sign(power), 0.0)
 
     def logged(self, joint: str) -> str:
-        """Write V of an actuated joint with its unit."""
+        """Write V of a joint with its unit."""
         unit = "rad/s" if self.model.robot.joint(joint).kind == "revolute" else "m/s"
-        return f"{self.logged_speeds.get(joint, 0.0):.3g} {unit}"
+        return f"{self.fastest(joint):.3g} {unit}"
 
     @property
     def range_sentence(self) -> str:
@@ -226,6 +233,11 @@ class FrictionLaw:
             forces[row] += values.get(Parameter("off", joint.name).name, 0.0)
         of_joints = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
         return np.asarray(of_joints + forces[len(joints) :])
+
+    def motor_of(self, joint: str) -> str | None:
+        """Return the name of the motor that alone moves a joint; see :meth:`motor`."""
+        motor = self.motor([each.name for each in self.model.robot.joints].index(joint))
+        return None if motor is None else self.model.actuated[motor]
 
     def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
         """Sum the viscous friction that the motor of actuated joint ``j`` feels."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.friction.sites import Follower, Site, groups_of
+from gtau.estimation.friction.sites import Columns, Site, groups_of
 from gtau.estimation.regression.rows import stream_rows
 from gtau.robots.parameter import Parameter
 
@@ -62,7 +62,7 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple
     rows = [np.zeros(runs * each, dtype=int) for _ in groups]
     for run, prepared in enumerate(dataset.prepared):
         decimator = dataset.preparation.at(prepared.run.rate).decimator
-        load, follow = fit.system.load(run, solution.theta), Follower(sites, model.layout.actuated, dataset, run)
+        load, follow = fit.system.load(run, solution.theta), Columns(sites, model.layout.actuated, dataset, run)
         values = dict(zip(base.standard, fit.system.motion(run, solution.theta), strict=True))
         passive = {
             Parameter(kind, joint.name).name: values.get(Parameter(kind, joint.name).name, 0.0)

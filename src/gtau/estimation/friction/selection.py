@@ -159,7 +159,8 @@ def choose(group: Group) -> Chosen:
     standard errors, over the blocks, than the best of many widths and speeds does by chance.
     """
     plain = attempt(group, tuple(Structure() for _ in group.sites))
-    best, evidence = plain, {}
+    best = plain
+    evidence: dict[tuple[int, str], float] = {}
     if len(group.G) < FEWEST_BLOCKS:
         return Chosen(best, plain)
     while True:
@@ -181,9 +182,7 @@ def choose(group: Group) -> Chosen:
 
 def _with(group: Group, trial: Trial, s: int, kind: str) -> list[Trial]:
     own, others = trial.structures[s], trial.structures
-    return [
-        attempt(group, (*others[:s], option, *others[s + 1 :])) for option in own.options(group.sites[s], kind)
-    ]
+    return [attempt(group, (*others[:s], option, *others[s + 1 :])) for option in own.options(group.sites[s], kind)]
 
 
 def _refined(group: Group, trial: Trial) -> Trial:

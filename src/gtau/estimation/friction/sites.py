@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.friction.stop import stop
+from gtau.estimation.friction.stop import Follower
 from gtau.estimation.regression.dataset import Dataset
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
@@ -75,7 +75,7 @@ class Site:
 def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
     """List the joints with friction that moves with the motors at constant ratios."""
     model, standard = dataset.model, dataset.base.standard
-    lowest, highest, squares, samples = [], [], 0.0, 0
+    lowest, highest, squares, samples = [], [], np.zeros((len(model.actuated),) * 2), 0
     for each in dataset.prepared:
         position, kept = each.run.position, each.kept
         parts = [block(position, kept.start + a, kept.start + b) @ law.ratios.T for a, b in spans(len(kept))]
@@ -99,28 +99,22 @@ def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
     return tuple(sites)
 
 
-class Follower:
-    """The columns of sites along a run that comes in blocks, which may overlap: their states go on from one to the next."""
+class Columns:
+    """The columns of sites along a run that comes in blocks."""
 
     def __init__(self, sites: Sequence[Site], actuated: np.ndarray, dataset: Dataset, run: int) -> None:
         self._sites, self._actuated, self._dataset, self._run = sites, actuated, dataset, run
-        self._time, self._states = np.zeros(0), [np.zeros((0, 0)) for _ in sites]
+        self._followers = [Follower(site.widths) for site in sites]
 
     def __call__(self, time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
         """Build the columns (., N) of all sites, and then their |speeds| (sites, N), at a block of samples."""
-        q, known = motion.c[self._actuated], np.searchsorted(self._time, time[0])
-        found, speeds = [], []
-        for k, site in enumerate(self._sites):
-            v, path = motion.yd[site.row], site.ratios @ q
-            start = np.full(len(site.widths), np.sign(v[0]))
-            if known < len(self._time):
-                start = self._states[k][:, known]
-            self._states[k] = stop(path, site.widths, start)
+        q, found, speeds = motion.c[self._actuated], [], []
+        for site, follow in zip(self._sites, self._followers, strict=True):
+            v = motion.yd[site.row]
             load = 0.0 if site.motor is None else effort[site.motor] / site.ratios[site.motor]
-            z = np.vstack([np.sign(v), self._states[k]])
+            z = np.vstack([np.sign(v), follow(time, site.ratios @ q, v)])
             found.append(site.columns(v, z, load, self._above(site, time)))
             speeds.append(np.abs(v))
-        self._time = time
         return np.vstack([*found, speeds])
 
     def _above(self, site: Site, time: np.ndarray) -> np.ndarray | float:
@@ -144,5 +138,3 @@ def groups_of(sites: Sequence[Site]) -> list[tuple[list[int], list[int]]]:
         members = np.flatnonzero(label == group)
         found.append((members.tolist(), np.flatnonzero(driven[members].any(axis=0)).tolist()))
     return found
-
-

@@ -10,6 +10,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.friction.law import FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
@@ -20,7 +21,6 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.friction.law import FrictionLaw, Shape
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
