@@ -146,13 +146,15 @@ def write_table(found: TorquesAlongLog, path: Path) -> None:
 def summary_text(found: TorquesAlongLog) -> str:
     """Print the summary as a table."""
     lines = [
-        f"{'External torque':<20}{'rms':>10}{'rms, all':>10}{'residual':>11}{'largest':>11}{'at, s':>10}{'beyond 4':>11}   unit",
+        f"{'External torque':<20}{'rms':>10}{'rms, all':>10}{'residual':>11}{'largest':>11}{'at, s':>10}"
+        f"{'beyond 4':>11}   unit",
     ]
     for each in found.joints:
         residual = "-" if each.residual is None else f"{each.residual:.4g}"
         share = "-" if each.share is None else f"{100 * each.share:.2f} %"
         lines.append(
-            f"  {each.joint:<18}{each.rms:>10.4g}{each.rms_all:>10.4g}{residual:>11}{each.largest:>11.4g}{each.time:>10.4g}{share:>11}"
+            f"  {each.joint:<18}{each.rms:>10.4g}{each.rms_all:>10.4g}{residual:>11}{each.largest:>11.4g}"
+            f"{each.time:>10.4g}{share:>11}"
             f"   {each.unit}"
         )
     return "\n".join(

@@ -110,7 +110,8 @@ def friction_notes(model: ConsistentModel) -> list[str]:
         listed = ", ".join(f"{joint} up to {law.logged(joint)}" for joint in model.straight)
         notes.append(
             "friction that bends, or has negative coefficients that would propel a joint, is no straight line: "
-            f"damping and friction are the straight line nearest to it within the logged speeds ({listed}), extrapolated beyond"
+            f"damping and friction are the straight line nearest to it within the logged speeds ({listed}), "
+            "extrapolated beyond"
         )
     if model.cubics:
         listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in model.cubics)
