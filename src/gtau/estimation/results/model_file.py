@@ -37,6 +37,7 @@ from gtau.estimation.results.estimate import (
     FrictionCurve,
     PayloadEstimate,
     ReferenceTemperatures,
+    Requirement,
     SensorEstimate,
     TorqueError,
 )
@@ -229,6 +230,7 @@ class _Model(_Group):
     standard: _Standard | None
     alternatives: tuple[AlternativeMoves, ...]
     singularities: tuple[NearestPose, ...]
+    requirements: tuple[Requirement, ...] = ()
 
     def made(self, path: Path, make: type[Model]) -> Model:
         """Put the result together."""
@@ -256,6 +258,7 @@ class _Model(_Group):
             consistency=None if self.standard is None else self.standard.made(),
             alternatives=self.alternatives,
             singularities=self.singularities,
+            requirements=self.requirements,
         )
 
 
