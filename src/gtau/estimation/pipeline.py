@@ -15,7 +15,7 @@ from gtau.estimation.estimators.essential_parameters import reduce_fit
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
-from gtau.estimation.friction.identify import identify_friction
+from gtau.estimation.friction.identify import FrictionStep, identify_friction
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import PAPER
 from gtau.estimation.results.build import build_result
@@ -119,5 +119,5 @@ def estimate(
         nothing = np.zeros_like(covariance)
         uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
     diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, options.accuracy)
-    friction = identify_friction(fit, uncertainty.covariance) if options.all_samples else ()
+    friction = identify_friction(fit, uncertainty.covariance) if options.all_samples else FrictionStep()
     return build_result(fit, estimator, examined, uncertainty, essential, diagnosis, bodies, friction)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw, Shape
 from gtau.estimation.friction.normal_equations import Group, normal_equations
-from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, choose, spread_of_shape
+from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, Trial, choose, spread_of_shape
 from gtau.estimation.friction.sites import sites_of
 
 
@@ -49,7 +49,15 @@ class IdentifiedFriction:
     plain_error: float
 
 
-def identify_friction(fit: Fit, covariance: np.ndarray) -> tuple[IdentifiedFriction, ...]:
+@dataclass(frozen=True)
+class FrictionStep:
+    """The friction of every ``joint``, and by motor the rms ``errors`` and torque over all samples, N m or N."""
+
+    joints: tuple[IdentifiedFriction, ...] = ()
+    errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def identify_friction(fit: Fit, covariance: np.ndarray) -> FrictionStep:
     """Identify the friction of every joint on all samples.
 
     Parameters
@@ -67,11 +75,24 @@ def identify_friction(fit: Fit, covariance: np.ndarray) -> tuple[IdentifiedFrict
     law = FrictionLaw(fit.dataset.model, {})
     sites = sites_of(fit.dataset, law)
     found: list[IdentifiedFriction] = []
+    errors: dict[str, tuple[float, float]] = {}
     for group in normal_equations(fit, law, sites):
         if len(group.G):
-            found += _of_group(group, choose(group), _fixed(fit, covariance))
+            chosen = choose(group)
+            found += _of_group(group, chosen, _fixed(fit, covariance))
+            motors = (fit.dataset.model.actuated[j] for j in group.motors)
+            errors |= dict(zip(motors, _errors(group, chosen.trial), strict=True))
     order = {site.joint: k for k, site in enumerate(sites)}
-    return tuple(sorted(found, key=lambda each: order[each.joint]))
+    return FrictionStep(tuple(sorted(found, key=lambda each: order[each.joint])), errors)
+
+
+def _errors(group: Group, trial: Trial) -> list[tuple[float, float]]:
+    """Compute the rms of error and torque of each motor over all its rows."""
+    left = np.append(-trial.M @ trial.x, 1.0)
+    squares = np.einsum("p,mpq,q->m", left, group.of_motors, left)
+    counts = np.maximum(group.signals[:, 0], 1)
+    rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
+    return list(zip(rms.tolist(), signal.tolist(), strict=True))
 
 
 def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:

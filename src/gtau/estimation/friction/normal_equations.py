@@ -24,7 +24,9 @@ class Group:
 
     ``columns`` name (site, column) of (p,); ``G`` (K, p + 1, p + 1) are the products of the columns and of the torque
     that is left to friction, the last, N m or N over the motors' residuals. ``rows`` (K,) count them. ``cross``
-    (p, gains and base parameters) are products with what gains and base parameters add to the torque.
+    (p, gains and base parameters) are products with what gains and base parameters add to the torque. ``motors`` are
+    the numbers of the actuated joints, ``of_motors`` (m, p + 1, p + 1) the products of each one's rows, unweighted, and
+    ``signals`` (m, 2) count them and add up the squares of its measured torque.
     """
 
     sites: tuple[Site, ...]
@@ -32,7 +34,9 @@ class Group:
     G: np.ndarray
     rows: np.ndarray
     cross: np.ndarray
-    runs: np.ndarray
+    motors: tuple[int, ...]
+    of_motors: np.ndarray
+    signals: np.ndarray
 
 
 def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple[Group, ...]:
@@ -60,6 +64,8 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple
     G = [np.zeros((runs * each, size + 1, size + 1)) for size in sizes]
     cross = [np.zeros((size, n + base.count)) for size in sizes]
     rows = [np.zeros(runs * each, dtype=int) for _ in groups]
+    of_motors = [np.zeros((len(motors), size + 1, size + 1)) for (_, motors), size in zip(groups, sizes, strict=True)]
+    signals = [np.zeros((len(motors), 2)) for _, motors in groups]
     for run, prepared in enumerate(dataset.prepared):
         decimator = dataset.preparation.at(prepared.run.rate).decimator
         load, follow = fit.system.load(run, solution.theta), Columns(sites, model.layout.actuated, dataset, run)
@@ -79,7 +85,8 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple
             assert part.friction is not None
             made, speeds, effort, rest = np.split(part.friction, np.cumsum([starts[-1], len(sites), n]))
             v, v_d, v_dd = part.currents[:, :n]
-            y = gains[:, None] * (v - delays * v_d + delays**2 / 2 * v_dd) - effort - rest
+            measured = gains[:, None] * (v - delays * v_d + delays**2 / 2 * v_dd)
+            y = measured - effort - rest
             first, last = (decimator.factor * k for k in (part.outputs.start, part.outputs.stop - 1))
             valid = decimator.keep(prepared.valid(first, last + 2 * decimator.support + 1)[:, :n]).T
             place = run * each + np.arange(part.outputs.start, part.outputs.stop) * each // outputs
@@ -87,12 +94,15 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple
             W[regressor.rows, regressor.columns] = part.entries
             for g, (members, motors) in enumerate(groups):
                 moving = np.any([speeds[k] > RESTING * sites[k].rms_speed for k in members], axis=0)
-                for j in motors:
+                for m, j in enumerate(motors):
                     kept = valid[j] & moving
                     if not kept.any():
                         continue
                     own = [sites[k].ratios[j] * made[starts[k] : starts[k + 1], kept] for k in members]
-                    A = weights[j] * np.vstack([*own, y[j, kept]])
+                    A = np.vstack([*own, y[j, kept]])
+                    of_motors[g][m] += A @ A.T
+                    signals[g][m] += kept.sum(), measured[j, kept] @ measured[j, kept]
+                    A *= weights[j]
                     fixed = np.zeros((n + base.count, int(kept.sum())))
                     fixed[j], fixed[n:] = v[j, kept], -W[j][:, kept]
                     cross[g] += weights[j] * A[:-1] @ fixed.T
@@ -101,10 +111,10 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple
                         G[g][b] += of_block @ of_block.T
                         rows[g][b] += of_block.shape[1]
     made_groups = []
-    for g, (members, _) in enumerate(groups):
+    for g, (members, motors) in enumerate(groups):
         used = rows[g] > 0
         listed = tuple((k, name) for k, member in enumerate(members) for name in sites[member].names)
-        number = np.repeat(np.arange(runs), each)[used]
-        members_of = tuple(sites[k] for k in members)
-        made_groups.append(Group(members_of, listed, G[g][used], rows[g][used], cross[g], number))
+        own_sites = tuple(sites[k] for k in members)
+        of_group = (cross[g], tuple(motors), of_motors[g], signals[g])
+        made_groups.append(Group(own_sites, listed, G[g][used], rows[g][used], *of_group))
     return tuple(made_groups)

@@ -113,12 +113,14 @@ def stream_rows(
 class Torques:
     """Torques of a model and commands at every sample of a stretch of a run, all behind the same low-pass.
 
-    ``time`` (K,) in s; ``torques`` (n, K) of the model, friction and what acts from outside included; ``commands``
+    ``time`` (K,) in s; ``torques`` (n, K) of the model, friction and what acts from outside included; ``friction``
+    (n, K) alone; ``commands``
     (3, n, K), as in :class:`Rows`.
     """
 
     time: np.ndarray
     torques: np.ndarray
+    friction: np.ndarray
     commands: np.ndarray
 
 
@@ -153,10 +155,11 @@ def stream_torques(
         commands[:, base] += external[:, base]
         external[:, base] = 0.0
         effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
-        made = np.concatenate([[effort + friction(of.time, motion, effort)], commands])
+        rubbing = friction(of.time, motion, effort)
+        made = np.concatenate([[effort + rubbing, rubbing], commands])
         count = block.outputs.stop - block.outputs.start
         filtered = decimator.smooth(made, block.first, count)
-        yield Torques(of.time[block.first : block.first + count], filtered[0], filtered[1:])
+        yield Torques(of.time[block.first : block.first + count], filtered[0], filtered[1], filtered[2:])
 
 
 def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:

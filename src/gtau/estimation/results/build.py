@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.total_least_squares import total_rows_of
-from gtau.estimation.friction.identify import IdentifiedFriction
+from gtau.estimation.friction.identify import FrictionStep, IdentifiedFriction
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, UNITS
 from gtau.estimation.regression.problem import Problem
@@ -36,6 +36,8 @@ from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
 from gtau.robots.units import position_unit, torque_unit, unit_of
 
+NO_FRICTION = FrictionStep()
+
 
 def build_result(
     fit: Fit,
@@ -45,7 +47,7 @@ def build_result(
     essential: Essential,
     diagnosis: Diagnosis,
     consistency: Consistency | None = None,
-    friction: Sequence[IdentifiedFriction] = (),
+    friction: FrictionStep = NO_FRICTION,
 ) -> Result:
     """Build the result of an identification.
 
@@ -63,8 +65,8 @@ def build_result(
         What can be believed.
     consistency : Consistency, optional
         Physically consistent standard parameters.
-    friction : sequence of IdentifiedFriction
-        Friction on all samples; none where the plain law is to predict.
+    friction : FrictionStep
+        Friction on all samples; nothing where the plain law is to predict.
     """
     dataset, system, solution = fit.dataset, fit.system, fit.solution
     covariance, freedom = uncertainty.covariance, uncertainty.effective_freedom
@@ -141,7 +143,7 @@ def build_result(
             for name, unit in _terms(system, robot, temperatures)
             if name in found
         },
-        curves={each.joint: _curve(each, robot, temperatures) for each in friction},
+        curves={each.joint: _curve(each, robot, temperatures) for each in friction.joints},
         sensors=_sensors(fit, diagnosis, found, free, std, freedom),
         payloads=payload_estimates(dataset, system, solution.theta, covariance, diagnosis.payloads, freedom),
         residuals=tuple(
@@ -150,6 +152,7 @@ def build_result(
                 float(abs(solution.gains[k]) * solution.sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
                 units[k],
+                *friction.errors.get(joint, ()),
             )
             for k, joint in enumerate(joints)
         ),

@@ -228,8 +228,8 @@ class TorqueError:
     """How well the model reproduces a joint's torque ``v g_tau``: rms of error and signal, N m or N.
 
     ``rms`` and ``signal`` are taken over the rows that identification uses, away from the joint's reversals, where
-    Coulomb friction is not modelled; ``rms_all`` and ``signal_all`` over all valid rows, reversals included. The
-    latter are None for the residuals of a fit, which has no other rows.
+    the plain law does not hold; ``rms_all`` and ``signal_all`` over all valid rows, reversals included, with the
+    friction of all samples. The latter are None for the residuals of a fit without it.
     """
 
     joint: str
@@ -274,7 +274,9 @@ class Requirement:
 class Prediction:
     """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.
 
-    Both are behind the low-pass of identification, whose rows are one sample of ``factor``. ``keep`` (N, n) is False
+    ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
+
+    All are behind the low-pass of identification, whose rows are one sample of ``factor``. ``keep`` (N, n) is False
     near a joint's reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
     (N, n) is False near gaps and repaired samples, and at the ends of the log up to where the motion begins.
     """
@@ -285,6 +287,7 @@ class Prediction:
     measured: np.ndarray
     keep: np.ndarray
     valid: np.ndarray
+    friction: np.ndarray
     factor: int = 1
 
     @property
@@ -294,13 +297,13 @@ class Prediction:
 
     def part(self, samples: slice | np.ndarray) -> Prediction:
         """Take some of the samples."""
-        names = ("time", "predicted", "measured", "keep", "valid")
+        names = ("time", "predicted", "measured", "friction", "keep", "valid")
         return replace(self, **{name: getattr(self, name)[samples] for name in names})
 
     def of(self, joints: Sequence[str]) -> Prediction:
         """Take some of the joints."""
         chosen = [self.joints.index(joint) for joint in joints]
-        names = ("predicted", "measured", "keep", "valid")
+        names = ("predicted", "measured", "friction", "keep", "valid")
         return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in names})
 
     def __repr__(self) -> str:

@@ -54,9 +54,10 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
         return law.torques(motion, friction_values(result, chi, run, at), effort, states(at, motion))
 
-    predicted, measured = [], []
+    predicted, measured, rubbing = [], [], []
     for part in stream_torques(model, regressor, prepared, decimator, load, friction):
         predicted.append(part.torques.T)
+        rubbing.append(part.friction.T)
         v, v_d, v_dd = part.commands  # eq. (17), each current at its delayed time
         measured.append((gains[:, None] * (v - delays * v_d + delays**2 / 2 * v_dd)).T)
     n = len(gains)
@@ -68,7 +69,14 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     keep, valid = (decimator.near(each & ~resting) for each in (keep, valid))
     if not keep.any():
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
-    arrays = (np.asarray(prepared.time), np.concatenate(predicted), np.concatenate(measured), keep, valid)
+    arrays = (
+        np.asarray(prepared.time),
+        np.concatenate(predicted),
+        np.concatenate(measured),
+        np.concatenate(rubbing),
+        keep,
+        valid,
+    )
     return Prediction(model.actuated, *arrays, decimator.factor)
 
 
