@@ -69,15 +69,9 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     keep, valid = (decimator.near(each & ~resting) for each in (keep, valid))
     if not keep.any():
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
-    arrays = (
-        np.asarray(prepared.time),
-        np.concatenate(predicted),
-        np.concatenate(measured),
-        np.concatenate(rubbing),
-        keep,
-        valid,
-    )
-    return Prediction(model.actuated, *arrays, decimator.factor)
+    made, found, rest = (np.concatenate(each) for each in (predicted, measured, rubbing))
+    time = np.asarray(prepared.time)
+    return Prediction(model.actuated, time, made, found, keep, valid, rest, decimator.factor)
 
 
 def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:
