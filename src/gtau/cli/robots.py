@@ -213,7 +213,7 @@ def tutorial(
             print_json({"files": [str(path) for path in written]})
             return
         typer.echo("\n".join(f"written: {path}" for path in written))
-        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar")
+        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
 
 
 SimulationFile = Annotated[

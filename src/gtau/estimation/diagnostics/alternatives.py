@@ -161,10 +161,11 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
         for (hypothesis, candidates), of_columns in zip(tried, tests, strict=True)
     ]
     for (hypothesis, candidates), mine, kept in zip(tried, columns, _counted_once(alone, columns, linear), strict=True):
-        found += kept
+        together = []
         if candidates.describe is not None and kept:
             windows_of = [replace(each, offered=each.offered[..., mine]) for each in linear]
-            found += _together(fit, hypothesis, candidates.describe, windows_of, known)
+            together = _together(fit, hypothesis, candidates.describe, windows_of, known)
+        found += together or kept  # what they explain together counts once
     return tuple(found)
 
 

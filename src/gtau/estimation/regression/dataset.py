@@ -12,6 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.doubtful_currents import doubtful_currents
+from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
 from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
 from gtau.estimation.regression.motion_limits import within_limits
@@ -65,7 +66,8 @@ class Dataset:
         """What is odd in the robot, and what was repaired or left out of each run."""
         runs = (note.of(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
         of_robot = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
-        return (*of_robot, *doubtful_currents(self.runs, self.robot.base), *runs)
+        heavy = doubtful_payloads(self.robot, (run.payload for run in self.runs))
+        return (*of_robot, *doubtful_currents(self.runs, self.robot.base), *heavy, *runs)
 
     def system(
         self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None

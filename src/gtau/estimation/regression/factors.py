@@ -15,6 +15,7 @@ import numpy as np
 from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS, STRETCHES, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
+from gtau.estimation.regression.stretches import stretch_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
 from gtau.signals.channel import Channel, channels_of_model
@@ -102,7 +103,7 @@ def reduce_run(
         Where the closures refuse a sample.
     """
     regressor, near = idm.columns(columns), singularities(idm)
-    outputs = decimator.outputs(len(prepared))
+    stretches = stretch_of(prepared, decimator.outputs(len(prepared)))
     channels = channels_of_model(idm.robot, prepared.run.sensors)
     c, p = len(channels), len(columns) + EXTRA
     rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
@@ -123,7 +124,7 @@ def reduce_run(
 
     for part in stream_rows(idm, regressor, prepared, decimator, load, fast):
         distances.append(near.distances(part.motion).T)
-        stretch = np.arange(part.outputs.start, part.outputs.stop) * STRETCHES // outputs
+        stretch = stretches[part.outputs]
         A = equations(regressor, channels, part)
         if weigh is not None:
             e = np.einsum("jkp,jp->jk", A, weigh.coefficients)

@@ -28,6 +28,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.regression.stretches import stretch_edges
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.signals.channel import Channel
 from gtau.signals.preparation import PreparedRun
@@ -117,7 +118,10 @@ def temperatures_of(prepared: Sequence[PreparedRun]) -> Temperatures | None:
     joints, runs = prepared[0].run.joints, []
     known = [joint for joint in joints if all(joint in each.of_joint for each in logged)]
     for each, temperature in zip(prepared, logged, strict=True):
-        time = np.linspace(each.time[0], each.time[-1], STRETCHES * INSTANTS)
+        share = np.interp(
+            np.linspace(0, STRETCHES, STRETCHES * INSTANTS), np.arange(STRETCHES + 1), stretch_edges(each)
+        )
+        time = each.time[0] + share * (each.time[-1] - each.time[0])
         means = [temperature.at(joint, time).reshape(STRETCHES, INSTANTS).mean(axis=1) for joint in known]
         runs.append(np.array(means).reshape(len(known), STRETCHES))
     reference = np.mean(np.hstack(runs), axis=1)

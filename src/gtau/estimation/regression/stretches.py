@@ -1,0 +1,34 @@
+"""Stretches of a run, which the jackknife leaves out in turn: of as many samples in motion each."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from gtau.estimation.regression.equations import STRETCHES
+from gtau.signals.preparation import InMemoryRun, PreparedRun
+
+ASLEEP = 1e-6  # weight of a sample in a rest
+REST = 0.5  # of a stretch: shorter rests leave rows in it, and longer ones may leave none
+
+
+def stretch_edges(prepared: PreparedRun | InMemoryRun) -> np.ndarray:
+    """Find where the stretches of a run begin and end, as shares of its samples, (STRETCHES + 1,).
+
+    Equal ones where the robot does not rest for long. Where it does, such blocks would hold all rows in a few of them.
+    """
+    at, awake = prepared.awake()
+    weight = np.ones(len(awake))
+    moving = np.concatenate([[-1], np.flatnonzero(awake), [len(awake)]]).tolist()
+    for before, after in pairwise(moving):
+        if at[after] - at[before + 1] > REST * at[-1] / STRETCHES:
+            weight[before + 1 : after] = ASLEEP
+    along = np.cumsum([0.0, *(np.diff(at) * weight)])
+    return np.asarray(np.interp(np.linspace(0.0, along[-1], STRETCHES + 1), along, at / at[-1]))
+
+
+def stretch_of(prepared: PreparedRun | InMemoryRun, outputs: int) -> np.ndarray:
+    """List the number of the stretch of each of ``outputs`` rows, (outputs,)."""
+    edges = np.round(stretch_edges(prepared)[1:-1] * outputs, 6)
+    return np.asarray(np.searchsorted(edges, np.arange(outputs), side="right"))
