@@ -93,9 +93,7 @@ class FrictionLaw:
 
         def follow(time: np.ndarray, motion: Motion) -> np.ndarray:
             paths = self.ratios[list(rows)] @ motion.c[actuated]
-            found = [
-                element(time, path, motion.yd[row])[0] for element, path, row in zip(elements, paths, rows, strict=True)
-            ]
+            found = [element(time, path)[0] for element, path in zip(elements, paths, strict=True)]
             return np.reshape(found, (len(rows), len(time)))
 
         return follow

@@ -107,9 +107,10 @@ def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
     for k, ((s, _), made) in enumerate(listed):
         for column, factor in made.items():
             M[place[s, column], k] = factor
-    T = np.zeros((M.shape[0] + 1, M.shape[1] + 1))
-    T[:-1, :-1], T[-1, -1] = M, 1.0
-    G = np.einsum("pa,bpq,qc->bac", T, group.G, T, optimize=True)
+    used = np.append(np.flatnonzero(M.any(axis=1)), len(M))  # a few of very many columns
+    T = np.zeros((len(used), M.shape[1] + 1))
+    T[:-1, :-1], T[-1, -1] = M[used[:-1]], 1.0
+    G = T.T @ group.G[:, used[:, None], used] @ T
     whole = G.sum(axis=0)
     size = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
     A, c = whole[:-1, :-1] / size / size[:, None], whole[:-1, -1] / size

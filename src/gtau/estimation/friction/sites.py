@@ -112,7 +112,7 @@ class Columns:
         for site, follow in zip(self._sites, self._followers, strict=True):
             v = motion.yd[site.row]
             load = 0.0 if site.motor is None else effort[site.motor] / site.ratios[site.motor]
-            z = np.vstack([np.sign(v), follow(time, site.ratios @ q, v)])
+            z = np.vstack([np.sign(v), follow(time, site.ratios @ q)])
             found.append(site.columns(v, z, load, self._above(site, time)))
             speeds.append(np.abs(v))
         return np.vstack([*found, speeds])

@@ -45,16 +45,16 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
 class Follower:
     """Elements of some widths along a path that comes in blocks, which may overlap: states go on from one to the next.
 
-    They begin as if the joint had slid in the direction that it has then.
+    They begin at 0: where a joint rests, nothing says which way it came, and one that moves has slipped after its width.
     """
 
     def __init__(self, widths: np.ndarray) -> None:
         self._widths, self._time, self._states = widths, np.zeros(0), np.zeros((len(widths), 0))
 
-    def __call__(self, time: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    def __call__(self, time: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Follow positions (N,) at times (N,), s: states (w, N)."""
         known = int(np.searchsorted(self._time, time[0]))
-        start = self._states[:, known] if known < len(self._time) else np.full(len(self._widths), np.sign(qd[0]))
+        start = self._states[:, known] if known < len(self._time) else np.zeros(len(self._widths))
         self._time, self._states = time, stop(q, self._widths, start)
         return self._states
 

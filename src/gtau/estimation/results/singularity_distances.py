@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 from io import BytesIO
 from pathlib import Path
 
@@ -36,7 +37,7 @@ class NearestPose:
     """
 
     run: str
-    type: int
+    type: Literal[1, 2]
     distance: float
     time: float
     pose: Mapping[str, float]
