@@ -230,6 +230,13 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.NOT_SEPARATED, values={"parameters": ["mx_1", "my_1"]}),
      "these motions cannot separate mx_1, my_1 from the other base parameters: no value is given",
      "add runs that move all joints in other ways"),
+    (Finding(F.MASS_UNSEEN, (), "tip", values={"sums": ["mx - 0.04 m", "my - 0.1445 m"]}),
+     "the mass of payload 'tip' is not identifiable, as only sums with other parameters of it act on the joints: "
+     "mx - 0.04 m, my - 0.1445 m",
+     "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"),
+    (Finding(F.MASS_UNSEEN, (), "tip", values={"sums": []}),
+     "the mass of payload 'tip' is not identifiable, as it acts on no joint: what carries it turns about a fixed point",
+     "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"),
     (Finding(F.FEW_ROWS, values={"rows": 12, "unknowns": 20}),
      "the tests of the model were skipped, as the robot moves too little for them (12 rows in the middle of the runs, "
      "for 20 unknowns): the intervals hold scatter alone",

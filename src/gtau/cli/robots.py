@@ -74,8 +74,8 @@ def robot(
             from gtau.report.robot_figure import robot_figure
 
             save_figure(robot_figure(found), figure)
-        with progress_bar():
-            description = robot_document(found)
+        with progress_bar() as progress:
+            description = robot_document(found, progress)
         if json_:
             print_json(description)
         else:

@@ -59,6 +59,7 @@ class FindingKind(StrEnum):
     AUTOCORRELATED = "autocorrelated residuals"
     IMPOSSIBLE_PARAMETERS = "impossible parameters"
     NOT_SEPARATED = "parameters not separated"
+    MASS_UNSEEN = "payload mass not identifiable"
     FEW_ROWS = "too few rows for tests"
     COMMAND_LAG = "command lag"
     SLIGHT_COMMAND_LAG = "slight command lag"

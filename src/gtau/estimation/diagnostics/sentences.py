@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from math import ceil, floor, log10, sqrt, tau
+from math import ceil, floor, log10
 from typing import Any
 
-from gtau.estimation.diagnostics.cause_sentences import CAUSES, INSTRUMENTS, Sentence, Values, carried
+from gtau.estimation.diagnostics.cause_sentences import CAUSES, Sentence, Values, carried
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, NOTED, NOTES, PRIOR, SCALE
 from gtau.estimation.regression.motion_limits import clock_advice, write_limits
 from gtau.estimation.thresholds.estimates import LOST_GAIN
 from gtau.signals.notes import Kind, Note
 
-LISTED = 3  # parameters that are named
 MOVED = 10.0  # of itself: a gain that moves by more was no estimate
 THOUSAND = 2.0  # a factor between 1000 / 2 and 1000 * 2 is one of a thousand
 WRENCHES = (
@@ -26,7 +26,6 @@ LOADED = (
     "are weak too, check which runs carry the payload, on which body, and gravity"
 )
 MAY_BE_WRENCHES = {F.SWAPPED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
-SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
 SENSOR = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
 
 
@@ -164,31 +163,6 @@ def _wide(why: str, to_do: str = "", more: bool = True) -> Callable[[Values], Se
     return sentence
 
 
-def _ripple(values: Values) -> Sentence:
-    base = bool(values["base"])
-    where = "of the base '{subject}'" if base else "at joint '{joint}'"
-    cause = "a wrench is wrong or missing" if base else "ripple of the motors, cables or springs, which the model lacks"
-    of_gain = " (that of the gain of joint '{moved}' {move:.3g%})" if values["move"] else ""
-    return (
-        f"residuals repeat at the same positions ({{share:.0f%}} of the variance {where}): {cause}. They repeat in "
-        "every run, so the scatter between blocks does not show them; the standard deviations include how far the "
-        f"estimates move when they are modelled{of_gain}",
-        "",
-    )
-
-
-def _command_lag(values: Values) -> Sentence:
-    lag, phase = values["lag"], tau * values["bandwidth"] * values["lag"]
-    size = f"by {1e3 * lag:.2g} ms (standard deviation {1e3 * values['std']:.2g} ms)"
-    size = size if phase < 1 else f"by more than {1e3 * lag / phase:.2g} ms"
-    return (
-        f"the {{kind}}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass of that "
-        f"time constant attenuates them by {100 * (1 - 1 / sqrt(1 + phase**2)):.2g} % at the bandwidth of the motion, "
-        "{bandwidth:.3g} Hz",
-        "log the {kind}s before any filter and with the time stamps of the positions",
-    )
-
-
 def _late(values: Values) -> Sentence:
     way = "late" if values["lag"] > 0 else "early"
     return (
@@ -219,9 +193,6 @@ def _given_scale(values: Values) -> str:
         "gives their scale"
     )
 
-
-PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
-IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
 
 SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.NEGATIVE_MASS: (
@@ -324,69 +295,6 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "all other data give torques {scale:.4g} times its reading (standard deviation {std:.2g})",
         SENSOR,
     ),
-    F.UNLIKE_LEGS: lambda values: (
-        "legs of the same geometry differ, most in {parameter} of leg '{subject}' ("
-        + ("{share:.0f%}" if values["share"] < 10 else "more than 1000 %")
-        + " from the mean of the others)",
-        "check that they are built alike",
-    ),
-    F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
-    F.GAINS_APART: (
-        "the gains of '{joint}' and '{other}' are a factor of {ratio:.2g} apart ({smaller:.3g} and {larger:.3g} "
-        "{unit}), which motors and gears of one robot hardly are",
-        "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not",
-    ),
-    F.POSITION_NOISE: (
-        "position noise biases {count} of {all} estimates by more than their standard deviations: {estimate} by "
-        "{deviations:.1f} of them (instrumental variables, which such noise does not bias, differ by {t:.0f} standard "
-        "deviations of the difference); the intervals include it",
-        INSTRUMENTS,
-    ),
-    F.RIPPLE: _ripple,
-    F.SMALL_REFUTATION: (
-        "{cause} would explain {share:.0f%} of the residual variance and move no gain by more than {move:.2g%}",
-        "{to_do}",
-    ),
-    F.WEAK_INSTRUMENTS: (
-        "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of "
-        "{strength:.2g}, where it needs {needed:.2g}), so that it would differ by its own bias",
-        "let the joints move independently of each other, or use a heavier payload",
-    ),
-    F.UNTESTED: ("{cause} could not be made for comparison: {refusal}", ""),
-    F.AUTOCORRELATED: (
-        "residuals are autocorrelated: standard errors are {factor:.1f} times those of white noise, so the model lacks "
-        "something, such as friction of another kind, ripple of the motors, cables or elasticity",
-        "",
-    ),
-    F.IMPOSSIBLE_PARAMETERS: lambda values: (
-        "physically impossible parameters: "
-        + ", ".join(f"{name} = {value:.3g} {unit}" for name, value, unit in values["parameters"][:LISTED])
-        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
-        IMPOSSIBLE,
-    ),
-    F.NOT_SEPARATED: lambda values: (
-        f"these motions cannot separate {', '.join(values['parameters'])} from the other base parameters: no value is "
-        "given",
-        "add runs that move all joints in other ways",
-    ),
-    F.FEW_ROWS: (
-        "the tests of the model were skipped, as the robot moves too little for them ({rows} rows in the middle of the "
-        "runs, for {unknowns} unknowns): the intervals hold scatter alone",
-        "log longer motions",
-    ),
-    F.COMMAND_LAG: _command_lag,
-    F.SLIGHT_COMMAND_LAG: _command_lag,
+    **NOTED,
     **CAUSES,
 }
-
-NOTES: Mapping[F, Kind] = {
-    F.EFFORT: Kind.LIMITS,
-    F.POSITION_NOISE: Kind.NOISE,
-    F.COMMAND_LAG: Kind.FILTERED,
-    F.SLIGHT_COMMAND_LAG: Kind.READING,
-    F.UNTESTED: Kind.READING,
-    F.GAINS_APART: Kind.UNIT,
-    F.WEAK_INSTRUMENTS: Kind.READING,
-    F.NOT_SEPARATED: Kind.SEPARATION,
-}
-"""Kinds of the notes that are not on the model."""

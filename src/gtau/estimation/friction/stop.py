@@ -45,7 +45,7 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
 class Follower:
     """Elements of some widths along a path that comes in blocks, which may overlap: states go on from one to the next.
 
-    They begin at 0: where a joint rests, nothing says which way it came, and one that moves has slipped after its width.
+    They begin at 0: where a joint rests, nothing says which way it came, and one that moves slips after its width.
     """
 
     def __init__(self, widths: np.ndarray) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 from io import BytesIO
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 

@@ -28,7 +28,7 @@ COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z
 
 
 def _offsets(fit: Fit) -> Candidates | None:
-    """Add a constant to a measured force or moment."""
+    """Add a constant error of a measured force or moment."""
     bodies = [frame.body for frame in fit.dataset.runs[0].wrenches]
     if not bodies:
         return None
