@@ -25,6 +25,7 @@ from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypoth
 from gtau.estimation.diagnostics.linearisation import (
     LinearisedWindow,
     central_windows,
+    in_step,
     known_rows,
     least_squares_step,
     linearise,
@@ -155,7 +156,9 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     ends = np.cumsum([0, *(len(candidates.causes) for _, candidates in tried)])
     columns = [slice(*pair) for pair in pairwise(ends.tolist())]
     shared = [hypothesis.shared for hypothesis, _ in tried]
-    tests = score_tests(lambda: linear, list(zip(columns, shared, strict=True)), known[1])
+    tests = score_tests(
+        lambda: linear, list(zip(columns, shared, strict=True)), in_step(fit.dataset, windows, WINDOWS), known[1]
+    )
     alone = [
         _alternatives(fit, hypothesis, candidates, of_columns)
         for (hypothesis, candidates), of_columns in zip(tried, tests, strict=True)

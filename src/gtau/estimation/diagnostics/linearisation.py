@@ -99,6 +99,16 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
     return [each for each in cut if each]
 
 
+def in_step(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]], pieces: int) -> np.ndarray:
+    """Give numbers to windows, ``pieces`` of a run: the same for those at the same place of a motion that runs repeat, (W,)."""
+    found: list[tuple[int, int]] = []
+    for run, window in windows:
+        place = dataset.places[run]
+        middle = float(window.all.time[len(window) // 2])
+        found.append((place.group, place.part(middle, pieces)) if place.repeated else (-1, len(found)))
+    return np.unique(found, axis=0, return_inverse=True)[1].ravel()
+
+
 def usable_rows(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]]) -> int:
     """Count the decimated rows of all channels in windows that are kept."""
     return sum(

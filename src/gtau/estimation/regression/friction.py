@@ -105,8 +105,8 @@ class Temperatures:
         return np.array([means.get(joint, 0.0) for joint in of.joints])
 
 
-def temperatures_of(prepared: Sequence[PreparedRun]) -> Temperatures | None:
-    """Find the differences in all runs; None where none has a temperature, GtauError where some have."""
+def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
+    """Find the differences in all runs, cut into stretches at the rows ``edges``; None where none has a temperature, GtauError where some have."""
     found = [each.run.temperature for each in prepared]
     logged = [each for each in found if each is not None]
     if not logged:
@@ -116,8 +116,9 @@ def temperatures_of(prepared: Sequence[PreparedRun]) -> Temperatures | None:
         raise GtauError(f"run '{lacking}' has no temperature, but other runs have; log it in all runs, or in none.")
     joints, runs = prepared[0].run.joints, []
     known = [joint for joint in joints if all(joint in each.of_joint for each in logged)]
-    for each, temperature in zip(prepared, logged, strict=True):
-        time = np.linspace(each.time[0], each.time[-1], STRETCHES * INSTANTS)
+    for each, temperature, cut in zip(prepared, logged, edges, strict=True):
+        ends = each.time[0] + (each.time[-1] - each.time[0]) * cut / max(cut[-1], 1)
+        time = np.linspace(ends[:-1], ends[1:], INSTANTS, axis=1).ravel()
         means = [temperature.at(joint, time).reshape(STRETCHES, INSTANTS).mean(axis=1) for joint in known]
         runs.append(np.array(means).reshape(len(known), STRETCHES))
     reference = np.mean(np.hstack(runs), axis=1)
