@@ -11,6 +11,7 @@ import re
 import tokenize
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -98,6 +99,7 @@ def _places(node: ast.AST, prefix: str) -> Iterator[tuple[str, ast.Module | ast.
             yield from _places(child, f"{name}.")
 
 
+@cache
 def collect() -> dict[int, list[str]]:
     """Places that cite each equation: functions and classes; a module only where no function cites it."""
     functions: dict[int, set[str]] = defaultdict(set)

@@ -180,7 +180,7 @@ def run(folder: Path, progress: Progress) -> Study:
     result = identify(experiment, progress=progress)
     weighings = {}
     for case in CASES:
-        (payload,) = weigh(result, folder / "second_payload.yaml", case, progress)
+        (payload,) = weigh(result, folder / "second_payload.yaml", gains=case, progress=progress)
         weighings[case] = payload.parameters["m"]
     described = read_experiment(experiment)
     (unused,) = read_runs(described, described.validation)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from gtau.estimation.estimators.registry import ESTIMATORS
+
 # The tests fill all cores with processes of their own: there BLAS threads only wait for each other (a QR of 4500 x 220
 # takes 2.5 s with two threads on two busy cores and 0.02 s with one). Programs that tests start inherit the variable.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -22,6 +24,13 @@ def shared() -> Path:
     if not data.is_dir():
         pytest.skip("../shared/data is not beside the checkout")
     return data
+
+
+@pytest.fixture
+def two_estimators(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``gtau compare`` with two estimators, where a test is about its page or its input."""
+    few = {name: ESTIMATORS[name] for name in ("ml", "wls")}
+    monkeypatch.setattr("gtau.estimation.compare.ESTIMATORS", few)
 
 
 @pytest.fixture

@@ -11,39 +11,68 @@ if TYPE_CHECKING:
     from typing import Any
 
     from gtau.errors import GtauError
-    from gtau.estimation.compare import compare
+    from gtau.estimation.check_logs import ExperimentCheck
+    from gtau.estimation.check_logs import check_logs as check
+    from gtau.estimation.compare import EstimatorComparison, compare
     from gtau.estimation.identify import identify
-    from gtau.estimation.results.estimate import Estimate
+    from gtau.estimation.results.estimate import Estimate, PayloadEstimate, Prediction, TorqueError
     from gtau.estimation.results.result import Result
     from gtau.estimation.weigh import weigh
+    from gtau.excitation.design import Design
     from gtau.excitation.design import design as excite
     from gtau.excitation.design_file import read_design
+    from gtau.excitation.task import DesignProblem
+    from gtau.export.exported import Exported
     from gtau.export.registry import export_model
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
+    from gtau.robots.readers.source import RobotSource
     from gtau.robots.robot import Robot
-    from gtau.signals.experiment import Prior
+    from gtau.signals.columns import Signals, Units
+    from gtau.signals.experiment import Experiment, Prior, read_experiment
+    from gtau.signals.payload import Payload
     from gtau.signals.run import Run, read_run
+    from gtau.signals.samples import Part
+    from gtau.signals.settings import PreparationSettings
     from gtau.simulation.experiment_files import simulate_experiment as simulate
+    from gtau.simulation.simulation_file import Simulation
 
 __version__ = "0.1.0"
 __all__ = [
     "BaseParameters",
+    "Design",
+    "DesignProblem",
     "Estimate",
+    "EstimatorComparison",
+    "Experiment",
+    "ExperimentCheck",
+    "Exported",
     "GtauError",
     "InverseDynamics",
+    "Part",
+    "Payload",
+    "PayloadEstimate",
+    "Prediction",
+    "PreparationSettings",
     "Prior",
     "Result",
     "Robot",
+    "RobotSource",
     "Run",
+    "Signals",
+    "Simulation",
+    "TorqueError",
+    "Units",
     "base_parameters",
+    "check",
     "compare",
     "excite",
     "export_model",
     "identify",
     "load_robot",
     "read_design",
+    "read_experiment",
     "read_run",
     "simulate",
     "weigh",
@@ -51,25 +80,47 @@ __all__ = [
 
 _HOMES = {
     "BaseParameters": "model.base_parameters",
+    "Design": "excitation.design",
+    "DesignProblem": "excitation.task",
     "Estimate": "estimation.results.estimate",
+    "EstimatorComparison": "estimation.compare",
+    "Experiment": "signals.experiment",
+    "ExperimentCheck": "estimation.check_logs",
+    "Exported": "export.exported",
     "GtauError": "errors",
     "InverseDynamics": "model.inverse_dynamics",
+    "Part": "signals.samples",
+    "Payload": "signals.payload",
+    "PayloadEstimate": "estimation.results.estimate",
+    "Prediction": "estimation.results.estimate",
+    "PreparationSettings": "signals.settings",
     "Prior": "signals.experiment",
     "Result": "estimation.results.result",
     "Robot": "robots.robot",
+    "RobotSource": "robots.readers.source",
     "Run": "signals.run",
+    "Signals": "signals.columns",
+    "Simulation": "simulation.simulation_file",
+    "TorqueError": "estimation.results.estimate",
+    "Units": "signals.columns",
     "base_parameters": "model.base_parameters",
+    "check": "estimation.check_logs",
     "compare": "estimation.compare",
     "excite": "excitation.design",
     "export_model": "export.registry",
     "identify": "estimation.identify",
     "load_robot": "model.home",
     "read_design": "excitation.design_file",
+    "read_experiment": "signals.experiment",
     "read_run": "signals.run",
     "simulate": "simulation.experiment_files",
     "weigh": "estimation.weigh",
 }
-_NAMES_AT_HOME = {"excite": "design", "simulate": "simulate_experiment"}  # the others are called the same there
+_NAMES_AT_HOME = {
+    "check": "check_logs",
+    "excite": "design",
+    "simulate": "simulate_experiment",
+}  # the others are called the same there
 
 
 display.register(lambda: import_module("gtau.report.notebook"))

@@ -82,7 +82,7 @@ def test_orthoglide_validation(orthoglide: Result, folder: Path) -> None:
 
 @pytest.mark.parametrize(("gains", "mass", "off"), [("identified", 1.136, 0.005), ("prior", 1.09, 0.01)])
 def test_the_second_payload(orthoglide: Result, folder: Path, gains: str, mass: float, off: float) -> None:
-    (second,) = weigh(orthoglide, folder / "weighing.yaml", gains)
+    (second,) = weigh(orthoglide, folder / "weighing.yaml", gains=gains)
     estimate = second.parameters["m"]
     assert (second.name, second.run) == ("second", "second_payload_1136g")
     assert estimate.value == pytest.approx(mass, abs=off)

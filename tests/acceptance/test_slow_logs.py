@@ -46,9 +46,11 @@ def logs(rate: float, slowest: float, seconds: float, noise: float) -> list[Run]
 @pytest.mark.parametrize(
     ("rate", "slowest", "seconds", "noise"),
     [
-        (80.0, 0.3, 75.0, 1e-3),  # once "did not settle", as steps cannot be smaller than rounding
-        (30.0, 0.2, 100.0, 1e-3),
-        (50.0, 0.3, 120.0, 1e-2),
+        pytest.param(
+            80.0, 0.3, 75.0, 1e-3, marks=pytest.mark.slow
+        ),  # once "did not settle", as steps cannot be smaller than rounding
+        pytest.param(30.0, 0.2, 100.0, 1e-3, marks=pytest.mark.slow),
+        pytest.param(50.0, 0.3, 120.0, 1e-2, marks=pytest.mark.slow),
         (40.0, 0.3, 120.0, 1e-2),  # once contradictory, by delays that a joint's own equations do not tell
         (80.0, 0.3, 75.0, 1e-2),  # once not identifiable, as the rest of one stretch had no curvature in a delay
     ],

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 LIMIT = 10.0  # s to end, on a busy machine; on an idle one less than one
 SLOW = "import gtau.fleet.fleet, process_functions; gtau.fleet.fleet._identify_member = process_functions.slow_member"
+RARER = [("SIGINT", False), ("SIGTERM", True), ("SIGHUP", False), ("SIGHUP", True), ("SIGKILL", True)]
 FINISHED = "gtau: interrupted; finished robots stay in out/models, and the same command continues with the others.\n"
 
 
@@ -42,8 +43,13 @@ def working_fleet(folder: Path, *options: str) -> Iterator[tuple[subprocess.Pope
                 each.kill()
 
 
-@pytest.mark.parametrize("whole_group", [False, True], ids=["alone", "group"])
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
+@pytest.mark.parametrize(
+    ("name", "whole_group"),
+    [
+        *[("SIGINT", True), ("SIGTERM", False), ("SIGKILL", False)],
+        *[pytest.param(*each, marks=pytest.mark.slow) for each in RARER],
+    ],
+)
 def test_workers_end_with_the_program(tmp_path: Path, name: str, whole_group: bool) -> None:
     """A supervisor or a terminal that closes signals the whole group, ``kill`` the program alone."""
     number = signal.Signals[name]
@@ -72,7 +78,7 @@ def test_dask_workers_end_with_the_program(tmp_path: Path, name: str) -> None:
     assert killed or stderr.startswith("gtau: interrupted; ")
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
 def test_a_search_ends_without_a_word_of_its_solver(tmp_path: Path, name: str) -> None:
     """IPOPT reports an exception of its callbacks and goes on with the search."""
     (tmp_path / "design.yaml").write_text(DESIGN)

@@ -186,6 +186,7 @@ def five_bar(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("two_estimators")
 def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(five_bar)
     model = json.loads(run("identify", "experiment.yaml", "--out", "result", "--consistent", "--json"))

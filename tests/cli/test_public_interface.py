@@ -94,7 +94,7 @@ def test_legs_that_are_not_built_alike_get_one_note(result: gtau.Result) -> None
 
 def test_the_price_of_the_reduction(result: gtau.Result) -> None:
     text = replace(result, statistics={**result.statistics, "reduction_loss": 1.25}).summary()
-    assert "raises the torque error of the worst joint by 1.2 %." in " ".join(text.split())
+    assert "raises the torque residual of the worst joint by 1.2 %." in " ".join(text.split())
 
 
 def test_a_comparison_is_data() -> None:

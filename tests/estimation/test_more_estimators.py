@@ -220,6 +220,7 @@ def test_compare(tmp_path: Path) -> None:
     assert {row[0] for row in shown.rows if row[1] == "given"} == {"ols", "wls"}
 
 
+@pytest.mark.usefixtures("two_estimators")
 def test_compared_gains_are_as_uncertain_as_the_mass_behind_them(tmp_path: Path) -> None:
     plant = Plant(noise=0.02)
     for name, payload, seed in (("free", None, 1), ("loaded", STEEL, 2), ("check", STEEL, 3)):

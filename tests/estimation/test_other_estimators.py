@@ -24,7 +24,7 @@ from gtau.estimation.diagnostics.other_estimators import (
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
-from gtau.estimation.estimators.two_stage import instrument_strength
+from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
@@ -46,11 +46,11 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-def logs(encoder_noise: float = 0.0, seconds: float = 8.0, noise: float = 0.01) -> list[Run]:
+def logs(encoder_noise: float = 0.0, seconds: float = 8.0, noise: float = 0.01, seed: int = 1) -> list[Run]:
     plant, rng = Plant(noise=noise), np.random.default_rng(5)
     runs = [
-        plant.run("free", seconds, seed=1),
-        replace(plant.run("loaded", seconds, STEEL, seed=2), payload=Payload(name="steel", mass=STEEL["m"])),
+        plant.run("free", seconds, seed=seed),
+        replace(plant.run("loaded", seconds, STEEL, seed=seed + 1), payload=Payload(name="steel", mass=STEEL["m"])),
     ]
     return [replace(run, position=run.position + encoder_noise * rng.normal(size=run.position.shape)) for run in runs]
 
@@ -136,12 +136,31 @@ def test_instruments_are_as_strong_as_the_currents_are_clear_of_noise() -> None:
     strengths = []
     for noise in (0.03, 0.3, 30.0):
         fit = fit_of(logs(noise=noise))
-        strengths.append(instrument_strength(fit.system.problem, fit.solution))
+        strengths.append(first_stage(fit.system.problem, fit.solution, 1.0).strength)
     assert strengths[0] / strengths[1] == pytest.approx(100, rel=0.3)
     assert strengths[2] < 3
     found = two_stage_difference(fit)
     assert isinstance(found, Finding)
     assert found.kind == F.WEAK_INSTRUMENTS
+
+
+def test_the_bias_that_weak_instruments_leave_counts_in_the_comparison() -> None:
+    """Its mean over ten logs so noisy that F is about two, and what 2SLS finds otherwise there."""
+    bias, found = [], []
+    for k in range(10):
+        fit = fit_of(logs(noise=1.0, seed=100 + 2 * k))
+        problem, solution = fit.system.problem, fit.solution
+        bias.append(first_stage(problem, solution, 1.0).bias)
+        found.append((two_stage(problem, solution.delays).gains - fit.gains) / GAINS)
+    mean, std = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(10)
+    assert np.all(mean < -4 * std)
+    share = np.mean(bias, axis=0) / mean
+    assert share.min() > 0.4
+    assert share.max() < 1.5
+    fit = fit_of(logs(noise=0.3))
+    difference, bias_now = two_stage_difference(fit), first_stage(fit.system.problem, fit.solution, 1.0).bias
+    assert isinstance(difference, Difference)
+    assert np.all(difference.std[fit.system.problem.gain_rows] > np.abs(bias_now * fit.gains))
 
 
 def test_one_chirp_of_all_joints_is_no_contradiction_of_2sls(shared: Path, tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def model(folder: Path) -> Result:
 
 def weighed(model: Result, folder: Path, runs: str, gains: str) -> PayloadEstimate:
     (folder / "weighing.yaml").write_text(runs)
-    (found,) = weigh(model, folder / "weighing.yaml", gains)
+    (found,) = weigh(model, folder / "weighing.yaml", gains=gains)
     return found
 
 

@@ -252,7 +252,9 @@ def test_refusals(clean: list[Run]) -> None:
 # An independent plant
 
 
-@pytest.mark.parametrize(("method", "decimation"), [("iv", None), ("didim", None), ("didim", 4)])
+@pytest.mark.parametrize(
+    ("method", "decimation"), [("iv", None), pytest.param("didim", None, marks=pytest.mark.slow), ("didim", 4)]
+)
 def test_gains_of_the_orthoglide_logs(method: str, decimation: int | None, shared: Path, tmp_path: Path) -> None:
     """Rows that hold more than four bandwidths of the motion need a reference that does."""
     folder = shared / "orthoglide_sim"

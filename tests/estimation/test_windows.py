@@ -66,7 +66,7 @@ def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
     assert rows > FEWEST_FOR_TESTS * said.values["unknowns"]
 
 
-@pytest.mark.parametrize("robot", ["arm_idle", "five_bar_idle"])
+@pytest.mark.parametrize("robot", ["arm_idle", pytest.param("five_bar_idle", marks=pytest.mark.slow)])
 def test_gains_of_robots_that_rest_are_good_and_right(shared: Path, robot: str) -> None:
     folder = shared / "idle_and_bursts" / robot
     result, truth = identify(folder / "experiment.yaml"), json.loads((folder / "truth.json").read_text())["gains"]

@@ -18,9 +18,10 @@ from models_to_export import model_of
 from robots_for_tests import tree
 
 import gtau
+from gtau.documents.csv import in_csv
 from gtau.estimation.results.result import Result
 from gtau.export.latex import TEXT_WIDTH, symbol, width
-from gtau.export.names import identifier, in_csv, in_latex, in_latex_index, suffixes
+from gtau.export.names import identifier, in_latex, in_latex_index, suffixes
 from gtau.export.parameter_orders import ORDERS, from_order, to_order
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
@@ -106,10 +107,13 @@ def test_latex_of_long_names_fits_the_page(tmp_path: Path) -> None:
 
 
 def test_a_spreadsheet_computes_no_name() -> None:
-    table = pl.DataFrame({"name": ["=1+1", "+a", "-b", "@c", "d=e"], "value": [-1.5, 2.0, -3.0, 0.0, 1.0]})
+    table = pl.DataFrame({"name": ["=1+1", "+a", "-b", "@c", "\t=d", "d=e"], "value": [-1.5, 2.0, -3.0, 0.0, 1.0, 2.0]})
     back = pl.read_csv(in_csv(table).encode())
-    assert back["name"].to_list() == ["'=1+1", "'+a", "'-b", "'@c", "d=e"]
+    assert back["name"].to_list() == ["'=1+1", "'+a", "'-b", "'@c", "'\t=d", "d=e"]
     assert back["value"].to_list() == table["value"].to_list()
+    source = Path(gtau.__file__).parent
+    writing = [path.relative_to(source) for path in source.rglob("*.py") if ".write_csv(" in path.read_text()]
+    assert writing == [Path("documents/csv.py")], "every CSV is made by in_csv"
 
 
 def test_names_alike_are_different_identifiers() -> None:

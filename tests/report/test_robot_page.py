@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from gtau.report.render.terminal import plain
 from gtau.report.robot import robot_document as describe
 from gtau.report.robot import robot_page
 from gtau.report.robot_figure import robot_figure
+from gtau.robots.floating import float_base
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
@@ -79,6 +81,27 @@ def test_a_tool_that_nobody_named_is_said() -> None:
     # two fingers, of which only one can carry it
     hand = Robot("hand", tuple(Joint(name, "ground", "prismatic") for name in ("left", "right")))
     assert len(tool_note(hand)) == 1
+
+
+def branched(*chains: str, floating: str = "") -> Robot:
+    """Joints by the chains in which they stand, such as ``a b c``, which begin on the ground."""
+    carriers = {joint: before for chain in chains for before, joint in pairwise(["ground", *chain.split()])}
+    robot = Robot("branched", tuple(Joint(joint, before, "revolute") for joint, before in carriers.items()))
+    return float_base(robot, floating) if floating else robot
+
+
+def test_a_payload_is_on_what_carries_the_fingers() -> None:
+    fingers = [f"1 2 3 4 5 6 f{k}a f{k}b" for k in range(3)]
+    hand = branched(*fingers, "1 2 3 4 5 6 thumb")
+    assert branched("1 2 3 4 5 6 thumb", *fingers).tool == "6"
+    assert hand.tool == "6"
+    assert "on '6', which carries the fingers" in tool_note(hand)[0]
+    assert replace(hand, named_tool="thumb").tool == "thumb"
+    assert branched("1 2 3 4 5 6 f", "1 2 3 4 5 6 g").tool == "6"
+    # not fingers: a rod beside a wrist, the arms of a torso, the legs of a dog
+    assert branched("1 2 rod", "1 2 3 4 5").tool == "5"
+    assert branched("waist l1 l2 l3", "waist r1 r2 r3").tool == "r3"
+    assert branched(*(f"h{k} t{k} s{k}" for k in range(4)), floating="trunk").tool == "s3"
 
 
 @pytest.mark.parametrize("name", catalog_names())

@@ -163,6 +163,16 @@ def test_joint_types_of_the_side_file(tmp_path: Path) -> None:
     assert gap(found) < CLOSED
 
 
+@pytest.mark.parametrize("axes", ["XY", "YZ", "ZX"])
+def test_universal_joints_of_the_side_file(axes: str, tmp_path: Path) -> None:
+    """About two axes of the joint's frame in turn, as Pinocchio's loader of these files has them."""
+    loops = LOOPS + f"joint_name: [right_2]\njoint_type: [UJOINT_{axes}]\n"
+    found = load_robot(written(tmp_path, loops=loops))
+    first, second = (found.joint(name) for name in (f"right_2_{axes[0].lower()}", "right_2"))
+    assert [each.axis.index(1.0) for each in (first, second)] == ["XYZ".index(axis) for axis in axes]
+    assert (first.parameters, first.actuated, second.antecedent) == ("none", False, first.name)
+
+
 def test_a_robot_file_beside_a_urdf_is_no_loops_file(tmp_path: Path) -> None:
     (tmp_path / "robot.urdf").write_text(URDF)
     write_native(load_robot("ur10e"), tmp_path / "robot.yaml")

@@ -65,7 +65,7 @@ def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
     assert found.drive_gains["arm"].value == pytest.approx(2.1, rel=0.01)
     (note,) = (note for note in found.notes if "data sheet" in str(note))
     assert str(note).startswith("gain of 'arm': 2.")
-    assert "2 +- 0.2 N m/A is by the data sheet" in str(note)
+    assert "2 N m/A is by the data sheet (standard deviation 0.2;" in str(note)
     assert str(note) in " ".join(found.summary(verbose=False).split())
 
 

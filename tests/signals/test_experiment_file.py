@@ -114,6 +114,19 @@ BAD = [
     ("parameter fv", "mass: 1.983", "parameters: {fv: 2}", "a payload has no parameter 'fv'; choose from xx xy"),
     ("same name, other mass", "1.983}}\nval", "1.9}}\nval", "the payload 'steel' is described differently in two runs"),
     ("nothing after a key", "log: free.csv", "log: ", "nothing is written after 'log'"),
+    (
+        "require a share",
+        "runs:",
+        "require: {torque_error: 5}\nruns:",
+        "require.torque_error: write per cent, such as '5 %'",
+    ),
+    ("require nothing", "runs:", "require: {torque_error: 0 %}\nruns:", "write a number above 0"),
+    (
+        "require of torques",
+        GOOD[GOOD.index("current") : GOOD.index("runs")],
+        "torque: {11: v1, 12: v2}}\nrequire: {gain_interval: 3 %}\n",
+        "which have no drive gains; remove 'gain_interval'",
+    ),
     ("a tag", "time: t", "time: !!python/name:os.system t", "the tag"),
     ("a torn bracket", "{log: free.csv}", "{log: free.csv", "this is not valid YAML"),
 ]

@@ -84,7 +84,8 @@ def identify(
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
-    The exit code is 3 if any verdict is contradictory, or every drive gain is not identifiable.
+    The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, or the result misses what
+    EXPERIMENT.yaml requires of it.
     """
     with refusals(json_):
         refuse_as_folder(out)
@@ -118,7 +119,7 @@ def identify(
             from gtau.report.identification import full_page, summary_page
 
             show(full_page(result) if verbose else summary_page(result), written)
-        if not result.believable:
+        if not result.accepted:
             raise typer.Exit(3)  # so that a script does not go on with such a model
 
 
@@ -210,7 +211,7 @@ def payload(
             from gtau.signals.experiment import read_experiment
 
             result = Result.load(model)
-            found = weigh(result, experiment, gains.value, progress)
+            found = weigh(result, experiment, gains=gains.value, progress=progress)
         written = []
         if out is not None:
             described = read_experiment(experiment)

@@ -167,7 +167,7 @@ def check(
             from gtau.report.check import check_document, check_page, write_check, write_preparation
             from gtau.report.write import inputs_of, write_report
 
-            checked = check_logs(experiment, progress, method)
+            checked = check_logs(experiment, method=method, progress=progress)
         page, written = check_page(checked), list[Path]()
         if out is not None:
             written = [write_report(page, folder_of(out), perf_counter() - start, inputs_of(experiment))]

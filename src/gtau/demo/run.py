@@ -83,7 +83,7 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     result.save(out / "model.json")
     weighings = {}
     for case in CASES:
-        (payload,) = weigh(result, out / "second_payload.yaml", case, progress)
+        (payload,) = weigh(result, out / "second_payload.yaml", gains=case, progress=progress)
         weighings[case] = payload.parameters["m"]
     files = [name for name in CONTENT if not name.endswith(("/", ".png"))]
     save(gains_chart(result.drive_gains), folder_of(out / "figures") / "gains.png")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -25,6 +25,10 @@ class Keys(BaseModel):
     """A group of a file: a key that it does not know is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """List what is written, and leave out what has its default."""
+        yield from ((name, getattr(self, name)) for name in type(self).model_fields if name in self.model_fields_set)
 
 
 def validate(model_class: type[Model], document: Document, context: Any = None) -> Model:

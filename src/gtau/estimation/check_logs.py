@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from gtau import display
+from gtau.documents.arguments import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.registry import estimator_of
-from gtau.estimation.experiment_runs import geometry_of, read_runs
+from gtau.estimation.experiment_runs import describe, geometry_of, read_runs
 from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
@@ -26,7 +27,6 @@ from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.remarks import near_singularities, not_separated
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
-from gtau.model.home import load_robot
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singularities
@@ -34,7 +34,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.bandwidth import JointSpectrum, spectra
 from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import Experiment, check_robot, read_experiment
+from gtau.signals.experiment import Experiment, Prior
 from gtau.signals.logged_run import LoggedRun
 from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation import Preparation, PreparedRun
@@ -92,6 +92,9 @@ class LogCheck:
     preparation: Preparation
     spectra: tuple[JointSpectrum, ...]
 
+    def __repr__(self) -> str:
+        return f"LogCheck({self.run.name!r}, {self.rows} rows a joint)"
+
 
 @dataclass(frozen=True, eq=False)
 class ExperimentCheck:
@@ -107,6 +110,10 @@ class ExperimentCheck:
     notes: tuple[Note, ...]
     geometry: GeometryTest | None = None
 
+    def __repr__(self) -> str:
+        found = f"logs: {len(self.logs)}, notes: {len(self.notes)}, worst: {self.worst.value}"
+        return f"ExperimentCheck({self.robot.name!r}, {found})"
+
     @property
     def worst(self) -> Grade:
         """Grade of the worst finding."""
@@ -117,12 +124,20 @@ class ExperimentCheck:
         return html
 
 
+@takes(method=TEXT, progress=FUNCTION)
 @single_threaded_blas()
-def check_logs(path: str | Path, progress: Progress = silent, method: str | None = None) -> ExperimentCheck:
-    """Find everything in the logs of an experiment file that an identification would refuse, suffer from or mention.
+def check_logs(
+    source: str | Path | Experiment | Robot,
+    runs: Sequence[Run] | None = None,
+    method: str | None = None,
+    prior_gains: Mapping[str, float] | None = None,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+    progress: Progress = silent,
+) -> ExperimentCheck:
+    """Find everything in the logs of an experiment that an identification would refuse, suffer from or mention.
 
-    A log that cannot be used does not keep the others from being checked. ``method`` is the estimator of the
-    identification; its default if left out.
+    It takes what :func:`gtau.identify` takes. A log that cannot be used does not keep the others from being checked.
+    ``method`` is the estimator of the identification; its default if left out.
 
     Raises
     ------
@@ -131,19 +146,20 @@ def check_logs(path: str | Path, progress: Progress = silent, method: str | None
     """
     if method is not None:
         estimator_of(method)  # before logs are read
-    experiment = read_experiment(path)
-    robot = load_robot(experiment.robot)
-    check_robot(experiment, robot)
-    model, of_robot = model_of(robot), robot_notes(robot, loaded=any(run.payload for run in experiment.runs))
-    listed, count = (*experiment.runs, *experiment.validation), len(experiment.runs)
-    kinds = [Kind.REFUSED] * count + [Kind.VALIDATION] * len(experiment.validation)
+    subject = describe(source, runs, prior_gains, priors)
+    robot, experiment = subject.robot, subject.experiment
+    listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
+    count = len(listed)
+    model, of_robot = model_of(robot), robot_notes(robot, loaded=any(run.payload for run in listed))
+    listed = (*listed, *(experiment.validation if experiment else ()))
+    kinds = [Kind.REFUSED] * count + [Kind.VALIDATION] * (len(listed) - count)
     read, notes = _read(experiment, listed, kinds, model, progress)
     used = [run for run in read[:count] if run is not None]
     if not used:
         return ExperimentCheck(robot, None, (), (*of_robot, *notes))
     estimator, gains = choose_estimator(method, used), None
     try:
-        gains = require_inputs(estimator, robot, used, experiment.expected_gains, experiment.priors)
+        gains = require_inputs(estimator, robot, used, subject.prior_gains, subject.stated)
     except GtauError as error:
         notes.append(refusal(error))
     notes += doubtful_currents(used, robot.base)
@@ -166,8 +182,9 @@ def check_logs(path: str | Path, progress: Progress = silent, method: str | None
     progress("checking logs", len(read), len(read))
     geometry = None
     try:
-        readable = [each for each, run in zip(experiment.runs, read[:count], strict=True) if run is not None]
-        geometry = geometry_of(experiment, readable, model, progress)
+        if experiment is not None:
+            readable = [each for each, run in zip(experiment.runs, read, strict=False) if run is not None]
+            geometry = geometry_of(experiment, readable, model, progress)
         notes += [geometry.note] if geometry else []
     except GtauError as error:
         notes.append(refusal(error, Kind.REFUSED))
@@ -178,20 +195,20 @@ def check_logs(path: str | Path, progress: Progress = silent, method: str | None
             [each.run for each in prepared_runs],
             preparation,
             progress=progress,
-            priors=usable(estimator, experiment.expected_parameters),
+            priors=usable(estimator, subject.priors),
         )
         notes += _together(dataset, estimator, gains)
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)
 
 
 def _read(
-    experiment: Experiment,
-    listed: Sequence[LoggedRun],
+    experiment: Experiment | None,
+    listed: Sequence[LoggedRun | Run],
     kinds: Sequence[Kind],
     model: InverseDynamics,
     progress: Progress,
 ) -> tuple[list[Run | None], list[Note]]:
-    """Read the runs, None for those that cannot be used, and note why."""
+    """Read the runs that are not there yet, None for those that cannot be used, and note why."""
     runs: list[Run | None] = []
     notes = []
     for k, each in enumerate(listed):
@@ -200,13 +217,17 @@ def _read(
             progress(what, k * total + done, len(listed) * total)
 
         try:
-            (run,) = read_runs(experiment, [each], advance)
+            if isinstance(each, Run):
+                run = each
+            else:
+                assert experiment is not None  # whose entry it is
+                (run,) = read_runs(experiment, [each], advance)
             run = arrange(run, model.actuated)
             moving_spectra(run)
             runs.append(run)
         except GtauError as error:
             runs.append(None)
-            notes.append(refusal(error, kinds[k], logs=each.log))
+            notes.append(refusal(error, kinds[k], logs=() if isinstance(each, Run) else each.log))
     return runs, notes
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau import display
+from gtau.documents.arguments import FUNCTION, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
@@ -88,6 +89,7 @@ class EstimatorComparison:
         return html
 
 
+@takes(progress=FUNCTION)
 def compare(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from gtau.documents.arguments import MAPPING, NUMBER, expect
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.results.identified_model import IdentifiedModel
@@ -18,6 +20,8 @@ from gtau.signals.experiment import Experiment, Prior, as_priors, check_robot, r
 from gtau.signals.logged_run import LoggedRun
 from gtau.signals.run import Run, read_run
 from gtau.signals.side_signals import read_poses
+
+OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +53,30 @@ def subject_of(
     GtauError
         Where a file is wrong, or a robot has no runs, an experiment other ones, or something is of another type.
     """
+    found = describe(source, runs, prior_gains, priors)
+    if found.experiment is None:
+        return found
+    return replace(found, runs=read_runs(found.experiment, found.experiment.runs, progress))
+
+
+def describe(
+    source: str | Path | Experiment | Robot,
+    runs: Sequence[Run] | None = None,
+    prior_gains: Mapping[str, float] | None = None,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+) -> Subject:
+    """Do as :func:`subject_of`, but leave the logs of an experiment unread."""
     given = None if priors is None else as_priors(priors)
+    gains = None if prior_gains is None else _as_gains(prior_gains)
     if isinstance(source, Robot):
+        if runs is not None and (isinstance(runs, Run) or not isinstance(runs, Iterable)):
+            raise GtauError(OF_RUNS)
+        runs = () if runs is None else tuple(runs)
         if not runs:
             raise GtauError("a robot alone cannot be identified; give its runs too.")
-        if isinstance(runs, Run) or not all(isinstance(run, Run) for run in runs):
-            raise GtauError("the runs of a robot are a list of runs; read each log with gtau.read_run.")
-        return Subject(source, runs, prior_gains or {}, given or {}, given or {})
+        if not all(isinstance(run, Run) for run in runs):
+            raise GtauError(OF_RUNS)
+        return Subject(source, runs, gains or {}, given or {}, given or {})
     if runs is not None:
         raise GtauError(
             "runs are given beside an experiment file, which lists its own; give a robot with runs, or the file alone."
@@ -70,12 +91,21 @@ def subject_of(
     check_robot(experiment, robot)
     return Subject(
         robot,
-        read_runs(experiment, experiment.runs, progress),
-        experiment.expected_gains if prior_gains is None else prior_gains,
+        (),
+        experiment.expected_gains if gains is None else gains,
         experiment.expected_parameters if given is None else given,
         experiment.priors if given is None else given,
         experiment,
     )
+
+
+def _as_gains(gains: Mapping[str, float]) -> dict[str, float]:
+    expect("'prior_gains'", gains, MAPPING)
+    for joint, gain in gains.items():
+        expect(f"the prior gain of joint '{joint}'", gain, NUMBER)
+        if not isfinite(gain) or gain == 0:
+            raise GtauError(f"the prior gain of joint '{joint}' is {gain:g}; give its N m/A (or N/A).")
+    return {str(joint): float(gain) for joint, gain in gains.items()}
 
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
@@ -114,17 +144,21 @@ def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:
     GtauError
         Where the file is wrong, or its robot or signals are not those of the model.
     """
-    experiment = read_experiment(path)
-    robot = load_robot(experiment.robot)
-    check_robot(experiment, robot)
+    found = describe(path)
+    assert found.experiment is not None
+    require_same(model, found.robot, found.experiment.signals.kind, str(path))
+    return found.experiment
+
+
+def require_same(model: IdentifiedModel, robot: Robot, kind: str, where: str) -> None:
+    """Check that a robot and the kind of its logs are those of an identified model; raises GtauError."""
     if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
         raise GtauError(
-            f"{path} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
+            f"{where} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
             "another geometry; give the model of this robot."
         )
-    if experiment.signals.kind != model.kind:
+    if kind != model.kind:
         raise GtauError(
-            f"the logs of {path} hold {experiment.signals.kind}s, but the model was identified from {model.kind}s; "
+            f"the logs of {where} hold {kind}s, but the model was identified from {model.kind}s; "
             "give logs of the same kind."
         )
-    return experiment

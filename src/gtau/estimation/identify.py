@@ -7,17 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
-from gtau.estimation.experiment_runs import geometry_of, subject_of
+from gtau.estimation.experiment_runs import geometry_of, read_runs, subject_of
 from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.estimation.results.requirement import judge
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.interpreter.threads import single_threaded_blas
@@ -30,6 +32,7 @@ from gtau.signals.notes import Note
 from gtau.signals.run import Run
 
 
+@takes(method=TEXT, ratio=NUMBER, as_paper=TRUTH, consistent=TRUTH, accuracy=NUMBER, progress=FUNCTION)
 def identify(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
@@ -89,6 +92,10 @@ def identify(
     options = AS_PAPER if as_paper else DEFAULT
     if method is not None:
         estimator_of(method)  # before logs are read
+    if not 0 < accuracy <= 0.5:
+        raise GtauError(f"an accuracy of {accuracy:g} cannot be asked for; write 0.03 for 3 %.")
+    if ratio is not None and not ratio >= 1:
+        raise GtauError(f"a ratio of {ratio:g} cannot be asked for; write one of the paper's, 10 to 30.")
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
     subject = subject_of(source, runs, prior_gains, priors, progress)
     robot, experiment, known = subject.robot, subject.experiment, subject.priors
@@ -114,7 +121,15 @@ def identify(
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
         notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
-        return replace(result, geometry=geometry, notes=notes)
+        return _judged(replace(result, geometry=geometry, notes=notes), experiment, progress)
+
+
+def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:
+    """Compare a result with what its experiment requires."""
+    if experiment is None:
+        return result
+    tested = experiment.validation if experiment.require.torque_error is not None else ()
+    return replace(result, requirements=judge(result, experiment.require, read_runs(experiment, tested, progress)))
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:

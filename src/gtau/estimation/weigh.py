@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from gtau.documents.arguments import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.least_squares import wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.experiment_runs import experiment_of, read_runs
+from gtau.estimation.experiment_runs import require_same, subject_of
 from gtau.estimation.gate import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
@@ -22,14 +24,19 @@ from gtau.estimation.results.result import Result
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
-from gtau.signals.run import without_sensors
+from gtau.robots.robot import Robot
+from gtau.signals.experiment import Experiment
+from gtau.signals.run import Run, without_sensors
 
 
+@takes(model=("the result of gtau.identify or gtau.Result.load", (Result,)), gains=TEXT, progress=FUNCTION)
 @single_threaded_blas()
 def weigh(
     model: Result,
-    experiment: str | Path,
+    source: str | Path | Experiment | Robot,
+    runs: Sequence[Run] | None = None,
     gains: str = "identified",
+    prior_gains: Mapping[str, float] | None = None,
     progress: Progress = silent,
 ) -> tuple[PayloadEstimate, ...]:
     """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its runs without payload.
@@ -41,10 +48,17 @@ def weigh(
     ----------
     model : Result
         Identified model: its gains, their uncertainty, and its preparation of the signals.
-    experiment : path
-        Experiment file with at least one run of unknown payload and one of another load.
+    source : path, Experiment or Robot
+        An experiment file, or what was read of it; or the robot, together with ``runs``. At least one run is of unknown
+        payload and one of another load.
+    runs : sequence of Run, optional
+        From :func:`gtau.read_run`; only with a robot.
     gains : {"identified", "prior"}
-        The model's gains, or the file's ``prior_gains`` (the paper's cases 2 and 1).
+        The model's gains, or the prior ones (the paper's cases 2 and 1).
+    prior_gains : mapping, optional
+        Joint to gain, N m/A or N/A; the experiment file's if left out.
+    progress : callable, optional
+        Called as the work goes on.
 
     Returns
     -------
@@ -57,23 +71,26 @@ def weigh(
     GtauError
         Where a file is wrong or of another robot, or the runs cannot separate the payload from the robot.
     """
-    described = experiment_of(model, experiment)
+    if gains not in ("identified", "prior"):
+        raise GtauError(f"gains is '{gains}'; write 'identified' or 'prior'.")
+    of_file = isinstance(source, (str, Path))
+    subject, where = subject_of(source, runs, prior_gains, progress=progress), f"{source}: " if of_file else ""
     robot = model.robot
-    if not any(run.payload is not None and run.payload.mass is None for run in described.runs):
-        raise GtauError(f"{experiment}: no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
-    if gains == "prior" and described.signals.kind == "current" and not described.expected_gains:
-        raise GtauError(f"{experiment} has no 'prior_gains'; add them, or weigh with the identified gains.")
-    bare = any(run.payload is None for run in described.runs)
-    chosen = [run for run in described.runs if run.payload is None or run.payload.mass is None or not bare]
-    runs = read_runs(described, chosen, progress)
+    require_same(model, subject.robot, subject.runs[0].kind, str(source) if of_file else "this experiment")
+    if not any(run.payload is not None and run.payload.mass is None for run in subject.runs):
+        raise GtauError(f"{where}no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
+    if gains == "prior" and model.kind == "current" and not subject.prior_gains:
+        raise GtauError(f"{where}there are no 'prior_gains'; add them, or weigh with the identified gains.")
+    bare = any(run.payload is None for run in subject.runs)
+    chosen = [run for run in subject.runs if run.payload is None or run.payload.mass is None or not bare]
     if gains == "prior":
-        g_tau, covariance = given_gains(robot, runs, described.expected_gains, "wls"), None
+        g_tau, covariance = given_gains(robot, chosen, subject.prior_gains, "wls"), None
     else:
         g_tau = model.gains
         rows = [model.covariance_names.index(Parameter("gain", joint).name) for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
-    runs = tuple(without_sensors(run) for run in runs)  # the model's gains say as much
-    dataset = reduce_runs(robot, runs, at_rate_of(runs, model.preparation), progress=progress)
+    weighed = tuple(without_sensors(run) for run in chosen)  # the model's gains say as much
+    dataset = reduce_runs(robot, weighed, at_rate_of(weighed, model.preparation), progress=progress)
 
     def solve(problem: Problem) -> Solution:
         return wls(problem, g_tau)
@@ -82,7 +99,7 @@ def weigh(
     lost = [name for each in system.payloads for name in each.unknown if name in system.unexcited]
     if lost:
         raise GtauError(
-            f"{experiment}: the runs cannot separate the payload from the robot itself; add a run without payload, or "
+            f"{where}the runs cannot separate the payload from the robot itself; add a run without payload, or "
             "with one of which all parameters are known."
         )
     solution = solve(system.problem)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gtau.documents.arguments import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate
@@ -61,6 +62,15 @@ class Stopped(GtauError):
     """The search was stopped before it had found a motion within the limits."""
 
 
+@takes(
+    task=("what gtau.read_design returns first", (DesignProblem,)),
+    criterion=TEXT,
+    starts=WHOLE,
+    seed=WHOLE,
+    progress=FUNCTION,
+    keep=FUNCTION,
+    stop=FUNCTION,
+)
 @single_threaded_blas()
 def design(
     task: DesignProblem,

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
+from gtau.documents.arguments import PATH, takes
 from gtau.documents.files import DESIGN, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
@@ -142,6 +143,7 @@ TURN = np.pi  # rad, reach of a joint without position limits
 TURNING = 0.3  # rad, reach of a platform's turns
 
 
+@takes(path=PATH)
 def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     """Read a design file.
 

@@ -90,6 +90,9 @@ class DesignProblem:
     gains: np.ndarray
     sigma: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"DesignProblem({self.model.robot.name!r}, runs: {len(self.payloads)}, rate: {self.rate:g} Hz)"
+
     def __post_init__(self) -> None:
         if self.series.harmonics * self.series.base_frequency > 0.1 * self.rate:
             raise GtauError(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gtau.documents.csv import in_csv
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
@@ -144,7 +145,7 @@ def write_table(found: TorquesAlongLog, path: Path) -> None:
 
     match path.suffix.lower():
         case ".csv":
-            write_atomically(path, found.table.write_csv())
+            write_atomically(path, in_csv(found.table))
         case ".parquet":
             buffer = BytesIO()
             found.table.write_parquet(buffer)

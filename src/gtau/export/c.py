@@ -135,7 +135,7 @@ def _parameter_arrays(model: Identified) -> Iterator[str]:
     size = f"[{model.name.upper()}_PARAMETERS]"
     yield f"const double {model.name}_parameters{size} = {{"
     for k, each in enumerate(model.parameters):
-        std = "" if each.std is None else f" +- {each.std:.2g}"
+        std = "" if each.std is None else f", standard deviation {each.std:.2g}"
         regrouping = "" if each.regrouping in ("", each.name) else f" = {each.regrouping}"
         comment = textwrap.shorten(f"{k} {each.name}, {each.unit}{std}{regrouping}", 90, placeholder=" ...")
         comment = comment.replace("*/", "* /").replace("/*", "/ *")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gtau.documents.csv import in_csv
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
-from gtau.export.names import identifier, in_csv
+from gtau.export.names import identifier
 
 
 def export(result: Result, out: Path) -> Exported:

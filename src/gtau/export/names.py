@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 from unicodedata import normalize
 
-if TYPE_CHECKING:
-    import polars as pl
-
 LONGEST = 40  # characters: with what follows, MATLAB's 63 are not exceeded
-FORMULA = r"^([=+\-@])"  # begins a cell that spreadsheets compute
 SPECIAL = {
     "\\": r"\textbackslash{}",
     "^": r"\textasciicircum{}",
@@ -80,10 +75,3 @@ def in_latex_index(name: str) -> str:
     if re.fullmatch(r"[\w .:-]*", name, flags=re.ASCII):
         return r"\mathrm{" + in_latex(name).replace(" ", r"\ ") + "}"
     return r"\text{" + in_latex(name) + "}"  # accents and some signs are for text alone
-
-
-def in_csv(table: pl.DataFrame) -> str:
-    """Write a table as CSV; an apostrophe before ``= + - @`` keeps a spreadsheet from computing texts."""
-    import polars as pl
-
-    return table.with_columns(pl.col(pl.String).str.replace(FORMULA, "'$1")).write_csv()

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import polars as pl
 
+from gtau.documents.csv import in_csv
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model
 from gtau.export.exported import Exported, written
-from gtau.export.names import identifier, in_csv
+from gtau.export.names import identifier
 from gtau.export.parameter_orders import ORDERS, to_order
 
 DRIVES = {"ia": "IA", "fv": "FV", "fs": "FS"}

@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 
+from gtau.documents.arguments import PATH, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported
@@ -30,6 +31,7 @@ INTO = ("urdf", "mjcf")
 """Kinds that can be put back into the robot's own file."""
 
 
+@takes(model=("a result or the path of its file", (Result, str, Path)), kind=TEXT, out=PATH, into=PATH)
 def export_model(model: Result | str | Path, kind: str, out: str | Path, into: str | Path | None = None) -> Exported:
     """Write an identified model in the form that a controller, simulator or paper takes.
 

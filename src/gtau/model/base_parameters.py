@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.documents.arguments import NAMES, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -22,7 +23,7 @@ SAMPLES = 60  # that are drawn at once at least: as many give the rank that 1500
 DRAWS = 12  # after which the rank must have settled
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BaseParameters:
     """A set of base parameters and what each regroups.
 
@@ -43,11 +44,15 @@ class BaseParameters:
     """
 
     names: tuple[str, ...]
-    standard: tuple[str, ...] = field(repr=False)
-    regroupings: dict[str, str] = field(repr=False)
-    matrix: np.ndarray = field(repr=False)
-    without_effect: tuple[str, ...] = field(repr=False)
-    inertial_count: int = field(repr=False)
+    standard: tuple[str, ...]
+    regroupings: dict[str, str]
+    matrix: np.ndarray
+    without_effect: tuple[str, ...]
+    inertial_count: int
+
+    def __repr__(self) -> str:
+        first = ", ".join(self.names[:3])
+        return f"BaseParameters({self.count} of {self.matrix.shape[1]} standard parameters: {first}, ...)"
 
     @property
     def count(self) -> int:
@@ -85,6 +90,7 @@ def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
+@takes(idm=("a model (gtau.InverseDynamics)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES)
 @single_threaded_blas()
 def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = ()) -> BaseParameters:
     """Find the base parameters chi of eq. (21) from the structure of the robot's model.
@@ -108,6 +114,8 @@ def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] 
     GtauError
         Where the robot's limits leave no feasible states, or more states keep adding base parameters.
     """
+    if unknown := [joint for joint in sensors if joint not in idm.actuated]:
+        raise GtauError(f"'sensors' names {unknown[0]!r}, but the actuated joints are {', '.join(idm.actuated)}.")
     order = symmetric_order(idm.robot, idm.parameter_names)
     position = {name: k for k, name in enumerate(idm.parameter_names)}
     R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed), sensors)

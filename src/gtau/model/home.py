@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gtau.documents.arguments import MAPPING, NAMES, takes
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
@@ -43,6 +44,12 @@ DECIMALS = 12  # of a solved home: beyond them processors may differ
 NAMED = 4  # coordinates that a note lists
 
 
+@takes(
+    source=("the name or path of a robot", (str, Path, Robot, RobotSource)),
+    base=("fixed, floating or a mapping such as {'rpy': [0, 0, 0]}", (str, Mapping)),
+    joints=NAMES,
+    held=MAPPING,
+)
 def load_robot(
     source: str | Path | Robot | RobotSource,
     base: str | Mapping[str, Sequence[float | str]] | None = None,

@@ -10,6 +10,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from gtau.documents.arguments import TEXT, takes
 from gtau.errors import GtauError
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import Program, compile_program
@@ -112,6 +113,7 @@ class InverseDynamics:
         Names of the n actuated joints, the order of the regressor's rows.
     """
 
+    @takes(robot=("a robot (gtau.load_robot)", (Robot,)), parameters=TEXT)
     def __init__(self, robot: Robot, parameters: str = "all"):
         if parameters not in ("all", "inertial"):
             raise GtauError(f"parameters is {parameters!r}; write 'all' or 'inertial'.")

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.documents.csv import in_csv
 from gtau.documents.files import write_atomically
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
@@ -60,7 +61,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
                 Parameter(kind, joint).name: np.round(row, DIGITS)
                 for joint, row in zip(design.task.model.actuated, rows, strict=True)
             }
-        write_atomically(path, pl.DataFrame(columns).write_csv())
+        write_atomically(path, in_csv(pl.DataFrame(columns)))
     return paths
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from gtau.documents.csv import in_csv
 from gtau.documents.files import write_atomically
 from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet, table_rows
 from gtau.report.page import (
@@ -208,7 +209,7 @@ def write_fleet(found: FleetTable, out: Path) -> list[Path]:
     parquet = io.BytesIO()
     frame.write_parquet(parquet)
     written = [out / "gains.csv", out / "gains.parquet"]
-    write_atomically(written[0], frame.write_csv())
+    write_atomically(written[0], in_csv(frame))
     write_atomically(written[1], parquet.getvalue())
     models = list(dict.fromkeys(joint.model for joint in found.joints))
     for k, model in enumerate(models):

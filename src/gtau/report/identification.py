@@ -22,12 +22,14 @@ from gtau.report.logs import logs_section
 from gtau.report.motion import distances_panels, paths_chart, singularities_section
 from gtau.report.page import Chart, Column, Drawing, Facts, Item, Kind, Page, Section, Text, page, section, table
 from gtau.report.parameters import (
+    PAPER,
     alternatives_section,
     correlation_section,
     parameters_section,
     singular_values_section,
 )
-from gtau.report.torques import fit_table, residuals_section, torques_section
+from gtau.report.requirements import missed, requirements_section
+from gtau.report.torques import determination, fit_table, residuals_section, torques_section
 from gtau.robots.parameter import Parameter
 
 NOTES = 5  # that the short page shows
@@ -45,6 +47,7 @@ def summary_page(result: IdentifiedModel) -> Page:
     return page(
         "",
         section("", Text(headline(result))),
+        requirements_section(result),
         gains_section(result, charts=False, short=True),
         section("", masses_table(result.payloads)),
         section("Torque fit", *_fit_words(result)),
@@ -56,10 +59,13 @@ def summary_page(result: IdentifiedModel) -> Page:
 def full_page(result: IdentifiedModel) -> Page:
     """Show all that an identification found, without charts."""
     ratio = result.statistics.get("singular_ratio")
-    words = "" if ratio is None else f"ratio of the two smallest singular values of W_tot: {ratio:.2f}"
+    words = (
+        "" if ratio is None else f"ratio of the two smallest singular values of W_tot ({PAPER}, eq. 33): {ratio:.2f}"
+    )
     return page(
         f"Identification of {result.robot.name}",
         section("", Text(headline(result)), _settings(result)),
+        requirements_section(result),
         gains_section(result, charts=False),
         _sensors_section(result),
         payloads_section(unknown_payloads(result)),
@@ -77,6 +83,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
     return page(
         f"Identification of {result.robot.name}",
         verdict_section(result, runs),
+        requirements_section(result),
         gains_section(result, prior),
         _sensors_section(result),
         payloads_section(unknown_payloads(result)),
@@ -99,15 +106,16 @@ def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -
     """Show the verdict in words, and the figures that a reader asks for first."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
-    if outcomes[Outcome.CONTRADICTORY] or outcomes[Outcome.NOT_IDENTIFIABLE]:
+    if outcomes[Outcome.CONTRADICTORY] or outcomes[Outcome.NOT_IDENTIFIABLE] or missed(result):
         style = "bad"
-    said = tuple(map(str, remarks(result)))
+    said = (*missed(result), *map(str, remarks(result)))
     words = (headline(result), said) if style == "good" else (counts(result), (headline(result), *said))
     facts = {
         "robot": result.robot.name,
         "estimator": result.method,
         "runs used": str(len(result.runs)),
         **_worst_errors(result, runs),
+        **_condition(result),
         "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
     }
     return section("Verdict", Text(*words, style), Facts(facts), id="verdict")  # type: ignore[arg-type]
@@ -118,18 +126,29 @@ def counts(result: IdentifiedModel) -> str:
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     (first, count), *others = outcomes.most_common()
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
-    return f"{count} of {len(result.drive_gains)} drive gains {'is' if count == 1 else 'are'} {first.value}{more}."
+    missing = len(missed(result))
+    required = f" {missing} of {len(result.requirements)} requirements missed." if missing else ""
+    total = len(result.drive_gains)
+    return f"{count} of {total} drive gains {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
 
 
 def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[str, str]:
-    """Find the largest torque error of the fit, and on the runs kept for validation."""
+    """Find the largest torque residual of the fit, the largest torque error of a validation run, and the least R²."""
     found = {}
     if worst := largest(result.residuals):
         found["largest torque residual of the rows used"] = f"{worst.relative:.2f} % ({worst.joint})"
     if worst := largest([error for run in runs if not run.used for error in run.errors]):
         more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % with reversals"
         found["largest torque error of a validation run"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
+    if shares := determination([run for run in runs if run.used]):
+        joint = min(shares, key=lambda name: shares[name])
+        found["smallest R² of a joint"] = f"{shares[joint]:.4f} ({joint})"
     return found
+
+
+def _condition(result: IdentifiedModel) -> dict[str, str]:
+    found = result.statistics.get("condition_number")
+    return {} if found is None else {"condition number of the observation matrix": f"{found:.3g}"}
 
 
 def _settings(result: IdentifiedModel) -> Facts:
@@ -218,7 +237,7 @@ def _consistency_section(found: Consistency | None) -> Section | None:
     )
     joint = max(found.loss, key=lambda name: found.loss[name])
     words = (
-        f"{len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more; torque errors "
+        f"{len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
         f"{_growth(_overall(found))}, those of the worst joint, {joint}, {_growth(found.loss[joint])}. model.json has "
         "every standard parameter under 'standard'; what the data leave open was chosen."
     )
@@ -232,7 +251,7 @@ def _overall(found: Consistency) -> float:
 
 
 def _growth(loss: float) -> str:
-    """Describe by how much torque errors grow, ``loss`` in per cent."""
+    """Describe by how much torque residuals grow, ``loss`` in per cent."""
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
 
 

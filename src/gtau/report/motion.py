@@ -56,7 +56,7 @@ def distances_panel(distances: Distances, start: float) -> Panel | None:
     if len(series) == len(TYPES):  # at singularities of type 2 alone errors are magnified
         near = Series(f"near: {NEAR_SINGULAR:g}", time, np.full(len(time), NEAR_SINGULAR), "c7", width=0.8)
         series.append(near)
-    return Panel(TIME, Axis("distance to singularity", limits=(0.0, 1.05)), tuple(series), height=1.4)
+    return Panel(TIME, Axis("distance", limits=(0.0, 1.05)), tuple(series), height=1.4)
 
 
 def distances_panels(distances: Sequence[Distances], starts: Mapping[str, float]) -> list[Panel]:

@@ -17,7 +17,7 @@ from gtau.report.gains import VALUE, gains_section, payloads_section, unknown_pa
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
 from gtau.report.page import Chart, Column, Kind, Page, Text, page, section, table
 from gtau.report.plots import Plots
-from gtau.report.provenance import Provenance, provenance_section
+from gtau.report.provenance import Provenance, stamped
 from gtau.report.render.html import frame
 from gtau.report.render.html import html as rendered
 from gtau.report.render.terminal import plain
@@ -44,8 +44,7 @@ def plots(result: Result) -> Plots:
 def write(result: Result, path: Path) -> None:
     """Write the report of a result, with the runs that it holds, to an HTML file."""
     found = report_page(result, gather(result, result.data), {})
-    of = provenance_section(Provenance("", settings=settings_of(result)))
-    write_atomically(path, rendered(Page(found.title, (*found.sections, of), found.lead)))
+    write_atomically(path, rendered(stamped(found, Provenance("", settings=settings_of(result)))))
 
 
 @singledispatch

@@ -23,6 +23,8 @@ BADGES = {
     "not identifiable": "bad",
     "contradictory": "bad",
     "refused": "bad",
+    "passed": "good",
+    "failed": "bad",
     "error": "bad",
     "warning": "weak",
     "information": "neutral",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
 import numpy as np
 
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
@@ -14,6 +17,7 @@ from gtau.robots.parameter import parameter_of
 
 STRONG = 0.9  # correlation from which on a pair is listed
 LISTED = 20
+PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
 SHOWN = 60  # estimates whose names fit beside a matrix
 GROUPS = ("base parameter", "friction", "torque sensor")
 
@@ -40,9 +44,14 @@ def parameters_section(result: IdentifiedModel) -> Section:
     essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (
         f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
-        f"{len(result.parameters) - essential} raises the torque error of the worst joint by {loss:.2g} %. With a "
+        f"{len(result.parameters) - essential} raises the torque residual of the worst joint by {loss:.2g} %. With a "
         "standard deviation above 100 % a value means nothing by itself: it is known only in sums with others."
     )
+    if (condition := result.statistics.get("condition_number")) is not None:
+        words += (
+            " The observation matrix, rows weighted by the residuals and columns of unit length, has a condition "
+            f"number of {condition:.3g}."
+        )
     return section(
         "Parameters",
         Text(words),
@@ -104,8 +113,18 @@ def correlation_section(result: IdentifiedModel) -> Section | None:
         + (f", the {LISTED} strongest listed. " if len(pairs) > LISTED else ". ")
         + "Blue: positive, orange: negative; the fuller the colour, the stronger."
     )
-    shown = correlation_chart(names, matrix)
-    return section("Correlation", Text(words), shown, table(columns, rows) if rows else None, id="correlation")
+    pairs_table = table(columns, rows) if rows else None
+    numbered = [(k, name) for k, name in enumerate(names)] if len(names) > SHOWN else []
+    listed = table((Column("number", Kind.NUMBER), Column("estimate", Kind.NAME)), numbered)
+    return section(
+        "Correlation",
+        Text(words),
+        _drift_text(names, result),
+        correlation_chart(names, matrix),
+        section("Names of the numbers", listed, folded=True) if numbered else None,
+        pairs_table,
+        id="correlation",
+    )
 
 
 def singular_values_chart(values: np.ndarray) -> Chart:
@@ -124,9 +143,10 @@ def singular_values_section(result: IdentifiedModel) -> Section | None:
     if len(values) < 2 or values[-1] <= 0:
         return None
     words = (
-        "Of W_tot (eq. 33), rows weighted by the residuals and columns of unit length. The smallest belongs to the "
-        f"solution; the next is {values[-2] / values[-1]:.3g} times larger. A ratio near 1 comes from parameters that "
-        "the motion hardly excites, those with large standard deviations, and makes total least squares unreliable."
+        f"Of W_tot ({PAPER}, eq. 33), rows weighted by the residuals and columns of unit length. The smallest belongs "
+        f"to the solution; the next is {values[-2] / values[-1]:.3g} times larger. A ratio near 1 comes from "
+        "parameters that the motion hardly excites, those with large standard deviations, and makes total least "
+        "squares unreliable."
     )
     return section("Singular values", Text(words), singular_values_chart(values), id="singular-values")
 
@@ -142,7 +162,8 @@ def alternatives_section(result: IdentifiedModel) -> Section | None:
             each.subject,
             each.probability,
             *(each.moves.get(joint) for joint in motors),
-            "not identifiable" if each.std is None else f"{each.size:.2g} ± {each.std:.2g}",
+            "not identifiable" if each.std is None else each.size,
+            each.std,
             each.unit,
             each.share,
         )
@@ -152,7 +173,8 @@ def alternatives_section(result: IdentifiedModel) -> Section | None:
         Column("alternative"),
         Column("probability, %", Kind.SHARE, decimals=1),
         *(Column(f"moves {joint_label(joint)} by, %", Kind.NUMBER, decimals=2) for joint in motors),
-        Column("size", Kind.NUMBER),
+        Column("size", Kind.NUMBER, 2),
+        Column("std", Kind.NUMBER, 2),
         Column("unit"),
         Column("share of the residual, %", Kind.SHARE, decimals=1),
     )
@@ -161,7 +183,19 @@ def alternatives_section(result: IdentifiedModel) -> Section | None:
         "well they support it; what they leave open of it widens the intervals of the gains. Alternatives are "
         "listed by their probability times the largest move of a gain."
     )
-    return section("Alternatives", Text(words), table(columns, rows, name="alternatives-table"), id="alternatives")
+    listed = section(f"All {len(rows)} alternatives", table(columns, rows, name="alternatives-table"), folded=True)
+    drifting = _drift_text([each.subject for each in ranked], result)
+    return section("Alternatives", Text(words), drifting, listed, id="alternatives")
+
+
+def _drift_text(texts: Iterable[str], result: IdentifiedModel) -> Text | None:
+    """Explain names such as ``fv_left@2``, where there are any."""
+    found = next(filter(None, (re.search(r"(\w+)@(\d+)", each) for each in texts)), None)
+    if found is None:
+        return None
+    run = result.runs[int(found[2]) - 1]
+    words = f"{found[0]}: by how much {found[1]} in run {found[2]}, '{run}', differs from its mean over the runs"
+    return Text(words, style="soft")
 
 
 def _largest(each: AlternativeMoves) -> float:

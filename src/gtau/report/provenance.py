@@ -7,12 +7,12 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from gtau.report.page import Column, Facts, Kind, Section, Text, section, table
+from gtau.report.page import Column, Facts, Kind, Page, Section, Text, section, table
 
 PACKAGES = ("numpy", "scipy", "polars", "casadi", "numba", "clarabel", "mujoco")
 LISTED = 12  # inputs that are shown unfolded
@@ -23,13 +23,15 @@ LARGEST = 1 << 31  # bytes of an input that is hashed
 class Provenance:
     """What a report was made from.
 
-    ``inputs`` are files, by what they are for; ``settings`` values by name; ``seconds`` the time that the work took.
+    ``inputs`` are files, by what they are for; ``settings`` values by name; ``seconds`` the time that the work took;
+    ``made`` is the time of day.
     """
 
     command: str
     inputs: tuple[tuple[str, Path], ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
     seconds: float | None = None
+    made: str = field(default_factory=lambda: datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"))
 
 
 def command_line() -> str:
@@ -37,9 +39,16 @@ def command_line() -> str:
     return shlex.join(["gtau", *sys.argv[1:]])
 
 
-def provenance_section(of: Provenance) -> Section:
-    """Show what a report was made from."""
-    made = {"made on": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")}
+def stamped(page: Page, of: Provenance) -> Page:
+    """Add to a page when and by which version it was made, on top, and at its end what from."""
+    from gtau import __version__
+
+    lead = (*page.lead, f"Made on {of.made} by gtau {__version__}.")
+    return replace(page, sections=(*page.sections, _section(of)), lead=lead)
+
+
+def _section(of: Provenance) -> Section:
+    made = {"made on": of.made}
     made |= {} if of.seconds is None else {"time taken": f"{of.seconds:.1f} s"}
     rows = [(what, str(path), *fingerprint(path)) for what, path in of.inputs]
     columns = [

@@ -34,7 +34,7 @@ REVERSALS = (
     "The model holds away from reversals, where Coulomb friction does not change sign; identification uses only those "
     "samples. All samples: the reversals too."
 )
-NUMBERS = (Column("error", Kind.NUMBER, 4), Column("torque", Kind.NUMBER, 4), Column("%", Kind.NUMBER, decimals=2))
+TORQUE = (Column("torque", Kind.NUMBER, 4), Column("%", Kind.NUMBER, decimals=2))
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:
@@ -43,7 +43,8 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
         Column("run"),
         Column("", wide=True),
         Column("joint"),
-        *NUMBERS,
+        Column("error", Kind.NUMBER, 4),
+        *TORQUE,
         Column("error, all", Kind.NUMBER, 4),
         Column("%, all", Kind.NUMBER, decimals=2),
         Column("unit, rms"),
@@ -67,31 +68,47 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
 
 
 def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
-    """Tabulate the torque errors of a fit."""
+    """Tabulate the torque residuals of a fit."""
     rows = [(each.joint, each.rms, each.signal, each.relative, each.unit) for each in residuals]
-    return table((Column(title), *NUMBERS, Column("unit, rms")), rows)
+    return table((Column(title), Column("residual", Kind.NUMBER, 4), *TORQUE, Column("unit, rms")), rows)
 
 
 def largest_errors_table(runs: Sequence[RunEvidence]) -> Table:
-    """Tabulate the largest torque error of each joint on the runs used, and on those kept for validation."""
+    """Tabulate largest torque error and R² of each joint on the runs used, and on those kept for validation."""
     groups = [
         (words, [each for each in runs if each.used == used and each.errors])
         for words, used in (("runs used", True), ("validation", False))
     ]
     groups = [(words, members) for words, members in groups if members]
     columns = [Column("largest torque error of one run, %")]
+    shares = [determination(members) for _, members in groups]
     for words, _ in groups:
         columns.append(Column(f"{words}: away from reversals", Kind.NUMBER, decimals=2))
         columns.append(Column(f"{words}: all samples", Kind.NUMBER, decimals=2))
+        columns.append(Column(f"{words}: R²", Kind.NUMBER, decimals=4))
     rows = []
     for joint in dict.fromkeys(error.joint for run in runs for error in run.errors):
         row: list[object] = [joint_label(joint)]
-        for _, members in groups:
+        for (_, members), share in zip(groups, shares, strict=True):
             errors = [error for run in members for error in run.errors if error.joint == joint]
             row.append(max((error.relative for error in errors), default=None))
             row.append(max((each.relative_all for each in errors if each.relative_all is not None), default=None))
+            row.append(share.get(joint))
         rows.append(row)
     return table(columns, rows)
+
+
+def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
+    """Compute R² of each joint over runs, away from reversals: 1 - error^2 / (measured - its mean)^2."""
+    found = {}
+    predictions = [each.prediction for each in runs if each.prediction is not None]
+    for j, joint in enumerate(predictions[0].joints if predictions else ()):
+        measured = np.concatenate([each.measured[each.keep[:, j], j] for each in predictions])
+        predicted = np.concatenate([each.predicted[each.keep[:, j], j] for each in predictions])
+        about = np.sum((measured - measured.mean()) ** 2) if measured.size else 0.0
+        if about > 0:
+            found[joint] = float(1 - np.sum((measured - predicted) ** 2) / about)
+    return found
 
 
 def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
@@ -114,8 +131,9 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
         "model does not hold or samples are missing; identification leaves them out."
     )
     each_run = (
-        "Errors are of single runs, at every sample, and so not those of the fit, whose residuals are of the decimated "
-        "rows used of all runs together."
+        "Torque errors are of single runs, at every sample, and so not the torque residuals of the fit, which are of "
+        "the decimated rows used of all runs together. R²: share of the measured torque's variance that the model "
+        "explains, over all these runs, away from reversals."
     )
     every = section("Torque errors of every run", errors_table(runs), Text(REVERSALS, style="soft"), folded=True)
     return section(
@@ -147,7 +165,7 @@ def torques_chart(
     for j, (joint, unit) in enumerate(zip(prediction.joints, units, strict=True)):
         words, error = joint_label(joint), of_joint.get(joint)
         if error is not None:
-            words += f": residual {error.relative:.2f} %"
+            words += f": torque error {error.relative:.2f} %"
             words += f", {error.relative_all:.2f} % over all samples" if error.relative_all is not None else ""
         measured, predicted = prediction.measured[:, j], prediction.predicted[:, j]
         masked = stretches(time, ~prediction.keep[:, j])

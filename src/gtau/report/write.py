@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from gtau.documents.files import write_atomically
@@ -13,7 +12,7 @@ from gtau.progress import Progress, silent
 from gtau.report.evidence import gather, settings_of
 from gtau.report.identification import report_page
 from gtau.report.page import Page
-from gtau.report.provenance import Provenance, command_line, provenance_section
+from gtau.report.provenance import Provenance, command_line, stamped
 from gtau.report.render.html import html
 from gtau.signals.experiment import Experiment, read_experiment
 
@@ -27,7 +26,7 @@ def write_report(
     """Write a page to a folder, with the command that runs now, its ``inputs`` and ``settings``, and its time, s."""
     of = Provenance(command_line(), inputs, settings or {}, seconds)
     path = folder / REPORT
-    write_atomically(path, html(replace(page, sections=(*page.sections, provenance_section(of)))))
+    write_atomically(path, html(stamped(page, of)))
     return path
 
 

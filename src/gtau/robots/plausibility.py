@@ -36,8 +36,10 @@ def tool_note(robot: Robot) -> tuple[str, ...]:
     ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
     if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):
         return ()
+    last = [joint.name for joint in robot.joints if joint.has_mass][-1:] == [robot.tool]
+    why = "the last link of the robot's file" if last else "which carries the fingers"
     return (
-        f"a payload is assumed to sit on '{robot.tool}', the last link of the robot's file; if it sits on another, "
+        f"a payload is assumed to sit on '{robot.tool}', {why}; if it sits on another, "
         "write 'tool: BODY' in the robot file (gtau robot --save makes one of any robot)",
     )
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError
+from gtau.robots.gripper import palm
 
 GROUND = "ground"
 STANDARD_GRAVITY = 9.80665  # m/s2
@@ -259,11 +260,17 @@ class Robot:
 
     @property
     def tool(self) -> str:
-        """The body that carries a payload: the one named, else the last platform, else the last link with a mass."""
+        """The body that carries a payload: the one named, else the last platform, else the last link with a mass.
+
+        Where this is a finger, it is what carries the fingers.
+        """
         if self.named_tool:
             return self.named_tool
-        links = [joint for joint in self.joints if joint.has_mass]
-        return (self.platforms or links or self.joints)[-1].name
+        if self.platforms:
+            return self.platforms[-1].name
+        links = [joint.name for joint in self.joints if joint.has_mass]
+        carriers = {joint.name: joint.antecedent for joint in self.joints}
+        return palm(carriers, links[-1], links, self.base) if links else self.joints[-1].name
 
     @property
     def ends(self) -> tuple[Attachment, ...]:

@@ -354,4 +354,4 @@ def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
 
 def as_units(units: Units | Mapping[str, Any] | None) -> Units:
     """Read units from a mapping as in the experiment file; raises GtauError."""
-    return units if isinstance(units, Units) else validate(Units, document_of("units", units or {}))
+    return units if isinstance(units, Units) else validate(Units, document_of("units", {} if units is None else units))

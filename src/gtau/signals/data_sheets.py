@@ -103,8 +103,8 @@ def data_sheet_notes(
                 continue
             off = (value - expected[0]) / np.hypot(expected[1], std or 0.0)
             words = (
-                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} +- {expected[1]:.2g} "
-                f"{unit} is by the data sheet (apart by {abs(off):.1f} standard deviations)"
+                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} {unit} is by the "
+                f"data sheet (standard deviation {expected[1]:.2g}; apart by {abs(off):.1f} standard deviations)"
             )
             said.append(Note(Kind.DATA_SHEET, words, joint=joint))
     return tuple(said)

@@ -14,6 +14,7 @@ from pydantic import (
     model_validator,
 )
 
+from gtau.documents.arguments import MAPPING, PATH, expect, takes
 from gtau.documents.files import EXPERIMENT, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
@@ -25,6 +26,7 @@ from gtau.signals.columns import SampleRate, Signals, Units, document_of
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload
+from gtau.signals.requirements import Requirements
 from gtau.signals.settings import CHOSEN, PreparationSettings
 
 
@@ -47,8 +49,9 @@ class Prior(Keys):
 
 def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
     """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
+    expect("'priors'", priors, MAPPING)
     return {
-        name: each if isinstance(each, Prior) else validate(Prior, document_of(f"prior of {name}", each))
+        str(name): each if isinstance(each, Prior) else validate(Prior, document_of(f"prior of {name}", each))
         for name, each in priors.items()
     }
 
@@ -58,7 +61,7 @@ class Experiment(Keys):
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
     ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
-    by joint, and ``preparation`` what is set of it by hand.
+    by joint, ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
     """
 
     robot: AnySource
@@ -68,8 +71,14 @@ class Experiment(Keys):
     priors: dict[str, Prior] = Field(default_factory=dict)
     drives: dict[str, Drive] = Field(default_factory=dict)
     preparation: PreparationSettings = CHOSEN
+    require: Requirements = Requirements()
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
+
+    def __repr__(self) -> str:
+        robot = self.robot if isinstance(self.robot, str) else self.robot.file
+        joints, runs = ", ".join(self.signals.joints), f"runs: {len(self.runs)}, validation: {len(self.validation)}"
+        return f"Experiment({robot!r}, joints {joints}, {runs})"
 
     @field_validator("robot")
     @classmethod
@@ -146,6 +155,14 @@ class Experiment(Keys):
                 raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
         return drives
 
+    @field_validator("require")
+    @classmethod
+    def _gains_to_require(cls, require: Requirements, info: ValidationInfo) -> Requirements:
+        signals: Signals | None = info.data.get("signals")
+        if signals is not None and signals.kind == "torque" and require.gain_interval is not None:
+            raise ValueError("the signals hold torques, which have no drive gains; remove 'gain_interval'")
+        return require
+
     @property
     def expected_gains(self) -> dict[str, float]:
         """Gains known beforehand, N m/A or N/A: ``prior_gains``, and those of data sheets."""
@@ -204,6 +221,7 @@ def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
             )
 
 
+@takes(path=PATH)
 def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     """Read an experiment file.
 

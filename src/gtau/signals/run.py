@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from gtau.documents.arguments import FUNCTION, takes
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError
 from gtau.robots.floating import WRENCH, WrenchFrame
@@ -21,7 +22,7 @@ from gtau.signals.log_set import find_logs
 from gtau.signals.notes import Note
 from gtau.signals.payload import Payload, as_payload
 from gtau.signals.samples import WHOLE, Part
-from gtau.signals.settings import CHOSEN, PreparationSettings
+from gtau.signals.settings import CHOSEN, PreparationSettings, as_settings
 from gtau.signals.side_signals import Temperature, read_temperature
 from gtau.signals.storage import block, spans, store
 
@@ -66,6 +67,10 @@ class Run:
     calibration: Calibration = EXACT
     log: Log | None = field(default=None, repr=False)
 
+    def __repr__(self) -> str:
+        load = "" if self.payload is None else f", payload {self.payload.name!r}"
+        return f"Run({self.name!r}, {len(self.time)} samples of joints {', '.join(self.joints)}, {self.kind}s{load})"
+
     def __post_init__(self) -> None:
         if problem := name_problem(self.name):
             raise GtauError(f"run: {problem}.")
@@ -102,13 +107,14 @@ class Run:
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
 
 
+@takes(progress=FUNCTION, part=("a gtau.Part", (Part,)))
 def read_run(
     log: str | Path | Sequence[str | Path] | Any,
     signals: Signals | Mapping[str, Any],
     payload: Payload | Mapping[str, Any] | None = None,
     units: Units | Mapping[str, Any] | None = None,
     progress: Callable[[float], None] = lambda done: None,
-    settings: PreparationSettings = CHOSEN,
+    settings: PreparationSettings | Mapping[str, Any] = CHOSEN,
     part: Part = WHOLE,
 ) -> Run:
     """Read the log of one run.
@@ -123,7 +129,7 @@ def read_run(
         As under these keys of an experiment file; columns and joints may be written as integers.
     progress : callable, optional
         Called with the part of the log that has been read.
-    settings : PreparationSettings
+    settings : PreparationSettings or mapping
         What is given of the preparation.
     part : Part
         Which part of the log is used.
@@ -138,10 +144,10 @@ def read_run(
     GtauError
         A file cannot be read, lacks a column, or fails the checks of :func:`gtau.signals.checks.check`.
     """
-    signals, units = as_signals(signals), as_units(units)
+    signals, units, settings = as_signals(signals), as_units(units), as_settings(settings)
     if not (isinstance(log, (str, Path)) or (isinstance(log, (list, tuple)) and all(map(_is_path, log)))):
         with as_log(log) as path:
-            return replace(read_run(path, signals, payload, units, progress), log=None)
+            return replace(read_run(path, signals, payload, units, progress, settings, part), log=None)
     paths = tuple([Path(log)] if isinstance(log, (str, Path)) else [Path(each) for each in log])
     logged = find_logs(paths, signals, units)
     uniform = check(logged.source, logged.blocks(part.rows, progress=progress), settings, part)

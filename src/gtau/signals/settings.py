@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
-from gtau.documents.validation import Keys, Positive
+from gtau.documents.validation import Keys, Positive, validate
+from gtau.documents.yaml_document import Document
 
 
 class PreparationSettings(Keys):
@@ -42,3 +45,10 @@ class PreparationSettings(Keys):
 
 
 CHOSEN = PreparationSettings()
+
+
+def as_settings(settings: PreparationSettings | Mapping[str, Any]) -> PreparationSettings:
+    """Read settings from a mapping as in the experiment file; raises GtauError."""
+    if isinstance(settings, PreparationSettings):
+        return settings
+    return validate(PreparationSettings, Document(Path("settings"), settings, {}))  # type: ignore[arg-type]

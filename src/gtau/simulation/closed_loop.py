@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from gtau.documents.csv import in_csv
 from gtau.documents.files import write_atomically
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
@@ -175,7 +176,7 @@ def write_log(run: Run, path: str | Path) -> None:
     columns = {"t": np.round(run.time, DIGITS)}
     columns |= {f"q{joint}": run.position[:, j] for j, joint in enumerate(run.joints)}
     columns |= {f"v{joint}": run.command[:, j] for j, joint in enumerate(run.joints)}
-    write_atomically(path, pl.DataFrame(columns).write_csv())
+    write_atomically(path, in_csv(pl.DataFrame(columns)))
 
 
 def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:

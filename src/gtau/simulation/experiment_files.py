@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.documents.arguments import FUNCTION, PATH, takes
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.model.home import load_robot
@@ -23,7 +24,7 @@ from gtau.simulation.controllers import pid_with_velocity, sample
 from gtau.simulation.motions import check_positions, make_trajectory
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
-from gtau.simulation.simulation_file import SimulatedRun, Simulation, check_joints, read_simulation
+from gtau.simulation.simulation_file import SimulatedRun, Simulation, as_simulation, check_joints
 
 HELD = 10  # samples over which the controller keeps an inertia matrix
 
@@ -78,13 +79,17 @@ def make_run(
     )  # fmt: skip
 
 
-def simulate_experiment(path: str | Path, out: str | Path, progress: Progress = silent) -> tuple[Path, ...]:
+@takes(out=PATH, progress=FUNCTION)
+def simulate_experiment(
+    source: str | Path | Simulation | Mapping[str, Any], out: str | Path, progress: Progress = silent
+) -> tuple[Path, ...]:
     """Make the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.
 
     Parameters
     ----------
-    path : path
-        The simulation file.
+    source : path, Simulation or mapping
+        The simulation file, what was read of it, or a mapping with its keys, whose paths are relative to the working
+        directory.
     out : path
         A folder; it is made where there is none.
     progress : callable, optional
@@ -102,10 +107,10 @@ def simulate_experiment(path: str | Path, out: str | Path, progress: Progress = 
     KeyboardInterrupt
         Where it is interrupted; the text says which logs are finished.
     """
-    simulation, out = read_simulation(path), folder_of(out)
+    simulation, out = as_simulation(source), folder_of(out)
     robot = load_robot(simulation.robot)
     refuse_floating(robot, "simulation is")
-    check_joints(simulation, robot, path)
+    check_joints(simulation, robot, source if isinstance(source, (str, Path)) else "simulation")
     model = InverseDynamics(robot)
     described = (*simulation.runs, *simulation.validation)
     for each in described:  # what is wrong is said before the first run is made

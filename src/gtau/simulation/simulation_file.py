@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
+from gtau.documents.arguments import expect
 from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import DAMPING, Robot
+from gtau.signals.columns import document_of
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import Drive, Sensors
@@ -165,6 +168,9 @@ class Simulation(Keys):
     validation: tuple[SimulatedRun, ...] = ()
     control: tuple[SimulatedRun, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"Simulation({self.robot!r}, runs: {', '.join(run.name for run in self.runs)})"
+
     @field_validator("parameters")
     @classmethod
     def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
@@ -197,6 +203,16 @@ def read_simulation(path: str | Path) -> Simulation:
     """
     refuse_other_kind(path, SIMULATION)
     return validate(Simulation, read_yaml(path), context=Path(path).parent)
+
+
+def as_simulation(source: str | Path | Simulation | Mapping[str, Any]) -> Simulation:
+    """Read a simulation file, or a mapping with its keys; raises GtauError."""
+    if isinstance(source, (str, Path)):
+        return read_simulation(source)
+    if isinstance(source, Simulation):
+        return source
+    expect("a simulation", source, ("the path of a simulation file, or a mapping with its keys", (Mapping,)))
+    return validate(Simulation, document_of("simulation", source), context=Path())
 
 
 def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:

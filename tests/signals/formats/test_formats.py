@@ -245,6 +245,22 @@ def test_arrays_that_are_not_asked_for_are_not_read(tmp_path: Path, log: Log, sa
     assert peak < 40e6  # of 160 MB
 
 
+def test_variables_of_a_mat_file_that_are_not_asked_for_are_not_read(
+    tmp_path: Path, log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import scipy.io
+
+    content = {"t": log[0], "log": {"q": log[1], "tau": log[2]}, "phase": log[0] * 1j, "image": np.zeros((40_000, 5))}
+    scipy.io.savemat(tmp_path / "log.mat", content)
+    read, load = [], scipy.io.loadmat
+    monkeypatch.setattr(scipy.io, "loadmat", lambda *path, **how: read.append(load(*path, **how)) or read[-1])
+    run = read_run(tmp_path / "log.mat", signals("t", "log.q[#]", "log.tau[#]"))
+    np.testing.assert_array_equal(run.position, log[1])
+    assert {name for each in read for name in each if not name.startswith("__")} == {"t", "log"}
+    with pytest.raises(GtauError, match="'phase' holds complex numbers; give a column of real ones"):
+        list(read_log(tmp_path / "log.mat", ["phase"]).blocks())
+
+
 def test_columns_of_different_length(tmp_path: Path, log: Log) -> None:
     np.savez(tmp_path / "log.npz", t=log[0], q=log[1], tau=log[2][:-7])
     with pytest.raises(GtauError, match=r"'t' has 1500 rows but 'tau\[1\]' has 1493; give columns that were sampled"):

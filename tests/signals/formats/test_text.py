@@ -197,6 +197,17 @@ def test_names_in_windows_1252(tmp_path: Path) -> None:
     assert find_columns(path).columns == ("t", "Position größer [°]", "Strom v")
 
 
+def test_cells_in_windows_1252(tmp_path: Path) -> None:
+    """A text beside the signals; bytes that are no text are refused with their line."""
+    header, texts = "t,q,v,Zustand", ["läuft", "größer"]
+    path, rows = tmp_path / "log.csv", [f"{row},{texts[k % 2]}" for k, row in enumerate(ROWS)]
+    path.write_bytes("\n".join([header, *rows]).encode("cp1252"))
+    np.testing.assert_allclose(read_run(path, SIGNALS).position[:, 0], VALUES[:, 0], atol=1e-8)
+    path.write_bytes("\n".join([header, *rows]).encode("cp1252").replace(rows[20].encode("cp1252"), b"\x00\x81\x90,1"))
+    with pytest.raises(GtauError, match="line 22 "):
+        read_run(path, SIGNALS)
+
+
 @pytest.mark.parametrize("before", [0, 2, 500])
 def test_lines_that_are_no_rows_are_refused_before_they_fill_the_memory(
     write: Callable[..., Path], before: int

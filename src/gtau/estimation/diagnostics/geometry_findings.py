@@ -29,12 +29,12 @@ class ConstantChange:
     alike: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """Describe the change: ``Rm 326 -> 300.00 +- 0.01 mm``."""
+        """Describe the change: ``Rm 326 -> 300.00 mm (standard deviation 0.01)``."""
         unit, factor = ("mm", 1e3) if self.unit == "m" else ("mrad", 1e3)
         digits = max(0, min(6, 1 - int(np.floor(np.log10(max(factor * self.std, 1e-6))))))
         new, std = f"{factor * (self.value + self.change):.{digits}f}", f"{factor * self.std:.{digits}f}"
         either = f" (or {', '.join(self.alike)})" if self.alike else ""
-        return f"{self.name} {factor * self.value:.5g} -> {new} +- {std} {unit}{either}"
+        return f"{self.name} {factor * self.value:.5g} -> {new} {unit} (standard deviation {std}){either}"
 
 
 @dataclass(frozen=True)

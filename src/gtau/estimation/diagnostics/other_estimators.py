@@ -34,7 +34,7 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains, whitening
-from gtau.estimation.estimators.two_stage import instrument_strength, two_stage
+from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
@@ -133,19 +133,21 @@ def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
 def two_stage_difference(fit: Fit) -> Difference | Finding:
     """Find what 2SLS, which uses the same equations otherwise, finds otherwise, from the jackknife of both.
 
-    The standard deviation counts as no smaller than that of the estimates themselves. Where the instruments are weak,
-    what it finds otherwise is its own bias, and the finding says so instead.
+    The standard deviation counts as no smaller than that of the estimates themselves, and the bias that instruments of
+    this strength leave counts beside it. Where they are weak, what 2SLS finds otherwise is its bias, and the finding
+    says so instead.
     """
     problem, solution = fit.system.problem, fit.solution
-    strength = instrument_strength(problem, solution) / max(lack_of_fit(problem, solution), 1.0) ** 2
-    if strength < WEAK_INSTRUMENTS:
-        return Finding(F.WEAK_INSTRUMENTS, values={"strength": strength, "needed": float(WEAK_INSTRUMENTS)})
+    first = first_stage(problem, solution, max(lack_of_fit(problem, solution), 1.0))
+    if first.strength < WEAK_INSTRUMENTS:
+        return Finding(F.WEAK_INSTRUMENTS, values={"strength": first.strength, "needed": float(WEAK_INSTRUMENTS)})
     # with the same delays: where motions are slow, a joint's own equations hardly determine its delay
     other = two_stage(problem, solution.delays)
     between = np.sqrt(np.diag(jackknife(solution.replicates() - other.replicates())))
     std = np.maximum(between, np.sqrt(np.diag(solution.jackknife)))
     moves = np.zeros(len(std))
     moves[problem.gain_rows] = other.gains[: len(problem.joints)] - fit.gains
+    std[problem.gain_rows] = np.hypot(std[problem.gain_rows], first.bias * fit.gains)
     return Difference(Finding(F.TWO_STAGE), moves, std)
 
 

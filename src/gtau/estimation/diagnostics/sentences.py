@@ -175,7 +175,7 @@ def _ripple(values: Values) -> Sentence:
 
 def _command_lag(values: Values) -> Sentence:
     lag, phase = values["lag"], tau * values["bandwidth"] * values["lag"]
-    size = f"by {1e3 * lag:.2g} ms (+-{1e3 * values['std']:.2g} ms)"
+    size = f"by {1e3 * lag:.2g} ms (standard deviation {1e3 * values['std']:.2g} ms)"
     size = size if phase < 1 else f"by more than {1e3 * lag / phase:.2g} ms"
     return (
         f"the {{kind}}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass of that "
@@ -235,7 +235,7 @@ def _given_scale(values: Values) -> str:
     )
 
 
-PRIOR = "is {found:.4g} +- {std:.2g} from the data, but {prior:.4g} +- {prior_std:.2g} from its prior"
+PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
 IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
 
 SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
@@ -323,17 +323,21 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         IMPOSSIBLE,
     ),
     F.PAYLOAD_MASS: lambda values: (
-        "by all other data it weighs {found:.4g} +- {std:.2g} kg, not {declared:.4g} kg",
+        "by all other data it weighs {found:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg",
         _given_scale(values)
         or "weigh the payloads again; one of the masses is wrong, or a run carries another payload than declared",
     ),
     F.PAYLOAD_PARAMETER: (
-        "given its mass and all other data its {parameter} is {found:.4g} +- {std:.2g} {unit}, not {declared:.4g} "
+        "given its mass and all other data its {parameter} is {found:.4g} {unit} (standard deviation {std:.2g}), not "
+        "{declared:.4g} "
         "{unit}",
         "check {parameter} and the frame it is given in, that of the body that carries the payload, and the mass; or "
         "leave {parameter} out",
     ),
-    F.SENSOR_SCALE: ("all other data give torques {scale:.4g} +- {std:.2g} times its reading", SENSOR),
+    F.SENSOR_SCALE: (
+        "all other data give torques {scale:.4g} times its reading (standard deviation {std:.2g})",
+        SENSOR,
+    ),
     F.UNLIKE_LEGS: lambda values: (
         "legs of the same geometry differ, most in {parameter} of leg '{subject}' ("
         + ("{share:.0f%}" if values["share"] < 10 else "more than 1000 %")

@@ -6,7 +6,7 @@ iteration, and shares no weights with the others.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,28 +76,43 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     return replace(solution, replicates=replicates)
 
 
-def instrument_strength(problem: Problem, solution: Solution) -> float:
-    """Compute the Cragg-Donald statistic of the first stage: the F of the combination of gains explained least.
+@dataclass(frozen=True, eq=False)
+class FirstStage:
+    """How well the motion explains the currents.
 
-    Below some ten, the projected currents are mostly the noise that they share with the measured ones, and 2SLS has
-    much of the bias of least squares (Stock and Yogo 2005), which its standard deviation does not show. Errors count as
-    independent: divide by the square of :func:`gtau.estimation.diagnostics.log_checks.lack_of_fit` where they are not.
+    Attributes
+    ----------
+    strength : float
+        Cragg-Donald statistic: the F of the combination of gains explained least; infinite where no gain is free or
+        the equations leave no instrument to spare.
+    bias : ndarray
+        (n,) Relative bias of the joints' gains to first order (Nagar 1959).
+    """
+
+    strength: float
+    bias: np.ndarray
+
+
+def first_stage(problem: Problem, solution: Solution, lack: float) -> FirstStage:
+    """Measure how strong the instruments of two-stage least squares are, and the bias that is left.
+
+    The projected currents keep of their noise what the instruments can mimic, by which gains come out too small,
+    and the standard deviation does not show it: with weak instruments most of the bias of least squares (Stock and
+    Yogo 2005).
 
     Parameters
     ----------
     problem, solution : Problem, Solution
         The equations; the gains and delays at which they are weighed.
-
-    Returns
-    -------
-    float
-        Infinite where no gain is free or the equations leave no instrument to spare.
+    lack : float
+        Standard deviations over those for independent residuals, 1 at least, see
+        :func:`gtau.estimation.diagnostics.log_checks.lack_of_fit`: as few independent rows as that leaves.
     """
     n_theta, free = problem.n_theta, problem.free
     parts = []
     for j, (R, columns, d) in enumerate(zip(problem.triangles, problem.own_columns, solution.delays, strict=True)):
         coefficients = least_squares(R[:, columns], delayed_signal(R, d))
-        parts.append(_rows(problem, j, R, coefficients) / (problem.own_sigma[j] * abs(solution.gains[j])))
+        parts.append(_rows(problem, j, R, coefficients) / (lack * problem.own_sigma[j] * abs(solution.gains[j])))
     rows = np.concatenate([*parts, np.pad(problem.known[:, :-1], ((0, 0), (0, len(free) + 1)))])
     # currents in units of their own noise, less what the parameters that all joints share explain of them
     currents = (rows[:, n_theta:-1] * solution.gains)[:, free]
@@ -105,10 +120,17 @@ def instrument_strength(problem: Problem, solution: Solution) -> float:
     U, s, _ = np.linalg.svd(rows[:, :n_theta] / np.where(norms > 0, norms, 1.0), full_matrices=False)
     U = U[:, s > EXPLAINED * s.max(initial=0.0)]
     instruments = sum(map(len, problem.own_columns)) + len(problem.known) - U.shape[1]
+    bias = np.zeros(len(problem.channels))
     if not free.any() or instruments < 1:
-        return np.inf
-    smallest = np.linalg.svd(currents - U @ (U.T @ currents), compute_uv=False)[-1]
-    return float(smallest**2 / instruments)
+        return FirstStage(np.inf, bias[: len(problem.joints)])
+    _, s, Vt = np.linalg.svd(currents - U @ (U.T @ currents), full_matrices=False)
+    ends = np.cumsum([len(part) for part in parts])
+    own = [
+        len(columns) - np.sum(U[end - len(part) : end] ** 2)
+        for columns, part, end in zip(problem.own_columns, parts, ends, strict=True)
+    ]
+    bias[free] = -Vt.T @ ((Vt @ np.array(own)[free]) / np.maximum(s, np.finfo(float).tiny) ** 2)
+    return FirstStage(float(s[-1] ** 2 / instruments), bias[: len(problem.joints)])
 
 
 def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

@@ -160,6 +160,7 @@ def build_result(
             "reduction_loss": essential.loss,
             "lack_of_fit": examined.lack_of_fit,
             "accuracy": float(diagnosis.accuracy),
+            "condition_number": _condition_number(problem, solution.sigma),
         },
         temperatures=temperatures,
         runs=tuple(run.name for run in dataset.runs),
@@ -176,12 +177,26 @@ def build_result(
 
 def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
     """Compute singular values of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,), columns of unit length."""
+    return tuple(np.linalg.svd(_scaled(_total(problem, sigma)), compute_uv=False).tolist())
+
+
+def _condition_number(problem: Problem, sigma: np.ndarray) -> float:
+    """Compute the condition number of the columns of what is estimated in ``W_tot``, scaled as its singular values."""
+    estimated = _scaled(_total(problem, sigma)[:, :-1])
+    return float(np.linalg.cond(estimated)) if estimated.size else 1.0
+
+
+def _scaled(W: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(W, axis=0)
+    return np.asarray(W[:, length > 0] / length[length > 0])
+
+
+def _total(problem: Problem, sigma: np.ndarray) -> np.ndarray:
+    """Build the triangular factor of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,)."""
     weights = 1 / np.maximum(sigma, problem.smallest_sigma)
     known = np.zeros((len(problem.known), problem.n_theta + len(problem.joints) + 1))
     known[:, : problem.n_theta], known[:, -1] = -problem.known[:, :-1], problem.known[:, -1]
-    W_tot = triangle(*(total_rows_of(problem, R, j, weights[j]) for j, R in enumerate(problem.triangles)), known)
-    length = np.linalg.norm(W_tot, axis=0)
-    return tuple(np.linalg.svd(W_tot[:, length > 0] / length[length > 0], compute_uv=False).tolist())
+    return triangle(*(total_rows_of(problem, R, j, weights[j]) for j, R in enumerate(problem.triangles)), known)
 
 
 def _logged_speeds(fit: Fit) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Estimate:
     """A number with its unit and standard deviation.
 
@@ -45,10 +45,14 @@ class Estimate:
     scale: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """Print value, standard deviation and unit."""
+        """Print value, half the 95 % interval, and unit."""
         if self.value is None:
             return "not identifiable"
-        return f"{self.value:.5g}{'' if self.std is None else f' +- {self.std:.2g}'} {self.unit}"
+        half = self.half_interval()
+        return f"{self.value:.5g}{'' if half is None else f' +- {half:.2g}'} {self.unit}"
+
+    def __repr__(self) -> str:
+        return f"Estimate({self.name!r}: {self}, {self.verdict.outcome.value})"
 
     def half_interval(self, level: float = 0.95) -> float | None:
         """Compute half the width of the confidence interval by Student's t, in ``unit``; None without value or std.
@@ -104,7 +108,7 @@ class Named(dict[str, Estimate]):
         return html
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PayloadEstimate:
     """Inertial parameters of the payload of a run, by kind, in the frame of the body that carries it."""
 
@@ -113,6 +117,11 @@ class PayloadEstimate:
     parameters: Mapping[str, Estimate]
     known: frozenset[str]
     verdict: Verdict = GOOD
+
+    def __repr__(self) -> str:
+        return (
+            f"PayloadEstimate({self.name!r} of run {self.run!r}: mass {self.parameters.get('m', 'not identifiable')})"
+        )
 
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)
@@ -155,7 +164,7 @@ class ReferenceTemperatures:
         return "K" if self.unit == "degC" else self.unit
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class AlternativeMoves:
     """The model with one further unknown: its causes, its size, and by how much the gains would move.
 
@@ -171,6 +180,9 @@ class AlternativeMoves:
     probability: float
     share: float
     moves: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        return f"AlternativeMoves({self.subject}: probability {self.probability:.2g})"
 
     @property
     def subject(self) -> str:
@@ -203,6 +215,26 @@ class TorqueError:
     def relative_all(self) -> float | None:
         """Error over signal of all valid rows, reversals included, per cent."""
         return None if self.rms_all is None or not self.signal_all else 100 * self.rms_all / self.signal_all
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A limit that the experiment file sets, per cent, and what was ``found``; None where nothing can be said.
+
+    A torque error is the largest of all joints, over the rows used, or on the ``run`` kept for validation that is
+    named; a gain's interval is half the widest of 95 %.
+    """
+
+    name: Literal["torque_error", "gain_interval"]
+    limit: float
+    found: float | None
+    joint: str = ""
+    run: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether what was found is within the limit."""
+        return self.found is not None and self.found <= self.limit
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from gtau.estimation.results.estimate import (
     Named,
     PayloadEstimate,
     ReferenceTemperatures,
+    Requirement,
     SensorEstimate,
     TorqueError,
 )
@@ -81,6 +82,8 @@ class IdentifiedModel:
     singular_values : tuple of float
         Of ``W_tot`` (eq. 33) in falling order, rows weighted by the residuals and columns of unit length; empty where
         the gains were given, and not held by ``model.json``.
+    requirements : tuple of Requirement
+        What the experiment file requires, and what was found of it.
     known : tuple of InverseDynamics and BaseParameters, optional
         The robot's model and base parameters, where the identification has them already; else they are derived.
     """
@@ -110,6 +113,7 @@ class IdentifiedModel:
     singular_values: tuple[float, ...] = ()
     geometry: GeometryTest | None = None
     temperatures: ReferenceTemperatures | None = None
+    requirements: tuple[Requirement, ...] = ()
     known: tuple[InverseDynamics, BaseParameters] | None = None
 
     def __post_init__(self) -> None:

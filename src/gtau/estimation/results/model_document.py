@@ -61,6 +61,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         },
         "logged_speeds": dict(result.logged_speeds),
         "statistics": dict(result.statistics),
+        "requirements": [asdict(each) | {"met": each.met} for each in result.requirements],
         "alternatives": [_alternative(each) for each in result.alternatives],
         "singularities": [asdict(each) for each in result.singularities],
         "temperatures": result.temperatures and asdict(result.temperatures),

@@ -36,6 +36,7 @@ from gtau.estimation.results.estimate import (
     Estimate,
     PayloadEstimate,
     ReferenceTemperatures,
+    Requirement,
     SensorEstimate,
     TorqueError,
 )
@@ -206,6 +207,7 @@ class _Model(_Group):
     standard: _Standard | None
     alternatives: tuple[AlternativeMoves, ...]
     singularities: tuple[NearestPose, ...]
+    requirements: tuple[Requirement, ...] = ()
 
     def made(self, path: Path, make: type[Model]) -> Model:
         """Put the result together."""
@@ -232,6 +234,7 @@ class _Model(_Group):
             consistency=None if self.standard is None else self.standard.made(),
             alternatives=self.alternatives,
             singularities=self.singularities,
+            requirements=self.requirements,
         )
 
 

@@ -104,6 +104,11 @@ class Result(IdentifiedModel):
         return Outcome.CONTRADICTORY not in outcomes and gains != {Outcome.NOT_IDENTIFIABLE}
 
     @property
+    def accepted(self) -> bool:
+        """Whether the result is :attr:`believable` and meets all that the experiment file requires."""
+        return self.believable and all(each.met for each in self.requirements)
+
+    @property
     def plot(self) -> Plots:
         """Figures of the result, one call each: ``result.plot.torques("elbow_joint")``."""
         plots: Plots = display.views().plots(self)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from base64 import b64encode
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 from typing import Any
 
-from gtau.report.page import BADGES, NUMERIC, Chart, Column, Drawing, Page
+from gtau.report.page import BADGES, NUMERIC, Chart, Column, Drawing, Kind, Page
 from gtau.report.render.charts import svg_of, svg_text
 from gtau.report.render.live import arrays_for, live_charts, spec_of
 
@@ -70,7 +71,7 @@ def _environment() -> Any:
         loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     found.globals.update(numeric=NUMERIC, badges=BADGES, svg=_svg, robot=_robot, isinstance=isinstance)
-    found.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence)
+    found.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, minus=minus)
     found.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return found
 
@@ -82,8 +83,13 @@ def _template() -> Any:
 def _cell(column: Column, cell: Any) -> str:
     text = column.text(cell)
     if column.kind in NUMERIC and not isinstance(cell, str):
-        text = text.replace("-", MINUS if cell is not None else "\N{EN DASH}")
-    return text
+        return text.replace("-", MINUS if cell is not None else "\N{EN DASH}")
+    return text.replace(" - ", f" {MINUS} ") if column.kind == Kind.NAME else text
+
+
+def minus(words: str) -> str:
+    """Write the hyphens that stand for the sign of a number as minus signs."""
+    return re.sub(r"(?<![^\s(,])-(?=\d)|(?<=\d[eE])-(?=\d)", MINUS, words)
 
 
 def _svg(chart: Chart) -> list[tuple[str, Any]]:

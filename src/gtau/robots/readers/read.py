@@ -61,8 +61,8 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
             taken = any(joint.name == "base" for joint in robot.joints)
             robot = float_base(robot, "floating_base" if taken else "base")
         elif isinstance(source.base, Base):
-            if robot.floating:
-                robot = hold_joints(robot, dict.fromkeys(robot.base, 0.0), "with the base")
+            if held := six or robot.base:
+                robot = hold_joints(robot, dict.fromkeys(held, 0.0), "with the base")
             if source.base.rpy is not None:
                 robot = _mounted(robot, source.base.rpy)
         robot = select_joints(robot, source.joints, source.held) if source.joints or source.held else robot

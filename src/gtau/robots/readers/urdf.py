@@ -17,6 +17,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
+from gtau.robots.readers.urdf_base import without_motors_of_base
 from gtau.robots.readers.xml_document import (
     LARGEST,
     attribute,
@@ -32,6 +33,8 @@ from gtau.robots.units import in_degrees
 
 Kind = Literal["revolute", "prismatic"]
 LOOSE = ("floating", "planar")
+TURNS = {"SPHERICAL": "xyz", "CARDAN": "xy", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
+"""Axes, in turn, of joints that a URDF cannot describe."""
 KINDS: dict[str, Kind | None] = {
     "revolute": "revolute",
     "continuous": "revolute",
@@ -59,7 +62,8 @@ class UrdfTree:
     """What a URDF file describes.
 
     ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
-    joint's frame and that of the link it moves are the same.
+    joint's frame and that of the link it moves are the same. ``carried`` are the links by the moving joint whose link
+    they are part of, ``root`` is the file's outermost element.
     """
 
     name: str
@@ -67,6 +71,8 @@ class UrdfTree:
     couplings: tuple[Coupling, ...]
     frames: Mapping[str, Attachment]
     notes: tuple[str, ...]
+    root: Element
+    carried: Mapping[str, str]
 
 
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
@@ -102,16 +108,17 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
             "(base: floating) if it moved",
         )
     try:
-        return Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=notes)
+        robot = Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=notes)
+        return without_motors_of_base(robot, tree.root, tree.carried)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
 
 def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
-    """Read the tree of a URDF file, with the joints named in ``types`` read as SPHERICAL, CARDAN or FIXED instead.
+    """Read the tree of a URDF file, with the joints named in ``types`` read as FIXED or as one of ``TURNS`` instead.
 
-    A spherical joint becomes three revolute ones, about x, y and z, a cardan joint two, about x and y; the links in
-    between are massless, and the last one bears the joint's name.
+    A spherical joint becomes three revolute ones, about x, y and z, a universal joint two; the links in between are
+    massless, and the last one bears the joint's name.
     """
     try:
         root = _parse(path)
@@ -132,9 +139,10 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         _check_circles(couplings)
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
-        notes = (*urdf_masses(root, _carried(ordered)), *_limit_notes(ordered))
+        carried = _carried(ordered)
+        notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
         notes += (*_reduction_notes(root), *short_angles_note(edge.name for edge in ordered if edge.short))
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
@@ -240,7 +248,7 @@ def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint
         if type_ is None and edge.kind is not None:
             joints.append(Joint(edge.name, before.body, edge.kind, placement, _axis(edge), limits=_limits(edge)))
         else:
-            joints += turning(edge.name, before.body, placement, "xyz" if type_ == "SPHERICAL" else "xy")
+            joints += turning(edge.name, before.body, placement, TURNS[type_ or ""])
         frames[edge.child] = frames[edge.name] = Attachment(edge.name)
     return tuple(joints), frames
 

@@ -30,7 +30,7 @@ class _Loops(BaseModel):
     type: list[Literal["3d", "6d"]] = []
     name_mot: list[str]
     joint_name: list[str] = []
-    joint_type: list[Literal["SPHERICAL", "CARDAN", "FIXED"]] = []
+    joint_type: list[Literal["SPHERICAL", "CARDAN", "UJOINT_XY", "UJOINT_YZ", "UJOINT_ZX", "FIXED"]] = []
 
     @field_validator("type", mode="before")
     @classmethod

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from gtau.errors import GtauError
 from gtau.signals.formats.table import Table
-from gtau.signals.formats.text_layout import BOM, Layout, layout_of, refuse_long_line, split
+from gtau.signals.formats.text_layout import BOM, Layout, decoded, layout_of, refuse_long_line, split
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
@@ -53,8 +53,9 @@ def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.Dat
     end = text.find(b"\n") if b"\n" in text else len(text)
     if lacking := len(columns) - 1 - text.count(layout.separator.encode(), 0, end):  # a cut row, which Polars takes
         text = text[:end].rstrip(b"\r") + layout.separator.encode() * lacking + text[end:]  # for all there are
-    try:
-        frame = pl.read_csv(
+
+    def read(text: bytes) -> pl.DataFrame:
+        return pl.read_csv(
             text,
             has_header=False,
             separator=layout.separator,
@@ -62,8 +63,14 @@ def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.Dat
             columns=sorted(columns[k] for k in wanted),
             raise_if_empty=False,
         )
+
+    try:
+        frame = read(text)
     except pl.exceptions.PolarsError as error:
-        raise GtauError(_unreadable_line(path, layout, str(error))) from None
+        again = "".join(decoded(line) for line in text.splitlines(keepends=True))
+        if "\ufffd" in again or again.encode() == text:
+            raise GtauError(_unreadable_line(path, layout, str(error))) from None
+        frame = read(again.encode())
     entries = pl.col(pl.String).str.strip_chars()
     if layout.separator != ",":
         entries = entries.str.replace(",", ".", literal=True)
@@ -90,8 +97,8 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
 
 def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:
     count = len(layout.columns)
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for number, line in enumerate(file, start=1):
+    with path.open("rb") as file:
+        for number, line in enumerate(map(decoded, file), start=1):
             found = len(split(line, layout.separator))
             if number >= layout.first_line and found > count:
                 where = f"line {layout.first_line}" if layout.numbered else "the header"

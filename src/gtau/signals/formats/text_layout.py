@@ -106,7 +106,7 @@ def _first_lines(path: Path) -> list[_Line]:
     with path.open("rb") as file:
         while len(lines) < LOOK and (raw := file.readline(LONGEST + 1)):
             refuse_long_line(path, len(raw), len(lines) + 1)
-            text = _decoded(raw if lines else raw.removeprefix(BOM)).lstrip("# ").rstrip("\r\n")
+            text = decoded(raw if lines else raw.removeprefix(BOM)).lstrip("# ").rstrip("\r\n")
             outside = re.sub(r'"[^"]*"', "", text)
             separator = next((each for of in (outside, text) for each in SEPARATORS if each in of), ",")
             fields = tuple(_unquoted(field) for field in split(text, separator))
@@ -164,7 +164,7 @@ def refuse_long_line(path: Path, length: int, number: int | None = None) -> None
         )
 
 
-def _decoded(raw: bytes) -> str:
+def decoded(raw: bytes) -> str:
     """Decode a line in UTF-8, or else in Windows-1252 where that gives printable characters alone."""
     try:
         return raw.decode()

@@ -34,7 +34,7 @@
     }
     ctx.restore();
   };
-  const digits = (value) => (value == null || Number.isNaN(value) ? "–" : Number(value.toPrecision(4)).toString());
+  const digits = (value) => (value == null || Number.isNaN(value) ? "–" : Number(value.toPrecision(4)).toString().replaceAll("-", "\u2212"));
 
   function zoom(group, min, max) {
     const all = groups[group], [first, last] = all.extent;

@@ -1,0 +1,77 @@
+"""What an experiment requires of its result: met or missed, and shown wherever the result is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import Plant, write_experiment
+
+import gtau
+from gtau.estimation.results.estimate import Prediction, Requirement
+from gtau.estimation.results.model_document import to_document
+from gtau.report.evidence import RunEvidence, gather
+from gtau.report.identification import report_page, summary_page, verdict_section
+from gtau.report.page import Text
+from gtau.report.render.terminal import plain
+from gtau.report.torques import determination
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> gtau.Result:
+    file = write_experiment(tmp_path_factory.mktemp("required"), Plant(noise=0.02))
+    file.write_text(f"{file.read_text()}require: {{torque_error: 50 %, gain_interval: 0.01 %}}\n")
+    return gtau.identify(file)
+
+
+def test_limits_are_held_against_fit_validation_and_intervals(result: gtau.Result) -> None:
+    fit, check, gains = result.requirements
+    worst = max(result.residuals, key=lambda each: each.relative)
+    assert fit == Requirement("torque_error", 50.0, worst.relative, worst.joint)
+    assert (check.run, check.met) == ("check", True)
+    assert check.found is not None
+    assert 0.1 < check.found < 10
+    widest = max(result.drive_gains.values(), key=lambda gain: gain.half_width or 0.0)
+    assert gains == Requirement("gain_interval", 0.01, widest.half_width, widest.name)
+    assert not gains.met
+    assert result.believable
+    assert not result.accepted
+    assert replace(result, requirements=(fit, check)).accepted
+    assert not Requirement("torque_error", 5.0, None, run="refused").met
+
+
+def test_they_are_shown_and_kept(result: gtau.Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "model.json")
+    assert gtau.Result.load(tmp_path / "model.json").requirements == result.requirements
+    assert [each["met"] for each in to_document(result)["requirements"]] == [True, True, False]
+    for page in (summary_page(result), report_page(result, (), {})):
+        assert "failed" in plain(page)
+        assert "run 'check'" in plain(page)
+    verdict = verdict_section(result).items[0]
+    assert isinstance(verdict, Text)
+    assert verdict.style == "bad"
+    assert "1 of 3 requirements missed" in verdict.words
+
+
+def test_the_condition_number_is_that_of_the_observation_matrix(result: gtau.Result) -> None:
+    # by Cauchy's interlacing: the observation matrix is W_tot less its last column
+    s, condition = result.singular_values, result.statistics["condition_number"]
+    assert s[1] / s[-2] <= condition <= s[0] / s[-1]
+
+
+def test_r_squared_is_of_the_kept_samples_of_all_runs() -> None:
+    def run(measured: list[float], predicted: list[float]) -> RunEvidence:
+        kept = np.array([[True], [True], [False]])
+        arrays = (np.array(each)[:, None] for each in (predicted, measured))
+        return RunEvidence(None, True, Prediction(("q",), np.arange(3.0), *arrays, kept, kept))  # type: ignore[arg-type]
+
+    runs = [run([1.0, 2.0, 99.0], [1.0, 2.5, 0.0]), run([3.0, 6.0, 0.0], [3.0, 5.0, 99.0])]
+    assert determination(runs)["q"] == pytest.approx(1 - (0.5**2 + 1.0) / (2.0**2 + 1.0 + 0.0 + 3.0**2))
+    assert determination([]) == {}
+
+
+def test_the_report_counts_r_squared_of_its_runs(result: gtau.Result) -> None:
+    shares = determination(gather(result, result.data))
+    assert all(0.99 < each < 1 for each in shares.values())
