@@ -211,8 +211,8 @@ def refactor(data: Dataset, fixed: Fixed, run: Run) -> Factors:
 class Repetition:
     """Errors, random standard deviations and their degrees of freedom.
 
-    ``told`` says which delays have a standard deviation, (n,); ``apart`` are the standard deviations of a jackknife that
-    leaves out stretches of one run at a time, and ``apart_freedom`` their degrees of freedom.
+    ``told`` says which delays have a standard deviation, (n,); ``apart`` are the standard deviations of a jackknife
+    that leaves out stretches of one run at a time, and ``apart_freedom`` their degrees of freedom.
     """
 
     names: tuple[str, ...]

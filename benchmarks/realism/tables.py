@@ -223,7 +223,8 @@ def of_motions(moved: Sequence[dict]) -> str:
             width, wide = (np.exp(np.mean(np.log(each / np.abs(truth)))) for each in (random, (high - low) / 2))
             lines.append(
                 f"| {name} | {share(np.abs(error) < random)}, {len(gains)} | {rms(error / random_std):.2f} | "
-                f"{100 * width:.2g} | {share((low < truth) & (truth < high))} | {rms(error / std):.2f} | {100 * wide:.2g} |"
+                f"{100 * width:.2g} | {share((low < truth) & (truth < high))} | {rms(error / std):.2f} | "
+                f"{100 * wide:.2g} |"
             )
     return "\n".join(lines)
 

@@ -51,6 +51,8 @@ class FindingKind(StrEnum):
     PRIOR = "contradictory prior"
     POSITION_NOISE = "position noise"
     RIPPLE = "position ripple"
+    COMMON_RESIDUALS = "residuals that repeat"
+    OPPOSED_RESIDUALS = "residuals that depend on the load"
     SMALL_REFUTATION = "description refuted, gains unmoved"
     UNTESTED = "other estimators not tried"
     WEAK_INSTRUMENTS = "weak instruments"

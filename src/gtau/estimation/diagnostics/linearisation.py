@@ -100,7 +100,7 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
 
 
 def in_step(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]], pieces: int) -> np.ndarray:
-    """Give numbers to windows, ``pieces`` of a run: the same for those at the same place of a motion that runs repeat, (W,)."""
+    """Give numbers (W,) to windows, ``pieces`` of a run: the same to those at one place of a motion that runs repeat."""
     found: list[tuple[int, int]] = []
     for run, window in windows:
         place = dataset.places[run]

@@ -173,6 +173,11 @@ def _ripple(values: Values) -> Sentence:
     )
 
 
+def _between_runs(values: Values) -> str:
+    listed = ", ".join(f"'{joint}' ({value:+.2f})" for joint, value in values["correlations"])
+    return "residuals of runs that repeat a motion with different loads are correlated at " + listed
+
+
 def _command_lag(values: Values) -> Sentence:
     lag, phase = values["lag"], tau * values["bandwidth"] * values["lag"]
     size = f"by {1e3 * lag:.2g} ms (standard deviation {1e3 * values['std']:.2g} ms)"
@@ -352,6 +357,15 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         INSTRUMENTS,
     ),
     F.RIPPLE: _ripple,
+    F.COMMON_RESIDUALS: lambda values: (
+        f"{_between_runs(values)}: what the model lacks there depends on the motion alone, and cancels in the gains",
+        "",
+    ),
+    F.OPPOSED_RESIDUALS: lambda values: (
+        f"{_between_runs(values)}: what the model lacks there changes sign with the load, and moves gains; most likely "
+        "{cause}",
+        "{to_do}",
+    ),
     F.SMALL_REFUTATION: (
         "{cause} would explain {share:.0f%} of the residual variance and move no gain by more than {move:.2g%}",
         "{to_do}",
@@ -428,6 +442,7 @@ NOTES: Mapping[F, Kind] = {
     F.COMMAND_LAG: Kind.FILTERED,
     F.SLIGHT_COMMAND_LAG: Kind.READING,
     F.UNTESTED: Kind.READING,
+    F.COMMON_RESIDUALS: Kind.READING,
     F.WEAK_INSTRUMENTS: Kind.READING,
     F.NOT_SEPARATED: Kind.SEPARATION,
 }

@@ -106,7 +106,13 @@ class Temperatures:
 
 
 def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
-    """Find the differences in all runs, cut into stretches at the rows ``edges``; None where none has a temperature, GtauError where some have."""
+    """Find the differences in all runs, cut into stretches at the rows ``edges``; None without any temperature.
+
+    Raises
+    ------
+    GtauError
+        Where some runs have temperatures and others have none.
+    """
     found = [each.run.temperature for each in prepared]
     logged = [each for each in found if each is not None]
     if not logged:
