@@ -100,7 +100,7 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
 
 
 def in_step(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]], pieces: int) -> np.ndarray:
-    """Give numbers (W,) to windows, ``pieces`` of a run: the same to those at one place of a motion that runs repeat."""
+    """Give numbers (W,) to windows, ``pieces`` of a run: the same to those at one place of a repeated motion."""
     found: list[tuple[int, int]] = []
     for run, window in windows:
         place = dataset.places[run]
