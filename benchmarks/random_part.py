@@ -33,7 +33,7 @@ from gtau.estimation.regression.equations import SIGNALS, STRETCHES, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.stretches import stretch_numbers
+from gtau.estimation.regression.stretches import stretch_of
 from gtau.estimation.regression.system import System
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -170,7 +170,7 @@ def fix(data: Dataset, k: int) -> Fixed:
     regressor = data.model.columns(data.base.standard)
     parts = list(stream_rows(data.model, regressor, prepared, decimator))
     entries, keep = np.hstack([p.entries for p in parts]), np.hstack([p.keep for p in parts])
-    stretch = stretch_numbers(data.edges[k], slice(0, entries.shape[1]))
+    stretch = stretch_of(data.edges[k], entries.shape[1])
     rows = []
     for s in range(STRETCHES):
         of_joints = []

@@ -1,6 +1,7 @@
-"""Write the table of methods in ``trust.md``: what each estimator is, and when to choose it.
+"""Write the tables of hypotheses and of methods in ``trust.md``.
 
-Both are taken from the docstring of its module: the first sentence, and those that say when to choose it.
+What a hypothesis adds is the docstring of its candidates. What an estimator is, and when to choose it, are the first
+sentence of the docstring of its module, and those that say when to choose it.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ import re
 from importlib import import_module
 from pathlib import Path
 
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.estimators.registry import PLACES
 
 PAGE = Path(__file__).parent / "trust.md"
+OF_HYPOTHESES = "<!-- made by python docs/make_methods.py from the docstrings of the hypotheses -->"
 BEGIN = "<!-- made by python docs/make_methods.py from the docstrings of the estimators -->"
 HEAD = "| method | what it is | when to choose it |"
 
@@ -34,12 +37,23 @@ def table() -> str:
     return "\n".join(rows)
 
 
+def hypotheses() -> str:
+    """Return the table of the hypotheses."""
+    rows = ["| alternative | what is added to each joint's equations |", "| --- | --- |"]
+    for each in HYPOTHESES:
+        words = " ".join((each.candidates.__doc__ or "").replace("``", "`").split())
+        rows.append(f"| {each.name} | {words.removeprefix('Add ').removesuffix('.')} |")
+    return "\n".join(rows)
+
+
 def page() -> str:
-    """Return the page with the present table in place of the one that it has."""
+    """Return the page with the present tables in place of those that it has."""
     text = PAGE.read_text(encoding="utf-8")
-    before, rest = text.split(f"{BEGIN}\n", 1)
-    _, after = rest.split("\n\n", 1)
-    return f"{before}{BEGIN}\n{table()}\n\n{after}"
+    for begin, made in ((OF_HYPOTHESES, hypotheses()), (BEGIN, table())):
+        before, rest = text.split(f"{begin}\n", 1)
+        _, after = rest.split("\n\n", 1)
+        text = f"{before}{begin}\n{made}\n\n{after}"
+    return text
 
 
 if __name__ == "__main__":

@@ -323,7 +323,7 @@ def test_milliamperes_read_as_amperes_contradict_the_prior_gains(runs: list[Run]
 
 
 @pytest.mark.slow
-def test_grams_read_as_kilograms_contradict_prior_gains_and_limits(runs: list[Run]) -> None:
+def test_grams_read_as_kilograms_contradict_prior_gains_and_limits_warn(runs: list[Run]) -> None:
     grams = [heavier(run, "1.983 kg", 1e3) for run in runs]
     found = identify(ROBOT, grams, prior_gains=per_ampere(0.9)).drive_gains.values()
     assert all(500 < gain.verdict.finding.values["ratio"] < 2000 for gain in found)
@@ -333,9 +333,9 @@ def test_grams_read_as_kilograms_contradict_prior_gains_and_limits(runs: list[Ru
     ]
     limited = replace(ROBOT, joints=tuple(joints))
     result = identify(limited, grams)
-    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY}
-    assert set(found_kinds(result)) == {F.EFFORT}
-    assert worst([gain.verdict for gain in identify(limited, runs).drive_gains.values()]) == Outcome.GOOD
+    assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD  # limits may be placeholders
+    assert [note.joint for note in result.notes if note.finding == F.EFFORT] == list(DRIVE_GAINS)
+    assert not [note for note in identify(limited, runs).notes if note.finding == F.EFFORT]
 
 
 def test_no_gain_is_good_beside_a_contradictory_one(runs: list[Run]) -> None:

@@ -133,6 +133,9 @@ def test_compare_takes_a_robot_with_runs_and_priors_are_mappings(folder: Path) -
     for one, other in zip(of_file.rows, of_runs.rows, strict=True):
         assert (one.method, one.outcome) == (other.method, other.outcome)
         assert one.gains is None or one.gains == pytest.approx(other.gains, rel=1e-6)
+    refused = gtau.compare(robot, runs).rows[1]  # without prior gains: listed, with the reason
+    assert refused.gains is None
+    assert "method 'wls' needs a drive gain for every joint" in refused.refusal
     priors = {"m_left": {"value": 1.0, "std": 0.4}}
     same = [gtau.identify(robot, runs, priors=each) for each in (priors, {"m_left": gtau.Prior(value=1.0, std=0.4)})]
     assert same[0].gains == pytest.approx(same[1].gains, rel=1e-12)

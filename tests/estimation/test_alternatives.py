@@ -101,7 +101,8 @@ def under_another_name(hypothesis: Hypothesis) -> Hypothesis:
 
     def candidates(fit: Fit) -> Candidates | None:
         made = hypothesis.candidates(fit)
-        assert made is not None
+        if made is None:
+            return None  # wrenches, which this robot has not
 
         def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
             columns = made.offer(window, values)

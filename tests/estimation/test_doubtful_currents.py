@@ -1,4 +1,4 @@
-"""Currents of a size that no drive has are asked about, by ``check`` and ``identify``."""
+"""Currents of a size that no drive has are asked about, by ``check`` and ``identify``; so are payloads."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from five_bar_logs import Plant
 from gtau.estimation.grades import Grade, grade_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.doubtful_currents import doubtful_currents
+from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
 from gtau.model.home import load_robot
+from gtau.robots.floating import float_base
 from gtau.signals.notes import Kind
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 
 
@@ -44,3 +47,15 @@ def test_doubtful_sizes_are_worth_mending(run: Run, factors: list[float], senten
     (note,) = [each for each in dataset.notes if each.kind == Kind.UNIT]
     assert grade_of(note) == Grade.WARNING
     assert re.search(sentence, str(note))
+
+
+def test_a_payload_in_grams_is_asked_about() -> None:
+    arm = load_robot("ur10e")
+    (note,) = doubtful_payloads(arm, [None, Payload(name="disc", mass=2800.0), Payload(name="disc", mass=2800.0)])
+    assert grade_of(note) == Grade.WARNING
+    assert "payload 'disc' weighs 2800 kg, more than arms that reach" in note.what
+    assert note.action == "if it is in g, write 'mass: 2.8' (kg)"
+    assert list(doubtful_payloads(arm, [Payload(name="rated", mass=12.5), Payload(name="weighed")])) == []
+    # a closed loop bears what no arm does, and a trunk has no reach
+    assert list(doubtful_payloads(load_robot("five-bar"), [Payload(name="slab", mass=500.0)])) == []
+    assert list(doubtful_payloads(float_base(arm), [Payload(name="slab", mass=500.0)])) == []

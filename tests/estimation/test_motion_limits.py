@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from five_bar_logs import Plant
+from five_bar_logs import Plant, write_experiment
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import FindingKind
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.experiment_runs import experiment_of
+from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import prepare_runs
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -59,6 +64,37 @@ def test_a_placeholder_for_the_limit_of_speed_is_a_note_and_another_clock_refuse
     slow = limited(Limits(velocity=0.01))
     (note,) = prepared(slow, run).notes
     assert "times its limit of 0.01 rad/s" in note.what
-    assert note.action.startswith(f"write the limit of '{run.joints[0]}' in the robot file if this is none")
+    assert note.action.startswith(
+        "check columns and units; where the limit is a placeholder, write its own under 'robot'"
+    )
+    assert note.action.endswith("({file: ..., limits: {left: ...}})")
     with pytest.raises(GtauError, match=r"which no robot has; correct the unit of the time"):
         prepared(slow, replace(run, time=run.time / 1000))
+
+
+def test_limits_are_corrected_in_the_experiment_file() -> None:
+    given = {"left": {"velocity": 3.1, "effort": 150, "position": ["deg(30)", 3]}}
+    limits = load_robot("five-bar", limits=given).joint("left").limits
+    assert (limits.velocity, limits.effort) == (3.1, 150.0)
+    assert limits.position == pytest.approx((np.deg2rad(30), 3.0))
+    assert limits.acceleration == load_robot("five-bar").joint("left").limits.acceleration
+    for wrong, sentence in (
+        ({"middle": {"effort": 1}}, "no joint 'middle'"),
+        ({"left": {"effort": 0}}, "limits.left.effort: 0 is out of range"),
+        ({"left": {"speed": 1}}, "unknown key 'speed'"),
+        ({"left": {"position": [1, 0]}}, "not in order"),
+    ):
+        with pytest.raises(GtauError, match=sentence):
+            load_robot("five-bar", limits=wrong)
+
+
+def test_other_limits_are_no_other_robot(tmp_path: Path) -> None:
+    file = write_experiment(tmp_path, Plant(noise=0.01))
+    model = identify(file)
+    file.write_text(
+        file.read_text().replace("robot: five-bar", "robot: {file: five-bar, limits: {left: {effort: 0.1}}}")
+    )
+    assert experiment_of(model, file).robot.limits["left"].effort == 0.1
+    low = identify(file)
+    assert [note.joint for note in low.notes if note.finding == FindingKind.EFFORT] == ["left"]
+    assert low.drive_gains["left"].verdict.outcome == model.drive_gains["left"].verdict.outcome == Outcome.GOOD

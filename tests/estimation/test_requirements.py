@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from gtau.estimation.results.estimate import Prediction, Requirement
 from gtau.estimation.results.model_document import to_document
 from gtau.report.evidence import RunEvidence, gather
 from gtau.report.identification import report_page, summary_page, verdict_section
-from gtau.report.page import Text
+from gtau.report.page import Page, Text
+from gtau.report.parameters import correlation_section
 from gtau.report.render.terminal import plain
 from gtau.report.torques import determination
 
@@ -70,6 +72,16 @@ def test_r_squared_is_of_the_kept_samples_of_all_runs() -> None:
     runs = [run([1.0, 2.0, 99.0], [1.0, 2.5, 0.0]), run([3.0, 6.0, 0.0], [3.0, 5.0, 99.0])]
     assert determination(runs)["q"] == pytest.approx(1 - (0.5**2 + 1.0) / (2.0**2 + 1.0 + 0.0 + 3.0**2))
     assert determination([]) == {}
+
+
+def test_names_of_drifting_parameters_and_many_estimates_are_explained(result: gtau.Result) -> None:
+    shown = correlation_section(
+        replace(result, covariance_names=("fv_left@2", *(f"p{k}" for k in range(69))), covariance=np.eye(70))
+    )
+    assert shown is not None
+    text = plain(Page("", (shown,)))
+    assert "fv_left@2: by how much fv_left in run 2, 'loaded', differs from its mean" in text
+    assert re.search(r"69 +p68", text)  # the names of the numbers at the axes
 
 
 def test_the_report_counts_r_squared_of_its_runs(result: gtau.Result) -> None:

@@ -30,11 +30,21 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.SWAPPED, ("a", "b"), values={"kind": "current", "exchanged": 0.021, "as_logged": 0.84}),
      "the currents of 'a' and 'b' look swapped: exchanged, 2.1 % of them is unexplained, as logged 84 %",
      "check that position and current columns belong together, in all runs"),
+    (Finding(F.LATE, ("a",), values={"kind": "current", "lag": 0.0998, "shifted": 0.0021, "as_logged": 0.17}),
+     "its currents were logged 100 ms too late: shifted by that, 0.21 % of them is unexplained, as logged 17 %",
+     "log them with the time stamps of the positions, or where those of all joints are as late, write 'preparation: "
+     "{delay: 0.0998}'"),
     (Finding(F.REFUTED, ("left",),
      values={"size": 1.2, "unit": "deg", "share": 0.31, "move": -0.045},
      causes=(Finding(F.ENCODER_ZERO, ("left",)),)),
      "an error in the zero of encoder 'left' (1.2 deg) would explain 31 % of the residual variance and move this "
      "gain by -4.5 %",
+     "check the zeros of the encoders against the robot's own"),
+    (Finding(F.REFUTED, ("left",),
+     values={"size": 1.2, "unit": "deg", "share": 0.31, "move": -23.0},
+     causes=(Finding(F.ENCODER_ZERO, ("left",)),)),
+     "an error in the zero of encoder 'left' (1.2 deg) would explain 31 % of the residual variance and move this "
+     "gain by more than 1000 %",
      "check the zeros of the encoders against the robot's own"),
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False}),
      "the model leaves 31 % of this joint's current unexplained",
@@ -81,8 +91,9 @@ SENTENCES = [  # finding, reason, advice
      "it is 3 times its prior of 2 N m/A",
      "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"),
     (Finding(F.EFFORT, ("left",), values={"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m"}),
-     "at this gain the torque is 250 N m (rms), 2.5 times the joint's limit of 100 N m",
-     "check the payload's mass (kg), the unit of the currents, and 'limits: effort' in the robot file"),
+     "the torque of 'left' is 250 N m (rms), 2.5 times its limit of 100 N m",
+     "check the payload's mass (kg) and the unit of the currents; where the limit is a placeholder, write its own "
+     "under 'robot' of the experiment file ({file: ..., limits: {left: ...}})"),
     (Finding(F.WIDE_SCALE, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
      "its 95 % interval is +-5.1 %, limited by the uncertainty of its scale reference",
      "calibrate the sensors, or weigh the payload, more accurately"),
@@ -109,7 +120,7 @@ SENTENCES = [  # finding, reason, advice
      causes=(Finding(F.SATURATION, ("left",)),)),
      "its 95 % interval is +-5.1 %, as the data cannot exclude the torque constant of 'left' falling with its "
      "current",
-     "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the actual "
+     "stay at lower currents, with slower motions or less load, and check that the log holds the actual "
      "current; friction that grows with the load has the same effect"),
     (Finding(F.COUPLED, ("left",), "right"),
      "joint 'right' contradicts the model, whose parameters all joints share",
@@ -204,6 +215,10 @@ SENTENCES = [  # finding, reason, advice
      "more than 0.71 %",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
+    (Finding(F.GAINS_APART, ("a", "b"), values={"ratio": 61.2, "smaller": 0.2, "larger": 12.24, "unit": "N m/A"}),
+     "the gains of 'a' and 'b' are a factor of 61 apart (0.2 and 12.2 N m/A), which motors and gears of one robot "
+     "hardly are",
+     "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not"),
     (Finding(F.WEAK_INSTRUMENTS, values={"strength": 1.43, "needed": 6.8}),
      "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of 1.4, "
      "where it needs 6.8), so that it would differ by its own bias",
@@ -224,6 +239,13 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.NOT_SEPARATED, values={"parameters": ["mx_1", "my_1"]}),
      "these motions cannot separate mx_1, my_1 from the other base parameters: no value is given",
      "add runs that move all joints in other ways"),
+    (Finding(F.MASS_UNSEEN, (), "tip", values={"sums": ["mx - 0.04 m", "my - 0.1445 m"]}),
+     "the mass of payload 'tip' is not identifiable, as only sums with other parameters of it act on the joints: "
+     "mx - 0.04 m, my - 0.1445 m",
+     "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"),
+    (Finding(F.MASS_UNSEEN, (), "tip", values={"sums": []}),
+     "the mass of payload 'tip' is not identifiable, as it acts on no joint: what carries it turns about a fixed point",
+     "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"),
     (Finding(F.FEW_ROWS, values={"rows": 12, "unknowns": 20}),
      "the tests of the model were skipped, as the robot moves too little for them (12 rows in the middle of the runs, "
      "for 20 unknowns): the intervals hold scatter alone",
@@ -253,7 +275,7 @@ SENTENCES = [  # finding, reason, advice
      "let the robot warm up before the runs, or split long runs"),
     (Finding(F.SATURATION, ("left",)),
      "the torque constant of 'left' falling with its current",
-     "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the actual "
+     "stay at lower currents, with slower motions or less load, and check that the log holds the actual "
      "current; friction that grows with the load has the same effect"),
     (Finding(F.GAIN_DRIFT, ("left",)),
      "the torque constant of 'left' falling along the runs",
@@ -276,6 +298,29 @@ SENTENCES = [  # finding, reason, advice
      "another gravity, about (0.0, -1.2, 9.7) m/s2",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
+    (Finding(F.GRAVITY, ("left", "right"),
+     values={"gravity": [9.80665, 0.0, 0.0], "also": [[-9.80665, 0.0, 0.0]], "floating": False,
+             "left": {"left": [0.05, 0.01], "right": [0.31, 0.0013]}}),
+     "gravity along +x or -x of the base, which leaves 0.13 % of 'right' unexplained instead of 31 %,",
+     "check how the base is mounted, and write 'gravity: [9.807, 0, 0]' in the robot file, or "
+     "'base: {rpy: [0, 1.571, 0]}' beside its 'file' in the experiment file"),
+    (Finding(F.GRAVITY, ("left",),
+     values={"gravity": [0.0, -5.88, -7.85], "also": [], "floating": True, "left": {"left": [0.05, 0.01]}}),
+     "gravity along (0, -0.6, -0.8) of the world, which leaves 1 % of 'left' unexplained instead of 5 %,",
+     "check how the world axes lie, and write 'gravity: [0, -5.88, -7.85]' in the robot file, in axes of the logged "
+     "poses, or turn the poses so that their z axis points up"),
+    (Finding(F.WRENCH_OFFSET, (), "foot", values={"component": "force x"}),
+     "an offset in the force x of the wrench on 'foot'",
+     "tare the force sensor before each run, with nothing on it, or subtract what it reads then"),
+    (Finding(F.WRENCH_OFFSET, (), "foot", values={"force": [5.0, 0.0, -1.23], "moment": [0.1, 0.0, 0.0]}),
+     "an offset of (5, 0, -1.2) N and (0.1, 0, 0) N m in the wrench on 'foot'",
+     "tare the force sensor before each run, with nothing on it, or subtract what it reads then"),
+    (Finding(F.WRENCH_POINT, (), "foot", values={"axis": "x"}),
+     "the point about which the moment on 'foot' is stated, off in x",
+     "measure where the sensor is, and correct 'at' of that wrench"),
+    (Finding(F.WRENCH_POINT, (), "foot", values={"shift": [0.02, 0.0, -0.001]}),
+     "the point about which the moment on 'foot' is stated, off by (20, 0, -1) mm",
+     "measure where the sensor is, and correct 'at' of that wrench"),
     (Finding(F.CLOCK, values={"factor": 1.4, "rate": 125.0}),
      "a sampling rate that is too high, as accelerations are too large against gravity (or wrong lengths throughout"
      " the robot)",
@@ -344,6 +389,24 @@ def test_measured_wrenches_come_first_in_the_advice() -> None:
     alone = Finding(F.UNEXPLAINED, ("left",), values=values)
     beside = Finding(F.UNEXPLAINED, ("left",), values={**values, "wrenches": True})
     assert advice(beside) == f"{WRENCHES}; otherwise {advice(alone)}"
+
+
+def test_a_wrench_that_is_the_cause_is_all_that_is_to_be_checked() -> None:
+    values = {"size": 1.0, "unit": "", "share": 0.6, "move": 0.1, "wrenches": True}
+    found = Finding(F.REFUTED, ("left",), values=values, causes=(Finding(F.WRENCH_POINT, (), "3", {"axis": "x"}),))
+    assert advice(found) == "measure where the sensor is, and correct 'at' of that wrench"
+
+
+@pytest.mark.parametrize("kind", [F.GRAVITY_TILT, F.GRAVITY_STRENGTH, F.GAIN_CHANGE, F.TWO_STAGE])
+def test_advice_is_of_no_payload_where_no_run_has_one(kind: F) -> None:
+    cause = Finding(kind, ("left",), values={"towards": [1.0, 0.0, 0.0], "runs": ["a"], "change": 0.1})
+    values = {"size": 1.0, "unit": "", "share": 0.6, "move": 0.1, "t": 12.0}
+    for outer in (F.REFUTED, F.OTHER_ESTIMATOR):
+        said = [
+            advice(Finding(outer, ("left",), values=values | {"payload": payload}, causes=(cause,)))
+            for payload in (True, False)
+        ]
+        assert ["payload" in each for each in said] == [True, False]
 
 
 def test_causes_of_one_effect_are_named_together() -> None:

@@ -18,6 +18,8 @@ from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
@@ -73,3 +75,21 @@ def test_gains_of_robots_that_rest_are_good_and_right(shared: Path, robot: str) 
     for joint, gain in result.drive_gains.items():
         assert gain.verdict.outcome == Outcome.GOOD
         assert gain.interval(0.95)[0] < truth[joint] < gain.interval(0.95)[1]
+
+
+def test_a_long_rest_widens_no_interval() -> None:
+    """The jackknife leaves out stretches of as many rows each, however long the robot stood still."""
+    moving, at_rest = dataset(0.0), dataset(150.0)
+    for factors in at_rest.factors:
+        rows = factors.rows.sum(axis=1)
+        assert rows.min() > 0.4 * rows.mean()  # the two at the rest lose those next to it
+    before, after = (ML.fit(each, each.system(), Given()).solution for each in (moving, at_rest))
+    ratio = np.sqrt(np.diag(after.jackknife) / np.diag(before.jackknife))
+    assert 0.7 < np.median(ratio) < 1.4
+
+
+def test_stretches_are_equal_where_the_robot_does_not_rest() -> None:
+    for each in dataset(0.0).prepared:
+        assert stretch_edges(each) == pytest.approx(np.linspace(0, 1, STRETCHES + 1), abs=1e-12)
+        outputs = 997
+        assert stretch_of(each, outputs).tolist() == (np.arange(outputs) * STRETCHES // outputs).tolist()

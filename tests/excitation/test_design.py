@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
+from gtau.excitation.constraints import ConstraintUsage
 from gtau.excitation.design import Design, Stopped, check, design
 from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate, information
@@ -346,3 +347,10 @@ def test_the_table_of_other_payloads_fits_a_terminal() -> None:
     assert shown.rows[1] == ("shoulder_pan_joint", 1.25, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     assert max(map(len, plain(page("", found)).splitlines())) <= 80
     assert exceeded.points == ("with 6 kg this motion exceeds: current of a",)
+
+
+def test_what_a_limit_is_called_does_not_change_what_is_reached() -> None:
+    """A condition number is counted in logarithms, in whichever run and words."""
+    usage = ConstraintUsage("conditioning in run 2", 100.0, "", np.array([0.5, 1.5]), lambda: np.zeros(0))
+    assert usage.reached == pytest.approx(150.0)
+    assert replace(usage, logarithmic=True).reached == pytest.approx(1000.0)

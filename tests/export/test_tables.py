@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +22,7 @@ from robots_for_tests import tree
 import gtau
 from gtau.documents.csv import in_csv
 from gtau.estimation.results.result import Result
-from gtau.export.latex import TEXT_WIDTH, symbol, width
+from gtau.export.latex import SPACE, TEXT_WIDTH, symbol, width
 from gtau.export.names import identifier, in_latex, in_latex_index, suffixes
 from gtau.export.parameter_orders import ORDERS, from_order, to_order
 from gtau.model.home import load_robot
@@ -82,7 +84,7 @@ def test_latex_tables_are_complete(robot: Robot, tmp_path: Path) -> None:
         assert symbol(each) in text
     assert ("Denavit--Hartenberg" in text) == (robot.name == "ur10e")
     if latex := shutil.which("pdflatex"):
-        page = r"\documentclass{article}\usepackage{booktabs,amsmath}\begin{document}\input{%s}\end{document}"
+        page = r"\documentclass{article}\usepackage{booktabs,amsmath,longtable}\begin{document}\input{%s}\end{document}"
         (tmp_path / "page.tex").write_text(page % exported.files[0].name)
         subprocess.run([latex, "-halt-on-error", "page.tex"], cwd=tmp_path, check=True, capture_output=True)
 
@@ -104,6 +106,33 @@ def test_latex_of_long_names_fits_the_page(tmp_path: Path) -> None:
     geometry = text.split(r"\midrule")[1].split(r"\bottomrule")[0]
     assert "joint" not in geometry
     assert r"Joints: 1 shoulder\_pan\_joint, 2 " in text
+
+
+def renamed(robot: Robot, prefix: str) -> Robot:
+    """The robot with other names of its joints."""
+    new = {joint.name: prefix + joint.name for joint in robot.joints}
+    joints = (
+        replace(joint, name=new[joint.name], antecedent=new.get(joint.antecedent, joint.antecedent))
+        for joint in robot.joints
+    )
+    return replace(robot, joints=tuple(joints))
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [load_robot("ur10e"), load_robot("orthoglide"), renamed(load_robot("ur10e"), "x" * 80)],
+    ids=["ur10e", "orthoglide", "names of 100 characters"],
+)
+def test_latex_tables_fit_the_page_whatever_the_names(robot: Robot, tmp_path: Path) -> None:
+    text = gtau.export_model(model_of(robot), "latex", tmp_path).files[0].read_text()
+    tables = re.findall(r"\\endfoot\n(.*?)\\end{longtable}", text, re.DOTALL)
+    assert len(tables) == 2
+    for body in tables:
+        columns = zip(*(row.split(" & ") for row in body.split("\\\\\n") if row), strict=True)
+        assert sum(max(map(width, column)) + SPACE for column in columns) < TEXT_WIDTH
+    equations = text.split(r"\begin{align}")[1].split(r"\end{align}")[0].split("\\\\\n")
+    assert max(width(line.replace("&", "").replace(r"\nonumber", "")) for line in equations) < TEXT_WIDTH
+    assert max(len(word) for word in re.split(r"\s|\\allowbreak{}", text.split(r"\begin{align}")[0])) < 60
 
 
 def test_a_spreadsheet_computes_no_name() -> None:

@@ -28,7 +28,7 @@ from gtau.report.page import (
     table,
 )
 from gtau.report.render.charts import figure_of, palette, svg_of
-from gtau.report.render.html import frame, html
+from gtau.report.render.html import MINUS, frame, html, minus
 from gtau.report.render.live import arrays_for, envelope, spec_of, stretches
 from gtau.report.render.terminal import plain
 
@@ -117,6 +117,18 @@ def test_the_terminal_is_plain_text_of_80_columns(whole: Page) -> None:
     assert "inside" in text
 
 
+def test_no_line_breaks_between_a_number_and_its_unit_or_within_a_unit() -> None:
+    columns = [Column("joint"), Column("limits"), *(Column(f"gain of {k}, N m/A", Kind.NUMBER) for k in range(6))]
+    limits = "1.571 to 2.618 rad, 6 rad/s, 100 rad/s2, 30 N m, 5 %"
+    lines = plain(page("", section("", table(columns, [["left", limits, *6 * [2.5]]])))).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert sum(line.count("N m/A") for line in lines) == 6
+    for kept in ("2.618 rad", "6 rad/s", "100 rad/s2", "30 N m", "5 %"):
+        assert any(kept in line for line in lines), kept
+    for words in (plain(page("", section("", Text(f"{'x' * k} 30 N m")))) for k in range(60, 80)):
+        assert "30 N m" in words
+
+
 def test_a_path_stays_in_one_piece() -> None:
     path = "/somewhere/" + "very-long-name/" * 8 + "log.csv"
     assert path in plain(page("", section("", Text(f"cannot read {path} at all"))))
@@ -135,6 +147,12 @@ def test_findings_are_listed_by_grade() -> None:
 
 
 # HTML
+
+
+def test_signs_of_numbers_are_minus_signs_and_hyphens_stay() -> None:
+    assert minus("-1 to -0.5 (-3), run-2, a-1/-5, --json, 2e-5") == (
+        f"{MINUS}1 to {MINUS}0.5 ({MINUS}3), run-2, a-1/-5, --json, 2e{MINUS}5"
+    )
 
 
 def test_html_escapes_everything_and_loads_nothing(whole: Page) -> None:

@@ -104,6 +104,15 @@ def test_a_payload_is_on_what_carries_the_fingers() -> None:
     assert branched(*(f"h{k} t{k} s{k}" for k in range(4)), floating="trunk").tool == "s3"
 
 
+def test_what_takes_long_is_said() -> None:
+    """Of a robot of many joints the equations and the counting take minutes."""
+    said: list[tuple[str, int, int]] = []
+    describe(load_robot("five-bar"), lambda *stage: said.append(stage))
+    stages = list(dict.fromkeys(stage for stage, *_ in said))
+    assert stages == ["deriving the equations of 4 joints", "counting base parameters"]
+    assert all(done < total for _, done, total in said)
+
+
 @pytest.mark.parametrize("name", catalog_names())
 def test_nothing_is_odd_in_the_catalog(name: str) -> None:
     robot = load_robot(name)

@@ -12,6 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
+from gtau.demo.tutorial import write_tutorial
+from gtau.errors import GtauError
 from gtau.signals.log_file import read_log
 from gtau.simulation.simulation_file import read_simulation
 
@@ -74,3 +76,12 @@ def test_the_page_followed_literally(tmp_path: Path, page: str, monkeypatch: pyt
         assert float(printed[1]) == pytest.approx(gain["value"], abs=gain["std"])
         assert float(printed[1]) == pytest.approx(truth[gain["joint"]], abs=float(printed[2]))
     assert Path("result/report.html").stat().st_size > 10_000
+
+
+def test_no_log_of_another_content_is_replaced(tmp_path: Path) -> None:
+    first = write_tutorial(tmp_path)
+    assert write_tutorial(tmp_path) == first
+    first[-1].write_text("mine")
+    with pytest.raises(GtauError, match=r"unknown\.csv exists already, with other content"):
+        write_tutorial(tmp_path)
+    assert first[-1].read_text() == "mine"

@@ -41,7 +41,8 @@ def test_a_good_file(folder: Path) -> None:
     assert experiment.robot == "orthoglide"
     assert experiment.signals.joints == ("11", "12")
     assert experiment.signals.command == {"11": "v1", "12": "v2"}
-    assert experiment.prior_gains == {"11": 2001.0, "12": 2001.0}
+    assert experiment.expected_gains == {"11": 2001.0, "12": 2001.0}
+    assert experiment.gain_stds == {}
     assert experiment.runs[0].log == (folder / "free.csv",)
     assert experiment.runs[0].payload is None
     payload = experiment.runs[1].payload
@@ -97,6 +98,7 @@ BAD = [
     ("gain missing", "{11: 2001, 12: 2001}", "{11: 2001}", "joint '12' has no gain"),
     ("gain zero", "{11: 2001,", "{11: 0,", "the gain of joint '11' is zero"),
     ("gain a word", "{11: 2001,", "{11: high,", "line 3, prior_gains.11: 'high' is not a number"),
+    ("gain's spread", "{11: 2001,", "{11: {value: 2001, std: -3},", "prior_gains.11.std: -3 is out of range"),
     ("gain infinite", "{11: 2001,", "{11: inf,", "prior_gains.11: 'inf' is not a number"),
     ("gains of torques", ", current:", ", torque:", "the signals hold torques, which need no gains"),
     ("log missing", "log: free.csv", "log: fre.csv", "fre.csv'; did you mean 'free.csv'?"),

@@ -469,7 +469,7 @@ MODELS = [
     ),
     Case(
         "weighing without prior gains",
-        "has no 'prior_gains'; add them, or weigh with the identified gains",
+        "there are no 'prior_gains'; add them, or weigh with the identified gains",
         experiment((PRIOR, ""), (LOADED + "}\nval", ", payload: {name: lead}}\nval")),
         (*WEIGH, "--gains", "prior"),
     ),

@@ -45,8 +45,8 @@ def identify(
         str | None,
         typer.Option(
             metavar=METHODS,
-            help="Estimator; wls and ols take the file's prior_gains. Default: ml; tls with --as-paper; "
-            "wls where the logs hold torques.",
+            help="Estimator; docs/trust.md says when to choose which. Default: ml; tls with --as-paper; wls where the "
+            "logs hold torques.",
             show_default=False,
         ),
     ] = None,
@@ -204,7 +204,7 @@ def payload(
         with progress_bar() as progress:
             from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
-            from gtau.estimation.weigh import weigh
+            from gtau.estimation.weigh import exact_gains, weigh
             from gtau.report.evidence import settings_of
             from gtau.report.validation import weighing_page, weighing_report
             from gtau.report.write import inputs_of, write_report
@@ -212,10 +212,10 @@ def payload(
 
             result = Result.load(model)
             found = weigh(result, experiment, gains=gains.value, progress=progress)
-        written = []
+        described, written = read_experiment(experiment), []
+        exact = exact_gains(described, gains.value)
         if out is not None:
-            described = read_experiment(experiment)
-            page = weighing_report(result, found, gains.value, described.expected_gains)
+            page = weighing_report(result, found, gains.value, described.expected_gains, exact)
             inputs = (("model", model), *inputs_of(experiment, described))
             settings = {**settings_of(result), "drive gains": gains.value}
             written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings)]
@@ -224,11 +224,11 @@ def payload(
                 {
                     "payloads": payload_documents(found),
                     "gains": gains.value,
-                    "gain_uncertainty_included": gains.value == "identified",
+                    "gain_uncertainty_included": not exact,
                 }
             )
         else:
-            show(weighing_page(result, found, gains.value), written)
+            show(weighing_page(result, found, gains.value, exact), written)
 
 
 def fleet(

@@ -74,8 +74,8 @@ def robot(
             from gtau.report.robot_figure import robot_figure
 
             save_figure(robot_figure(found), figure)
-        with progress_bar():
-            description = robot_document(found)
+        with progress_bar() as progress:
+            description = robot_document(found, progress)
         if json_:
             print_json(description)
         else:
@@ -213,7 +213,7 @@ def tutorial(
             print_json({"files": [str(path) for path in written]})
             return
         typer.echo("\n".join(f"written: {path}" for path in written))
-        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar")
+        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
 
 
 SimulationFile = Annotated[

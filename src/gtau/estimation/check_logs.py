@@ -22,6 +22,7 @@ from gtau.estimation.gate import choose_estimator, require_identifiable, require
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
 from gtau.estimation.regression.doubtful_currents import doubtful_currents
+from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
@@ -162,7 +163,7 @@ def check_logs(
         gains = require_inputs(estimator, robot, used, subject.prior_gains, subject.stated)
     except GtauError as error:
         notes.append(refusal(error))
-    notes += doubtful_currents(used, robot.base)
+    notes += [*doubtful_currents(used, robot.base), *doubtful_payloads(robot, (run.payload for run in used))]
     preparation = choose_preparation(used)
     checked, prepared_runs = [], []
     for k, run in enumerate(read):

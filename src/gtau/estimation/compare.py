@@ -132,12 +132,11 @@ def compare(
     with single_threaded_blas():
         dataset = reduce_runs(robot, taken_runs, progress=progress, priors=known)
         require_identifiable(choose_estimator("ml", taken_runs), None, dataset, dataset.system(Friction()))
-        chosen = [each for each in ESTIMATORS.values() if each.gains != Gains.GIVEN or subject.prior_gains]
         rows = []
-        for k, estimator in enumerate(chosen):
-            progress("estimators", k, len(chosen))
+        for k, estimator in enumerate(ESTIMATORS.values()):
+            progress("estimators", k, len(ESTIMATORS))
             rows.append(row(estimator))
-        progress("estimators", len(chosen), len(chosen))
+        progress("estimators", len(ESTIMATORS), len(ESTIMATORS))
     units = tuple(f"{torque_unit(robot, joint)}/A" for joint in robot.motors)
     return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)
 

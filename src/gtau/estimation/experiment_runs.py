@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from gtau.documents.arguments import MAPPING, NUMBER, expect
+from gtau.documents.validation import validate
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.robot import Robot
-from gtau.signals.experiment import Experiment, Prior, as_priors, check_robot, read_experiment
+from gtau.robots.robot import Limits, Robot
+from gtau.signals.columns import document_of
+from gtau.signals.experiment import Experiment, Prior, StatedGain, as_priors, check_robot, read_experiment
 from gtau.signals.logged_run import LoggedRun
 from gtau.signals.run import Run, read_run
 from gtau.signals.side_signals import read_poses
@@ -28,7 +30,8 @@ OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_
 class Subject:
     """A robot with its runs, and what is known: ``priors`` with those of data sheets, and ``stated`` without.
 
-    ``experiment`` is None where robot and runs were given in Python.
+    ``gain_stds`` are the standard deviations of the gains expected, where they are known; ``experiment`` is None where
+    robot and runs were given in Python.
     """
 
     robot: Robot
@@ -37,12 +40,13 @@ class Subject:
     priors: Mapping[str, Prior]
     stated: Mapping[str, Prior]
     experiment: Experiment | None = None
+    gain_stds: Mapping[str, float] = field(default_factory=dict)
 
 
 def subject_of(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
-    prior_gains: Mapping[str, float] | None = None,
+    prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     progress: Progress = silent,
 ) -> Subject:
@@ -62,12 +66,12 @@ def subject_of(
 def describe(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
-    prior_gains: Mapping[str, float] | None = None,
+    prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
 ) -> Subject:
     """Do as :func:`subject_of`, but leave the logs of an experiment unread."""
     given = None if priors is None else as_priors(priors)
-    gains = None if prior_gains is None else _as_gains(prior_gains)
+    gains, stds = (None, {}) if prior_gains is None else _as_gains(prior_gains)
     if isinstance(source, Robot):
         if runs is not None and (isinstance(runs, Run) or not isinstance(runs, Iterable)):
             raise GtauError(OF_RUNS)
@@ -76,7 +80,7 @@ def describe(
             raise GtauError("a robot alone cannot be identified; give its runs too.")
         if not all(isinstance(run, Run) for run in runs):
             raise GtauError(OF_RUNS)
-        return Subject(source, runs, gains or {}, given or {}, given or {})
+        return Subject(source, runs, gains or {}, given or {}, given or {}, gain_stds=stds)
     if runs is not None:
         raise GtauError(
             "runs are given beside an experiment file, which lists its own; give a robot with runs, or the file alone."
@@ -96,16 +100,24 @@ def describe(
         experiment.expected_parameters if given is None else given,
         experiment.priors if given is None else given,
         experiment,
+        experiment.gain_stds if gains is None else stds,
     )
 
 
-def _as_gains(gains: Mapping[str, float]) -> dict[str, float]:
+def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
+    """Read gains by joint, and the standard deviations of those that have one."""
     expect("'prior_gains'", gains, MAPPING)
+    values, stds = {}, {}
     for joint, gain in gains.items():
-        expect(f"the prior gain of joint '{joint}'", gain, NUMBER)
+        name = f"prior gain of joint '{joint}'"
+        if isinstance(gain, Mapping):
+            stated = validate(StatedGain, document_of(name, gain))
+            gain, stds[str(joint)] = stated.value, stated.std
+        expect(f"the {name}", gain, NUMBER)
         if not isfinite(gain) or gain == 0:
-            raise GtauError(f"the prior gain of joint '{joint}' is {gain:g}; give its N m/A (or N/A).")
-    return {str(joint): float(gain) for joint, gain in gains.items()}
+            raise GtauError(f"the {name} is {gain:g}; give its N m/A (or N/A).")
+        values[str(joint)] = float(gain)
+    return values, {joint: std for joint, std in stds.items() if std is not None}
 
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
@@ -152,7 +164,7 @@ def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:
 
 def require_same(model: IdentifiedModel, robot: Robot, kind: str, where: str) -> None:
     """Check that a robot and the kind of its logs are those of an identified model; raises GtauError."""
-    if replace(robot, name="", source="") != replace(model.robot, name="", source=""):
+    if _mechanism(robot) != _mechanism(model.robot):
         raise GtauError(
             f"{where} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
             "another geometry; give the model of this robot."
@@ -162,3 +174,9 @@ def require_same(model: IdentifiedModel, robot: Robot, kind: str, where: str) ->
             f"the logs of {where} hold {kind}s, but the model was identified from {model.kind}s; "
             "give logs of the same kind."
         )
+
+
+def _mechanism(robot: Robot) -> Robot:
+    """Take from a robot what its equations of motion do not depend on."""
+    joints = tuple(replace(joint, limits=Limits()) for joint in robot.joints)
+    return replace(robot, name="", source="", notes=(), joints=joints)

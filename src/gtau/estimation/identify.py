@@ -53,12 +53,10 @@ def identify(
         An experiment file, or what was read of it; or a robot, together with ``runs``.
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
-    method : {"ml", "huber", "ridge", "iv", "didim", "2sls", "tls", "wls", "ols"}
-        Maximum likelihood (as it is, with Huber's weights against outliers, or with natural sizes of what is left
-        open), instrumental variables and DIDIM (against noise of the encoders), 2SLS and the paper's TLS
-        find the drive gains from a known payload, all but IV and TLS also from torque sensors and ``priors``;
-        weighted and ordinary least squares take ``prior_gains``, or torques. If left out, "wls" where logs hold
-        torques, else "ml", or "tls" with ``as_paper``.
+    method : str, optional
+        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/trust.md says what each is, and when to choose
+        it. If left out, least squares with given gains ("wls") where logs hold torques, else maximum likelihood ("ml"),
+        or the paper's total least squares ("tls") with ``as_paper``.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N/A; the experiment file's if left out.
     ratio : float, optional

@@ -36,7 +36,7 @@ def weigh(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
     gains: str = "identified",
-    prior_gains: Mapping[str, float] | None = None,
+    prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
     progress: Progress = silent,
 ) -> tuple[PayloadEstimate, ...]:
     """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its runs without payload.
@@ -56,15 +56,16 @@ def weigh(
     gains : {"identified", "prior"}
         The model's gains, or the prior ones (the paper's cases 2 and 1).
     prior_gains : mapping, optional
-        Joint to gain, N m/A or N/A; the experiment file's if left out.
+        Joint to gain, N m/A or N/A, or to a mapping with its standard deviation such as ``{"value": 2.4, "std": 0.1}``;
+        the experiment file's if left out.
     progress : callable, optional
         Called as the work goes on.
 
     Returns
     -------
     tuple of PayloadEstimate
-        One for each run with an unknown payload. The standard deviations include what the identified
-        gains' own uncertainty does.
+        One for each run with an unknown payload. The standard deviations include what the gains' own uncertainty does,
+        of prior gains as far as their standard deviations are given (see :func:`exact_gains`).
 
     Raises
     ------
@@ -84,7 +85,9 @@ def weigh(
     bare = any(run.payload is None for run in subject.runs)
     chosen = [run for run in subject.runs if run.payload is None or run.payload.mass is None or not bare]
     if gains == "prior":
-        g_tau, covariance = given_gains(robot, chosen, subject.prior_gains, "wls"), None
+        g_tau = given_gains(robot, chosen, subject.prior_gains, "wls")
+        stds = {} if model.kind == "torque" else subject.gain_stds
+        covariance = np.diag([stds.get(joint, 0.0) ** 2 for joint in robot.actuated])
     else:
         g_tau = model.gains
         rows = [model.covariance_names.index(Parameter("gain", joint).name) for joint in robot.actuated]
@@ -104,13 +107,20 @@ def weigh(
         )
     solution = solve(system.problem)
     total = solution.jackknife + scale_uncertainty(dataset, system, solve)
-    if covariance is not None:
+    if covariance.any():
         slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
     estimates = payload_estimates(
         dataset, system, solution.theta, total, {}, degrees_of_freedom(system.problem, solution, False)
     )
     return tuple(each for each in estimates if "m" not in each.known)
+
+
+def exact_gains(experiment: Experiment, gains: str) -> tuple[str, ...]:
+    """List the joints whose gain weighing takes for exact, as no standard deviation of it is known."""
+    if gains != "prior":
+        return ()
+    return tuple(joint for joint in experiment.signals.joints if joint not in experiment.gain_stds)
 
 
 def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -> np.ndarray:

@@ -16,7 +16,6 @@ from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.signals.payload import Payload
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
-SINGULAR = "condition number of the closures"
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +23,7 @@ class ConstraintUsage:
     """How much of a limit is used: ``values`` (N,), within -1 and 1, but at least 1 where the limit is a ``least`` one.
 
     ``what`` names the limit, ``limit`` is its value in ``unit``, counted from ``middle`` where it is an interval;
-    ``rows`` gives the slopes by x, a row a value.
+    ``rows`` gives the slopes by x, a row a value. ``logarithmic`` values are logarithms over that of the limit.
     """
 
     what: str
@@ -34,6 +33,7 @@ class ConstraintUsage:
     rows: Callable[[], np.ndarray]
     least: bool = False
     middle: float | None = None
+    logarithmic: bool = False
 
     @property
     def allowed(self) -> str:
@@ -60,7 +60,7 @@ class ConstraintUsage:
         """The extreme value itself, in ``unit``."""
         if self.middle is not None:
             return float(self.middle + self.limit * self.values[np.argmax(np.abs(self.values))])
-        if self.what.startswith(SINGULAR):
+        if self.logarithmic:
             return float(np.exp(self.excess * np.log(self.limit)))
         return self.limit * float(self.values.min()) if self.least else self.limit * self.excess
 
@@ -98,8 +98,8 @@ def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[
         largest = np.log(task.limits.condition)
         values, slopes = task.pullback.condition(point.motion)
         yield ConstraintUsage(
-            SINGULAR, task.limits.condition, "", values / largest,
-            lambda: point.to_rows(point.to_joints(slopes)) / largest,
+            "condition number of the closures", task.limits.condition, "", values / largest,
+            lambda: point.to_rows(point.to_joints(slopes)) / largest, logarithmic=True,
         )  # fmt: skip
     if task.limits.away > 0:
         yield from _away_from_reversals(point, share)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import pi
 from pathlib import Path
+from types import MappingProxyType
 
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
@@ -16,29 +17,52 @@ from gtau.robots.robot import Mdh, Robot
 
 SYMBOLS = {"ia": "ia", "fv": "fv", "fs": "fs", "f3": "f_3", "f0": "f_0", "fl": r"f_{\ell}"}
 UNITS = {"kg m2": r"kg\,m$^2$", "kg m": r"kg\,m", "N m": r"N\,m", "N m s/rad": r"N\,m\,s/rad", "N s/m": r"N\,s/m"}
+SPACE = 6.0  # pt, between columns
 TEXT_WIDTH = 345.0  # pt, of LaTeX's article
 NUMBER_WIDTH = 55.0  # pt: number of an equation, "=", indent and what parts them
-INDEX = 4  # characters of a joint's name that fit the table of geometry; longer ones stand in its caption
-HEAD = r"""% Tables of '{robot}', written by 'gtau export': \usepackage{{amsmath,booktabs}} and \input this file.
+INDEX = 4  # characters of a joint's name that fit the table of geometry
+NAME = 24  # characters that fit as an index of a formula; where a name has more, numbers stand for all
+HEAD = r"""% Tables of '{robot}', written by 'gtau export'; \input this file after
+% \usepackage{{amsmath,booktabs,longtable}}
 """
 
 
 def export(result: Result, out: Path) -> Exported:
-    r"""Write ``NAME.tex`` into ``out``: tables for ``\input``, which want the packages amsmath and booktabs."""
+    r"""Write ``NAME.tex`` into ``out``: tables for ``\input``, which want amsmath, booktabs and longtable."""
     parts = [HEAD.format(robot=" ".join(result.robot.name.split()))]
     notes = []
     if all(isinstance(joint.placement, Mdh) for joint in result.robot.joints):
         parts.append(_geometry(result.robot))
     else:
         notes.append("the robot is not described by MDH parameters, so there is no table of its geometry")
-    parts += [_parameters(result), _regroupings(result)]
+    names = list(dict.fromkeys((*result.robot.bodies, *(each.name for each in result.payloads))))
+    label = _labels(names, NAME)
+    if label != {name: name for name in names}:
+        parts.append(f"In formulas numbers stand for names: {_legend(label)}.\n")
+    parts += [_parameters(result, label), _regroupings(result, label)]
     return Exported(written(out, {f"{identifier(result.robot.name)}.tex": "\n".join(parts)}), tuple(notes))
 
 
-def symbol(name: str) -> str:
-    """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R."""
+def _labels(names: Sequence[str], longest: int) -> dict[str, str]:
+    """Take names as they are where none is longer than ``longest``, or else numbers from 1."""
+    brief = all(len(name) <= longest for name in names)
+    return {name: name if brief else str(number) for number, name in enumerate(names, start=1)}
+
+
+def _legend(label: Mapping[str, str]) -> str:
+    """List the names behind numbers; a line may break within long ones."""
+    parts = ((each, re.findall(".{1,8}", name) if len(name) > NAME else [name]) for name, each in label.items())
+    return ", ".join(f"{each} " + r"\allowbreak{}".join(map(in_latex, part)) for each, part in parts)
+
+
+def symbol(name: str, label: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R.
+
+    ``label`` says what stands for the name of a body.
+    """
     kind, index, _ = parameter_of(name)
     plain = re.sub(r"R$", "", index) if index else ""
+    plain = label.get(plain, plain)
     subscript = in_latex_index(plain) + ("R" if index.endswith("R") else "")
     if kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"
@@ -54,10 +78,11 @@ def _number(value: float | None, digits: int = 4) -> str:
 
 def _table(columns: str, head: Sequence[str], lines: Iterable[Sequence[str]], caption: str) -> str:
     body = " \\\\\n".join(" & ".join(line) for line in lines)
+    top = f"\\toprule\n{' & '.join(head)} \\\\\n\\midrule\n"
     return (
-        "\\begin{table}\n\\centering\n\\small\n\\setlength{\\tabcolsep}{3pt}\n\\caption{" + caption + "}\n"
-        f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{' & '.join(head)} \\\\\n\\midrule\n{body} \\\\\n"
-        "\\bottomrule\n\\end{tabular}\n\\end{table}\n"
+        f"{{\\small\n\\setlength{{\\tabcolsep}}{{{SPACE / 2:g}pt}}\n\\begin{{longtable}}{{{columns}}}\n"
+        f"\\caption{{{caption}}} \\\\\n{top}\\endfirsthead\n{top}\\endhead\n\\bottomrule\n\\endfoot\n"
+        f"{body} \\\\\n\\end{{longtable}}}}\n"
     )
 
 
@@ -80,8 +105,7 @@ def _sum(variable: str, constant: str) -> str:
 def _geometry(robot: Robot) -> str:
     """Tabulate the modified Denavit-Hartenberg parameters, as in the paper's Table 2."""
     names = [joint.name for joint in robot.joints]
-    brief = all(len(name) <= INDEX for name in names)
-    label = {name: name if brief else str(number) for number, name in enumerate(names, start=1)}
+    label = _labels(names, INDEX)
     lines = []
     for joint in robot.joints:
         at = joint.placement
@@ -110,17 +134,18 @@ def _geometry(robot: Robot) -> str:
         "$r_j$",
     )
     caption = f"Modified Denavit--Hartenberg parameters of {in_latex(robot.name)} (m, rad)."
-    if not brief:
-        caption += f" Joints: {', '.join(f'{label[name]} {in_latex(name)}' for name in names)}."
+    if list(label.values()) != names:
+        caption += f" Joints: {_legend(label)}."
     return _table("cccccccccc", head, lines, caption)
 
 
-def _parameters(result: Result) -> str:
+def _parameters(result: Result, label: Mapping[str, str]) -> str:
     """Tabulate drive gains and essential parameters with relative standard deviations, as in the paper's Table 3."""
-    lines = [_line(rf"g_{{\tau\,{in_latex_index(joint)}}}", each) for joint, each in result.drive_gains.items()]
-    lines += [_line(symbol(name), each) for name, each in {**result.essential, **result.friction}.items()]
+    gains = ((in_latex_index(label[joint]), each) for joint, each in result.drive_gains.items())
+    lines = [_line(rf"g_{{\tau\,{index}}}", each) for index, each in gains]
+    lines += [_line(symbol(name, label), each) for name, each in {**result.essential, **result.friction}.items()]
     for payload in result.payloads:
-        named = rf"m_{{{in_latex_index(payload.name)}}}"
+        named = rf"m_{{{in_latex_index(label[payload.name])}}}"
         lines += [_line(named, each) for kind, each in payload.parameters.items() if kind == "m"]
     head = ("Par.", "Val.", r"$\hat\sigma$", r"$\%\hat\sigma$", "Unit")
     return _table("lrrrl", head, lines, f"Drive gains and essential parameters of {in_latex(result.robot.name)}.")
@@ -132,25 +157,25 @@ def _line(name: str, each: Estimate) -> tuple[str, ...]:
     return f"${name}$", _number(each.value), _number(each.std, 2), relative, unit
 
 
-def _regroupings(result: Result) -> str:
+def _regroupings(result: Result, label: Mapping[str, str]) -> str:
     """Write each regrouped base parameter as an equation, whose sum is broken to fit the width of a page."""
     sums = {name: each.regrouping for name, each in result.parameters.items() if each.regrouping not in ("", name)}
-    left = max((width(symbol(name)) for name in sums), default=0.0)
+    left = max((width(symbol(name, label)) for name in sums), default=0.0)
     equations = [
-        " \\nonumber \\\\\n&\\quad {} ".join([f"{symbol(name)} &= {first}", *more])
+        " \\nonumber \\\\\n&\\quad {} ".join([f"{symbol(name, label)} &= {first}", *more])
         for name, text in sums.items()
-        for first, *more in [list(_lines(text, TEXT_WIDTH - NUMBER_WIDTH - left))]
+        for first, *more in [list(_lines(text, TEXT_WIDTH - NUMBER_WIDTH - left, label))]
     ]
     joined = " \\\\\n".join(equations)
     return f"{{\\allowdisplaybreaks\n\\begin{{align}}\n{joined}\n\\end{{align}}}}\n" if sums else ""
 
 
-def _lines(regrouping: str, room: float) -> Iterator[str]:
+def _lines(regrouping: str, room: float, label: Mapping[str, str]) -> Iterator[str]:
     """Break a sum before its signs into lines of at most ``room`` (pt)."""
     line = ""
     for sign, term in re.findall(r"(?:(^|[+-]) ?)(.+?)(?= [+-] |$)", regrouping):
         factor, name = re.fullmatch(r"(?:([\d.]+(?:e[+-]\d+)?) )?(.+)", term).groups()  # type: ignore[union-attr]
-        written = " ".join(filter(None, (sign, factor and rf"{factor}\,", symbol(name))))
+        written = " ".join(filter(None, (sign, factor and rf"{factor}\,", symbol(name, label))))
         if line and width(f"{line} {written}") > room:
             yield line
             line = ""

@@ -12,6 +12,7 @@ from gtau.errors import GtauError
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
+from gtau.progress import Progress, silent
 from gtau.robots.geometry import identical_legs
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DRIVE, INERTIAL, Robot
@@ -92,7 +93,9 @@ def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
 
 @takes(idm=("a model (gtau.InverseDynamics)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES)
 @single_threaded_blas()
-def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = ()) -> BaseParameters:
+def base_parameters(
+    idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = (), progress: Progress = silent
+) -> BaseParameters:
     """Find the base parameters chi of eq. (21) from the structure of the robot's model.
 
     The regressor of random feasible states is factorised by QR without pivoting, its columns
@@ -108,6 +111,8 @@ def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] 
     sensors : sequence of str
         Joints with a torque sensor: their rows without the drive's parameters stand beside the others, and separate the
         inertia of a rotor from that of the link.
+    progress : callable
+        Called as the work goes on.
 
     Raises
     ------
@@ -118,7 +123,7 @@ def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] 
         raise GtauError(f"'sensors' names {unknown[0]!r}, but the actuated joints are {', '.join(idm.actuated)}.")
     order = symmetric_order(idm.robot, idm.parameter_names)
     position = {name: k for k, name in enumerate(idm.parameter_names)}
-    R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed), sensors)
+    R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed), sensors, progress)
     kept, coefficients, idle = independent_columns(R)
     inertial = [k for k, name in enumerate(order) if parameter_of(name).kind in INERTIAL]
     matrix = np.zeros((len(kept), len(position)))
@@ -137,14 +142,16 @@ def base_parameters(idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] 
 
 
 def _settled_triangle(
-    idm: InverseDynamics, columns: Sequence[int], rng: np.random.Generator, sensors: Sequence[str]
+    idm: InverseDynamics, columns: Sequence[int], rng: np.random.Generator, sensors: Sequence[str], progress: Progress
 ) -> np.ndarray:
     """Factor the regressor's ``columns`` until more random states no longer raise the rank."""
+    progress(f"deriving the equations of {len(idm.robot.joints)} joints", 0, 1)
     full, n, n_st = idm.full, len(idm.actuated), len(idm.parameter_names)
     seen = {idm.actuated.index(joint): seen_by_sensor(idm.parameter_names, joint) for joint in sensors}
     samples = max(SAMPLES, -(-ROWS * n_st // n))
     R, rank = np.zeros((0, n_st)), -1
-    for _ in range(DRAWS):
+    for draw in range(DRAWS):
+        progress("counting base parameters", min(draw, 2), 3)  # two draws settle most robots
         motion = random_motion(idm, samples, rng)
         W = np.zeros((n, samples, n_st))
         W[full.rows, :, full.columns] = full(idm.layout, motion)

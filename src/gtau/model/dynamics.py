@@ -108,14 +108,16 @@ def torques(
             if Parameter(kind, spring.name).name in chi:
                 pull += chi[Parameter(kind, spring.name).name] * effort
         pulls.append((spring, direction, pull))
-    tau = []
+    tau, n_joints = [], len(robot.joints)
     for k in range(J.shape[1]):
         partial = twists(layout, frame, J[:, k])
-        power = ca.SX(0)
+        power, moved = ca.SX(0), [(row, robot.joints[row]) for row in J[:, k].sparsity().row() if row < n_joints]
         for body in massive:  # eqs. (13) and (14): for a platform, D^T tau_p along the columns of J_p
+            if not partial[body].moves:
+                continue
             power += ca.dot(partial[body].angular, wrench[body].angular)
             power += ca.dot(partial[body].linear, wrench[body].linear)
-        for row, joint in enumerate(robot.joints):
+        for row, joint in moved:
             terms = dict(zip(DRIVE, (ydd[row], yd[row], ca.sign(yd[row]), ca.SX(1)), strict=True))
             if joint.spring is not None:
                 terms[STIFFNESS] = c[row] - joint.spring

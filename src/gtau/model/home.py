@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,12 +50,14 @@ NAMED = 4  # coordinates that a note lists
     base=("fixed, floating or a mapping such as {'rpy': [0, 0, 0]}", (str, Mapping)),
     joints=NAMES,
     held=MAPPING,
+    limits=MAPPING,
 )
 def load_robot(
     source: str | Path | Robot | RobotSource,
     base: str | Mapping[str, Sequence[float | str]] | None = None,
     joints: Sequence[str] = (),
     held: Mapping[str, float] | None = None,
+    limits: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Robot:
     """Load a robot, or a part of one, and close its loops.
 
@@ -71,6 +74,8 @@ def load_robot(
         Patterns (``FL_*``) of the joints that move; the others are held. All move if left out.
     held : mapping of str to float, optional
         Positions of joints that are held, rad or m; those not named are held at home.
+    limits : mapping, optional
+        Limits in place of those of the file, by joint: ``{"elbow": {"velocity": 3.1, "effort": 150}}``, SI units.
 
     Returns
     -------
@@ -87,7 +92,8 @@ def load_robot(
     if isinstance(source, RobotSource):
         found, name = source, source.file
     else:
-        options = {"file": str(source), "base": base, "joints": tuple(joints), "held": dict(held or {})}
+        options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints), "held": dict(held or {})}
+        options["limits"] = dict(limits or {})
         found, name = validate(RobotSource, Document(Path("load_robot"), options, {})), str(source)
     robot = read_robot(found)
     try:

@@ -135,6 +135,11 @@ class Twist:
     angular: Vector
     linear: Vector
 
+    @property
+    def moves(self) -> bool:
+        """Whether it is other than zero by its structure."""
+        return bool(self.angular.nnz() or self.linear.nnz())
+
 
 def constant(matrix: np.ndarray) -> ca.SX:
     """Return a constant matrix whose entries that are zero up to rounding are structural zeros."""
@@ -232,7 +237,11 @@ def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[s
     zero = ca.SX(3, 1)
     found = {GROUND: Twist(zero, zero)}
     for k, joint in enumerate(layout.robot.joints):
-        before, at, axis = found[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
+        before, at = found[joint.antecedent], frame[joint.name]
+        if not before.moves and not rates[k].nnz():
+            found[joint.name] = before
+            continue
+        axis = constant(np.array(joint.axis))
         angular = at.R.T @ before.angular
         linear = at.R.T @ (before.linear + ca.cross(before.angular, at.p))
         if joint.kind == "revolute":

@@ -97,12 +97,11 @@ def _tool_jacobian(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
     frame = frames(layout, c)
     ends = [end for closure in robot.closures if closure.kind == "connect" for end in (closure.a, closure.b)]
     points = [] if robot.platforms else [end.placement.position for end in ends if end.body == robot.tool]
-    columns = []
-    for k, angular in enumerate(layout.angular[layout.actuated]):
-        twist = twists(layout, frame, J[:, k])[robot.tool]
-        if points:
-            rows = (twist.linear + ca.cross(twist.angular, constant(points[0]))) / length
-        else:
-            rows = ca.vertcat(twist.linear / length, twist.angular)
-        columns.append(rows * (1.0 if angular else length))
-    return [c, passive.T], [ca.horzcat(*columns).T]
+    speeds = ca.SX.sym("qd", n)
+    twist = twists(layout, frame, J @ speeds)[robot.tool]
+    if points:
+        rows = (twist.linear + ca.cross(twist.angular, constant(points[0]))) / length
+    else:
+        rows = ca.vertcat(twist.linear / length, twist.angular)
+    scaled = ca.jacobian(rows, speeds) @ ca.diag(ca.DM(np.where(layout.angular[layout.actuated], 1.0, length)))
+    return [c, passive.T], [scaled.T]

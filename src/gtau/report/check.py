@@ -177,38 +177,45 @@ def _logs_table(checked: ExperimentCheck) -> Table:
 
 
 def _joints(log: LogCheck, robot: Robot) -> Section:
-    command = {"A": "current", "N": "force"}.get(command_unit(robot, log.joints[-1].joint, log.run.kind), "torque")
+    kind = {"A": "current", "N": "force"}.get(command_unit(robot, log.joints[-1].joint, log.run.kind), "torque")
+    speeds = [f"{position_unit(robot, each.joint)}/s" for each in log.joints]
+    mixed = len(set(speeds)) > 1
+    commands = [command_unit(robot, each.joint, log.run.kind) for each in log.joints]
     columns = (
         Column("joint"),
-        Column("position", Kind.INTERVAL),
-        Column("speed rms", Kind.NUMBER, 3),
-        Column("max", Kind.NUMBER, 3),
-        Column("unit"),
+        Column(f"position{'' if mixed else ', ' + speeds[0].removesuffix('/s')}", Kind.INTERVAL),
+        *_of_unit("speed", speeds, wide=True),
         Column("bandwidth, Hz", Kind.NUMBER, 3, missing="at rest"),
-        Column(f"{command} rms", Kind.NUMBER, 3),
-        Column("max", Kind.NUMBER, 3),
-        Column("unit"),
+        *_of_unit(kind, commands),
         Column("rows used, %", Kind.SHARE, decimals=0),
     )
     rows = [
         (
             joint_label(each.joint),
             each.position,
-            each.speed_rms,
-            each.speed_max,
-            f"{position_unit(robot, each.joint)}/s",
+            *(each.speed_rms, each.speed_max, *_several(speeds, k)),
             each.bandwidth,
-            each.command_rms,
-            each.command_max,
-            command_unit(robot, each.joint, log.run.kind),
+            *(each.command_rms, each.command_max, *_several(commands, k)),
             each.usable,
         )
-        for each in log.joints
+        for k, each in enumerate(log.joints)
     ]
     purpose = "validation" if log.validation else "identification"
     return section(
         f"{log.run.name} ({purpose}, {logs.payload_words(log.run)})", table(columns, rows), _wrenches(log), folded=False
     )
+
+
+def _of_unit(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:
+    """Make the columns of a quantity, the largest values ``wide``; its unit is in the title where joints share it."""
+    unit = f", {units[0]}" if len(set(units)) == 1 else ""
+    columns = [Column(f"{what} rms{unit}", Kind.NUMBER, 3), Column(f"max{unit}", Kind.NUMBER, 3, wide=wide)]
+    return columns if unit else [*columns, Column("unit")]
+
+
+def _several(units: Sequence[str], k: int) -> tuple[str, ...]:
+    """Return the cell of the unit where joints have different ones."""
+    return (units[k],) if len(set(units)) > 1 else ()
 
 
 def _wrenches(log: LogCheck) -> Table | None:

@@ -9,6 +9,8 @@ from gtau.estimation.grades import by_grade
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
 from gtau.signals.notes import Note
 
+APART = 4  # notes of one kind on different logs that are still listed one by one
+
 
 def findings_section(notes: Sequence[Note], most: int | None = None) -> Section:
     """List notes, the worst first, at most ``most`` of them."""
@@ -42,13 +44,34 @@ def _where(note: Note) -> str:
 
 
 def same_in_several(notes: Sequence[Note]) -> list[Note]:
-    """Merge notes that say the same of several logs; they keep no time, as each log has its own."""
+    """Merge notes that say the same of several logs, with whatever numbers where many logs have one.
+
+    They keep no time, as each log has its own.
+    """
     groups: dict[tuple[str, str], list[Note]] = {}
     for note in notes:
         groups.setdefault((note.what, note.action), []).append(note)
-    return [
-        replace(group[0], source=", ".join(dict.fromkeys(each.source for each in group if each.source)), time=None)
-        if len(group) > 1
-        else group[0]
-        for group in groups.values()
-    ]
+    return _of_one_kind([_merged(group) for group in groups.values()])
+
+
+def _merged(group: Sequence[Note]) -> Note:
+    if len(group) == 1:
+        return group[0]
+    return replace(group[0], source=", ".join(dict.fromkeys(each.source for each in group if each.source)), time=None)
+
+
+def _of_one_kind(notes: Sequence[Note]) -> list[Note]:
+    """Merge notes of one kind that ask for the same, where there are more than ``APART`` of them: the worst counts."""
+    groups: dict[tuple[str, ...], list[Note]] = {}
+    for note in notes:
+        groups.setdefault((note.kind, note.finding, note.joint, note.action), []).append(note)
+    found = []
+    for group in groups.values():
+        of_logs = [note for note in group if note.source]
+        if len(of_logs) <= APART:
+            found += group
+            continue
+        worst = max(of_logs, key=lambda note: note.share or 0.0)
+        found.append(replace(worst, source=f"{worst.source} and {len(of_logs) - 1} more", time=None))
+        found += [note for note in group if not note.source]
+    return found

@@ -10,6 +10,7 @@ import numpy as np
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
+from gtau.progress import Progress, silent
 from gtau.report.page import Column, Facts, Kind, Page, Table, Text, page, section, table
 from gtau.robots.parameter import parameter_of
 from gtau.robots.plausibility import oddities, tool_note
@@ -19,10 +20,11 @@ from gtau.robots.units import position_unit, unit_of
 TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
-def robot_document(robot: Robot) -> dict[str, Any]:
+def robot_document(robot: Robot, progress: Progress = silent) -> dict[str, Any]:
     """Describe joints, limits, loops, gravity, payload's body and base parameters of ``robot`` as a JSON document.
 
-    Lengths in m, angles in rad, gravity in m/s2 in base axes; a limit that is not known is null.
+    Lengths in m, angles in rad, gravity in m/s2 in base axes; a limit that is not known is null. ``progress`` is called
+    as the work goes on, which takes minutes above a hundred joints.
 
     Raises
     ------
@@ -31,7 +33,7 @@ def robot_document(robot: Robot) -> dict[str, Any]:
     """
     model = InverseDynamics(robot)
     loops = model.loops
-    base = base_parameters(model)
+    base = base_parameters(model, progress=progress)
     home = model.layout.home if loops is None else loops.home
     still = np.zeros((len(model.actuated), 1))
     near = singularities(model).distances(model.rates(home[:, None], still, still))[:, 0]

@@ -115,40 +115,46 @@ def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> 
 # Payloads
 
 
-def weighing_page(result: Result, payloads: Sequence[PayloadEstimate], gains: str) -> Page:
-    """Show what payloads weigh with the ``gains`` (identified or prior)."""
+def weighing_page(result: Result, payloads: Sequence[PayloadEstimate], gains: str, exact: Sequence[str] = ()) -> Page:
+    """Show what payloads weigh with the ``gains`` (identified or prior), of which those of joints ``exact`` are."""
     said = [f"Weighed with the {gains} drive gains."]
-    if gains == "prior":
+    if exact:
+        of = "the prior gains" if len(exact) == len(result.gains) else f"the gains of {', '.join(exact)}"
         said.append(
-            "the intervals leave out the uncertainty of the prior gains: 1 % of error in all of them is 1 % of a mass"
+            f"the intervals leave out the uncertainty of {of}: 1 % of error in all gains is 1 % of a mass; "
+            "write it as 'prior_gains: {joint: {value: 2.4, std: 0.1}}'"
         )
     return page(
         f"Payloads of {result.robot.name}",
-        section("Verdict", Text(masses_words(payloads, gains), tuple(said), "neutral"), id="verdict"),
+        section("Verdict", Text(masses_words(payloads, bool(exact)), tuple(said), "neutral"), id="verdict"),
         masses_section(payloads),
         payloads_section(payloads, "Inertial parameters"),
     )
 
 
 def weighing_report(
-    result: Result, payloads: Sequence[PayloadEstimate], gains: str, prior: Mapping[str, float]
+    result: Result,
+    payloads: Sequence[PayloadEstimate],
+    gains: str,
+    prior: Mapping[str, float],
+    exact: Sequence[str] = (),
 ) -> Page:
     """Add the drive gains and the robot to the page."""
-    short = weighing_page(result, payloads, gains)
+    short = weighing_page(result, payloads, gains, exact)
     more = (gains_section(result, prior), section("Robot", Drawing(result.robot), id="robot"))
     return replace(short, sections=(*short.sections, *more))
 
 
-def masses_words(payloads: Sequence[PayloadEstimate], gains: str) -> str:
-    """Summarise the masses in one sentence, with the intervals that the ``gains`` (identified or prior) leave."""
-    parts, exact = [], "with these gains taken for exact, " if gains == "prior" else ""
+def masses_words(payloads: Sequence[PayloadEstimate], exact: bool) -> str:
+    """Summarise the masses in one sentence, with the intervals that gains leave, some of them taken for ``exact``."""
+    parts, given = [], "with these gains taken for exact, " if exact else ""
     for each in payloads:
         mass = each.parameters.get("m")
         if mass is None or mass.value is None:
             parts.append(f"the mass of '{each.name}' is not identifiable")
             continue
         ends = mass.interval()
-        between = "" if ends is None else f" ({exact}95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
+        between = "" if ends is None else f" ({given}95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
         parts.append(f"'{each.name}' weighs {mass.value:.4g} kg{between}")
     words = "; ".join(parts)
     return f"{words[:1].upper()}{words[1:]}."

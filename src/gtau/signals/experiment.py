@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import (
+    BeforeValidator,
     Field,
     FiniteFloat,
     ValidationInfo,
@@ -47,6 +48,18 @@ class Prior(Keys):
         return self
 
 
+class StatedGain(Keys):
+    """Drive gain of a joint, N m/A or N/A, with its standard deviation where that is known."""
+
+    value: FiniteFloat
+    std: Positive | None = None
+
+
+def _with_std(gain: Any) -> Any:
+    """Read a gain that is a number alone."""
+    return gain if isinstance(gain, dict | StatedGain) else {"value": gain}
+
+
 def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
     """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
     expect("'priors'", priors, MAPPING)
@@ -67,7 +80,7 @@ class Experiment(Keys):
     robot: AnySource
     signals: Signals
     units: Units = Units()
-    prior_gains: dict[str, FiniteFloat] = Field(default_factory=dict)
+    prior_gains: dict[str, Annotated[StatedGain, BeforeValidator(_with_std)]] = Field(default_factory=dict)
     priors: dict[str, Prior] = Field(default_factory=dict)
     drives: dict[str, Drive] = Field(default_factory=dict)
     preparation: PreparationSettings = CHOSEN
@@ -122,7 +135,7 @@ class Experiment(Keys):
 
     @field_validator("prior_gains")
     @classmethod
-    def _gains_of_signals(cls, gains: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+    def _gains_of_signals(cls, gains: dict[str, StatedGain], info: ValidationInfo) -> dict[str, StatedGain]:
         signals: Signals | None = info.data.get("signals")
         if signals is None or not gains:
             return gains
@@ -132,7 +145,7 @@ class Experiment(Keys):
         missing = [joint for joint in signals.position if joint not in gains]
         if missing:
             raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
-        zero = [joint for joint, gain in gains.items() if gain == 0]
+        zero = [joint for joint, gain in gains.items() if gain.value == 0]
         if zero:
             raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N/A) of its drive")
         return gains
@@ -167,7 +180,13 @@ class Experiment(Keys):
     def expected_gains(self) -> dict[str, float]:
         """Gains known beforehand, N m/A or N/A: ``prior_gains``, and those of data sheets."""
         sheets = {joint: drive.gain[0] for joint, drive in self.drives.items() if drive.gain is not None}
-        return self.prior_gains | sheets
+        return {joint: gain.value for joint, gain in self.prior_gains.items()} | sheets
+
+    @property
+    def gain_stds(self) -> dict[str, float]:
+        """Standard deviations of these gains, where they are known."""
+        sheets = {joint: drive.gain[1] for joint, drive in self.drives.items() if drive.gain is not None}
+        return {joint: gain.std for joint, gain in self.prior_gains.items() if gain.std is not None} | sheets
 
     @property
     def expected_parameters(self) -> dict[str, Prior]:

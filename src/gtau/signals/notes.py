@@ -22,7 +22,7 @@ class Kind(StrEnum):
     NOISE = "position noise"
     RATE = "sampling rate"
     LIMITS = "joint limits"
-    UNIT = "unit"  # of commands, doubtful
+    UNIT = "unit"  # of commands or payloads, doubtful
     SINGULARITY = "singularity"
     REPAIR = "repair"
     READING = "reading"  # how the log was read: its clock, its layout

@@ -16,18 +16,22 @@ from gtau.documents.validation import Keys, Positive, name_problem, validate
 from gtau.robots.robot import INERTIAL
 from gtau.signals.columns import document_of
 
+FIRST_MOMENTS = ("mx", "my", "mz")
+
 
 class Payload(Keys):
     """A load on the robot's tool; without ``mass`` it is unknown and to be weighed.
 
     ``mass`` and its standard deviation in kg; ``parameters`` are further known inertial parameters
-    (``xx xy xz yy yz zz`` in kg m2, ``mx my mz`` in kg m) in the frame of the body that carries it.
+    (``xx xy xz yy yz zz`` in kg m2, ``mx my mz`` in kg m) in the frame of the body that carries it; ``center`` is the
+    centre of an unknown mass in that frame, m.
     """
 
     name: str
     mass: Positive | None = None
     mass_std: Annotated[FiniteFloat, Field(ge=0)] = 0.0
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+    center: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
 
     @field_validator("name")
     @classmethod
@@ -50,6 +54,17 @@ class Payload(Keys):
     def _deviation_of_a_mass(self) -> Payload:
         if self.mass is None and "mass_std" in self.model_fields_set:
             raise ValueError("'mass_std' stands without 'mass'; add the mass or remove it")
+        return self
+
+    @model_validator(mode="after")
+    def _center_of_an_unknown_mass(self) -> Payload:
+        if self.center is None:
+            return self
+        if twice := [kind for kind in FIRST_MOMENTS if kind in self.parameters]:
+            raise ValueError(f"'center' and '{twice[0]}' of the parameters say the same; remove one of them")
+        if self.mass is not None:
+            moments = ", ".join(f"{k}: {self.mass * c:.6g}" for k, c in zip(FIRST_MOMENTS, self.center, strict=True))
+            raise ValueError(f"'center' is for an unknown mass; of this one write 'parameters: {{{moments}}}'")
         return self
 
 

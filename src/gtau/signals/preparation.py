@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
 
 SPEED_FRACTION = 0.05  # of a joint's rms speed
+
+PARTS = 2000  # of a run, which show where it rests
 CLOSE_TO_NYQUIST = 0.1  # of the sampling rate: bandwidths above are noted; speeds are then too small by 0.5 %
 NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than 0.1 % to the speed's power
 
@@ -104,6 +107,8 @@ class PreparedRun:
     motor_to_joint_speed : ndarray
         (n_y, n) Speeds of joints whose friction acts in the rows of the motors for which the entry is not zero, from
         the motors' speeds; of each motor's own joint, and of others in coupled chains.
+    peaks : ndarray
+        (PARTS, n) Largest speeds in equal parts of the run.
     notes : tuple of Note
         What was left out.
     """
@@ -114,6 +119,7 @@ class PreparedRun:
     moves: np.ndarray
     speeds: np.ndarray
     motor_to_joint_speed: np.ndarray
+    peaks: np.ndarray
     notes: tuple[Note, ...] = ()
 
     def __len__(self) -> int:
@@ -123,6 +129,13 @@ class PreparedRun:
     def time(self) -> np.ndarray:
         """Instants of the samples that are used, (N,) in s."""
         return self.run.time[self.kept.start : self.kept.stop]
+
+    def awake(self) -> tuple[np.ndarray, np.ndarray]:
+        """Cut the samples that are used into parts, at (parts + 1,) of them, and mark those in which a joint moves."""
+        limit = self.preparation.speed_fraction * np.sqrt(np.diag(self.speeds))
+        moving = ((self.peaks >= limit) & self.moves).any(axis=1)
+        at = np.clip(_parts(len(self.run.time)), self.kept.start, self.kept.stop) - self.kept.start
+        return at, moving
 
     def valid(self, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Mark where speeds and accelerations rest on good samples only, (M, n), for the samples of :meth:`samples`."""
@@ -179,6 +192,12 @@ class InMemoryRun:
     def __len__(self) -> int:
         return len(self.all.time)
 
+    def awake(self) -> tuple[np.ndarray, np.ndarray]:
+        """Cut the samples into parts, at (parts + 1,) of them, and mark those in which a row is usable."""
+        at = _parts(len(self))
+        moving = [bool(np.any(block(self.all.usable, *each))) for each in pairwise(at.tolist())]
+        return at, np.array(moving)
+
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
         """Return samples from ``start`` to before ``stop``."""
         stop = len(self) if stop is None else stop
@@ -227,8 +246,13 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     def speed(start: int, stop: int) -> np.ndarray:
         return position_filter(run.position, run.rate, preparation.cutoff, start, stop)[1]
 
+    edges, peaks = _parts(samples), np.zeros((PARTS, n))
+
     def gram(start: int, stop: int) -> np.ndarray:
         qd = speed(start, stop)
+        part = np.searchsorted(edges, np.arange(start, stop), side="right") - 1
+        firsts = np.flatnonzero(np.diff(part, prepend=-1))
+        peaks[part[firsts]] = np.maximum(peaks[part[firsts]], np.maximum.reduceat(np.abs(qd), firsts))
         return qd.T @ qd
 
     pieces = list(spans(samples))
@@ -263,8 +287,14 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
         moves=moves,
         speeds=np.sum(moved, axis=0) / len(kept),
         motor_to_joint_speed=ratios,
+        peaks=peaks,
         notes=tuple(_notes(run, found, preparation, np.any(ratios, axis=0))),
     )
+
+
+def _parts(samples: int) -> np.ndarray:
+    """List where the parts of a run begin, and its end, (PARTS + 1,)."""
+    return np.asarray(np.arange(PARTS + 1) * samples // PARTS)
 
 
 def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray) -> Iterator[Note]:

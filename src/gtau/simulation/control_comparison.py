@@ -71,11 +71,11 @@ def models_of_gains(experiment: str | Path, identified: Mapping[str, float], pro
     described = read_experiment(experiment)
     robot = load_robot(described.robot)
     check_robot(described, robot)
-    if not described.prior_gains:
+    if not described.expected_gains:
         raise GtauError(f"{experiment} has no 'prior_gains', the manufacturer's; add them to compare control laws.")
     runs = [run for run in read_runs(described, described.runs) if run.payload is None or run.payload.mass is not None]
-    wrong = {joint: ERROR_ON_GAINS * gain for joint, gain in described.prior_gains.items()}
-    gains = zip(STRATEGIES[2:], (described.prior_gains, identified, wrong), strict=True)
+    wrong = {joint: ERROR_ON_GAINS * gain for joint, gain in described.expected_gains.items()}
+    gains = zip(STRATEGIES[2:], (described.expected_gains, identified, wrong), strict=True)
     return {name: identify(robot, runs, method="wls", prior_gains=each, progress=progress) for name, each in gains}
 
 

@@ -157,17 +157,18 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     columns = [slice(*pair) for pair in pairwise(ends.tolist())]
     shared = [hypothesis.shared for hypothesis, _ in tried]
     tests = score_tests(
-        lambda: linear, list(zip(columns, shared, strict=True)), in_step(fit.dataset, windows, WINDOWS), known[1]
+        lambda: linear, list(zip(columns, shared, strict=True)), in_step(fit.dataset, windows), known[1]
     )
     alone = [
         _alternatives(fit, hypothesis, candidates, of_columns)
         for (hypothesis, candidates), of_columns in zip(tried, tests, strict=True)
     ]
     for (hypothesis, candidates), mine, kept in zip(tried, columns, _counted_once(alone, columns, linear), strict=True):
-        found += kept
+        together = []
         if candidates.describe is not None and kept:
             windows_of = [replace(each, offered=each.offered[..., mine]) for each in linear]
-            found += _together(fit, hypothesis, candidates.describe, windows_of, known)
+            together = _together(fit, hypothesis, candidates.describe, windows_of, known)
+        found += together or kept  # what they explain together counts once
     return tuple(found)
 
 

@@ -13,7 +13,9 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
     efforts_exceeded,
     estimated_gains,
+    gains_apart,
     given_gains,
+    in_context,
     motors,
     prior_gains_off,
     wrench_contradictions,
@@ -80,7 +82,6 @@ def diagnose(
     against = [
         *wrench_contradictions(fit),
         *(replace(each, kind=F.WHOLE_MASS, joints=joints) for each in priors if each.subject == mass),
-        *efforts_exceeded(fit),
     ]
     if fit.free_gains:
         against += [
@@ -101,12 +102,15 @@ def diagnose(
     beside = [
         *unlike_legs(dataset, fit.system, fit.solution.theta, uncertainty.covariance),
         *priors,
+        *efforts_exceeded(fit),
         *position_noise(fit, examined.alternatives),
         *ripple_findings(examined.ripple, fit),
         *repeated_motion_findings(fit, examined.alternatives),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
+        *(gains_apart(fit, uncertainty) if fit.free_gains else []),
         *examined.untested,
     ]
+    against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))
     gains = dict(zip(joints, decide(joints, against, GOOD if fit.free_gains else GIVEN), strict=True))
     return Diagnosis(gains, tuple(delays), payloads, tuple(map(note, beside)), accuracy, sensors)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,9 @@ from gtau.estimation.diagnostics.alternatives import (
 )
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses.description import GRAVITY
+from gtau.estimation.diagnostics.hypotheses.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
+from gtau.estimation.diagnostics.late_currents import late_currents
 from gtau.estimation.diagnostics.lengths import other_length
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.log_checks import lack_of_fit, swapped_channels
@@ -24,6 +28,7 @@ from gtau.estimation.diagnostics.other_estimators import (
     other_estimators,
     two_stage_difference,
 )
+from gtau.estimation.diagnostics.other_gravity import gravity_asked_for, other_gravity
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.score_test import gain_changes
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
@@ -33,6 +38,7 @@ from gtau.estimation.thresholds.estimates import (
     DOMINANT,
     FEWEST_FOR_TESTS,
     LACKING,
+    OF_BEST,
     OF_REPEATING,
     PLAUSIBLE_GAIN_CHANGE,
     PROBABLE,
@@ -55,7 +61,7 @@ class Examination:
     ripple : PositionRipple
         What of the residuals repeats at the same positions.
     swapped : tuple of Finding
-        Pairs of joints whose channels look swapped.
+        Pairs of joints whose channels look swapped, and joints whose currents are late.
     untested : tuple of Finding
         Tests that refused these data or have no power on them, and why.
     """
@@ -85,8 +91,10 @@ class Examination:
             if not each.description:
                 of_physics[each.hypothesis] = of_physics.get(each.hypothesis, 0.0) + each.share
         repeating = float(np.maximum(self.ripple.shares, 0.0).mean())
-        least = max([REFUTED_SHARE, OF_REPEATING * repeating, *of_physics.values()])
-        found = [each for each in held if each.description and each.share > least]
+        stated = [each for each in held if each.description]
+        of_stated = OF_BEST * max((each.share for each in stated), default=0.0)
+        least = max([REFUTED_SHARE, OF_REPEATING * repeating, of_stated, *of_physics.values()])
+        found = [each for each in stated if each.share > least]
         return tuple(sorted(found, key=lambda each: -each.share))
 
 
@@ -116,13 +124,26 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             differences.append(by_two_stage)
         changes = _of_gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
-        alternatives += changes
-    if lack > LACKING:
-        alternatives += _of_lengths(fit, progress)
-    ripple = PositionRipple.none(fit) if scaled or lack < LACKING else position_ripple(fit)
+        alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
+    turned = _of_gravity(fit, progress) if lack > LACKING and gravity_asked_for(fit, alternatives) else []
+    if turned:  # what a few degrees, other lengths or ripple would explain is its effect
+        alternatives = [each for each in alternatives if each.hypothesis != GRAVITY.name] + turned
+    elif lack > LACKING:
+        lengths = _of_lengths(fit, progress)
+        alternatives += [each for each in lengths if each.share > OF_BEST * _most_of_wrenches(alternatives)]
+    ripple = PositionRipple.none(fit) if scaled or turned or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
+    swapped += late_currents(fit.dataset, fit.system.problem.slowest)
     return Examination(lack, weighed, ripple, swapped, untested)
+
+
+def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
+    """Find the largest share that an error of wrenches explains: lengths and single currents then look wrong too."""
+    of_wrenches = (WRENCH_OFFSETS.name, WRENCH_POINTS.name)
+    return max(
+        (each.share for each in alternatives if each.hypothesis in of_wrenches and each.significant), default=0.0
+    )
 
 
 def _certain(fit: Fit, hypothesis: str, cause: Finding, size: float, std: float, moves: np.ndarray) -> Alternative:
@@ -151,6 +172,14 @@ def _of_lengths(fit: Fit, progress: Progress) -> list[Alternative]:
     if found is None:
         return []
     return [replace(_certain(fit, "lengths", found.cause, found.change, np.nan, found.moves), share=found.share)]
+
+
+def _of_gravity(fit: Fit, progress: Progress) -> list[Alternative]:
+    found = other_gravity(fit, progress)
+    if found is None:
+        return []
+    certain = _certain(fit, GRAVITY.name, found.cause, 1.0, np.nan, found.moves)
+    return [replace(certain, unit="", share=found.share)]
 
 
 def _of_gain_changes(fit: Fit) -> list[Alternative]:

@@ -7,14 +7,15 @@ description of robot and logs and the gain would move by more than that.
 
 An error of a unit scales all gains, or a payload, and is met by the data as well as the truth; only what is known
 beside the data reveals it: gains from data sheets, and the limits of the joints' effort. Gains and parameters also
-absorb part of a wrench of wrong sign, point, body or axes, and lengths or single currents look wrong instead: so
-wherever wrenches are measured, the advice names them first.
+absorb part of a wrench of wrong sign, body or axes, and lengths or single currents look wrong instead: so wherever
+wrenches are measured, the advice names them first.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from gtau.estimation.thresholds.estimates import (
     APART_REFUTED,
     BASE_MISFIT,
     EFFORT_FACTOR,
+    GAINS_APART,
     LOST_GAIN,
     MISFIT,
     MISFIT_GIVEN,
@@ -58,10 +60,9 @@ def estimated_gains(
     halves = half_widths(fit, uncertainty)
     random_halves = halves * stds / (np.sqrt(np.diag(uncertainty.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
-    wrenches, payload = {"wrenches": measured_wrenches(fit)}, {"payload": bool(fit.system.payloads)}
-    yield from (replace(each, values={**each.values, **wrenches}) for each in examined.swapped)
+    yield from examined.swapped
     if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[problem.free[: len(gains)]] < 0):
-        yield Finding(F.ALL_NEGATIVE, motors(fit), values=wrenches)
+        yield Finding(F.ALL_NEGATIVE, motors(fit))
     if not solution.settled:
         yield Finding(F.UNSETTLED, motors(fit))
     for j, joint in enumerate(problem.joints):
@@ -69,28 +70,44 @@ def estimated_gains(
             continue  # the six rows of a base are judged together
         std, half, mine = float(stds[j]), float(halves[j]), (joint,)
         if std > LOST_GAIN:
-            yield Finding(F.LOST, mine, values={"std": std, **payload})
+            yield Finding(F.LOST, mine, values={"std": std})
             if "singular_ratio" in solution.statistics:
                 yield Finding(F.TLS_CONFUSED, mine)
         for each in examined.refuted:
             if abs(each.moves[j]) > accuracy:
                 values = {"size": each.size, "unit": each.unit, "share": each.share, "move": float(each.moves[j])}
-                yield Finding(F.REFUTED, mine, values={**values, **wrenches}, causes=each.causes, severity=each.share)
+                yield Finding(F.REFUTED, mine, values=values, causes=each.causes, severity=each.share)
         if misfits[j] > MISFIT:
             values = {"share": float(misfits[j]), "kind": "current", "given": False}
-            yield Finding(F.UNEXPLAINED, mine, values={**values, **wrenches})
+            yield Finding(F.UNEXPLAINED, mine, values=values)
         if half >= 1:  # an interval that includes zero leaves not even the sign
-            yield Finding(F.SIGN_OPEN, mine, values=payload)
+            yield Finding(F.SIGN_OPEN, mine)
         for each in examined.alternatives:
             if each.causes[0].kind == F.TWO_STAGE and abs(each.moves[j]) > accuracy and abs(each.t) > APART_REFUTED:
-                values = {"move": float(each.moves[j]), "t": each.t, **wrenches}
+                values = {"move": float(each.moves[j]), "t": each.t}
                 yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, severity=abs(each.t))
         if half > accuracy:
-            values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy), **payload}
+            values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
             kind, causes = _widest(examined, uncertainty, problem.n_theta + j)
             yield Finding(kind, mine, values=values, causes=causes)
         if gains[j] < 0:
             yield Finding(F.NEGATIVE_GAIN, mine)
+
+
+def gains_apart(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
+    """Find joints whose gains are further apart than motors and gears of one robot make them; those lost are none."""
+    known, robot = half_widths(fit, uncertainty) < 1, fit.dataset.robot
+    joints = zip(fit.system.problem.joints, np.abs(fit.gains), known & ~np.isin(fit.system.problem.joints, robot.base),
+                 strict=True)  # fmt: skip
+    of_unit: dict[str, list[tuple[float, str]]] = {}
+    for joint, gain, judged in joints:
+        if judged:
+            of_unit.setdefault(f"{torque_unit(robot, joint)}/A", []).append((float(gain), joint))
+    for unit, gains in of_unit.items():
+        for (smaller, below), (larger, above) in pairwise(sorted(gains)):
+            if larger > GAINS_APART * smaller:
+                values = {"ratio": larger / smaller, "smaller": smaller, "larger": larger, "unit": unit}
+                yield Finding(F.GAINS_APART, (below, above), values=values)
 
 
 def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
@@ -128,11 +145,16 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
         if each.finding is not None
         for joint in each.finding.joints
     }
-    wrenches = {"wrenches": measured_wrenches(fit)}
-    yield from (replace(each, values={**each.values, **wrenches}) for each in examined.swapped)
+    yield from examined.swapped
+    best = min((each.finding.values["remains"] for each in payloads.values() if each.finding), default=1.0)
+    for turned in (each for each in examined.refuted if "remains" in each.causes[0].values):
+        values = {"size": turned.size, "unit": turned.unit, "share": turned.share}
+        cause = turned.causes[0]
+        if cause.values["remains"] < best:
+            yield Finding(F.REFUTED, cause.joints, values=values, causes=turned.causes, severity=turned.share)
     for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
         if share > MISFIT_GIVEN:
-            values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": True, **wrenches}
+            values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": True}
             yield of_payload.get(joint, Finding(F.UNEXPLAINED, (joint,), values=values))
 
 
@@ -162,9 +184,10 @@ def motors(fit: Fit) -> tuple[str, ...]:
     return tuple(each.joint for each in fit.system.problem.channels if each.kind == "motor")
 
 
-def measured_wrenches(fit: Fit) -> bool:
-    """Whether wrenches are measured, on a body or on a floating base."""
-    return bool(fit.system.problem.wrenches or fit.system.problem.of("base"))
+def in_context(fit: Fit, finding: Finding) -> Finding:
+    """Note in a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
+    wrenches = bool(fit.system.problem.wrenches or fit.system.problem.of("base"))
+    return replace(finding, values={"payload": bool(fit.system.payloads), "wrenches": wrenches, **finding.values})
 
 
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:

@@ -99,14 +99,18 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
     return [each for each in cut if each]
 
 
-def in_step(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]], pieces: int) -> np.ndarray:
-    """Give numbers (W,) to windows, ``pieces`` of a run: the same to those at one place of a repeated motion."""
-    found: list[tuple[int, int]] = []
+def in_step(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]]) -> np.ndarray:
+    """Give numbers (W,) to windows, the same to those of runs that repeat a motion which are nearest to each other."""
+    found: list[int] = []
+    first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
     for run, window in windows:
         place = dataset.places[run]
-        middle = float(window.all.time[len(window) // 2])
-        found.append((place.group, place.part(middle, pieces)) if place.repeated else (-1, len(found)))
-    return np.unique(found, axis=0, return_inverse=True)[1].ravel()
+        middle = float(window.all.time[len(window) // 2]) - place.begin
+        leader, numbered = first.setdefault(place.group, (run, []))
+        if run == leader:
+            numbered.append((middle, max(found, default=-1) + 1))
+        found.append(min(numbered, key=lambda each: abs(each[0] - middle))[1])
+    return np.array(found)
 
 
 def usable_rows(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]]) -> int:

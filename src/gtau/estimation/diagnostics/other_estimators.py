@@ -169,7 +169,7 @@ def other_estimators(fit: Fit) -> tuple[tuple[Difference, ...], tuple[Finding, .
         return (), ()
     rows = [J for _, J, _ in pairs]
     windows = central_windows(dataset, WINDOWS)
-    known, clusters = known_rows(fit, windows)[1], in_step(dataset, windows, WINDOWS)
+    known, clusters = known_rows(fit, windows)[1], in_step(dataset, windows)
     back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
     T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains) @ back
     usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]

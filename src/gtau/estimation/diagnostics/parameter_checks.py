@@ -69,15 +69,18 @@ def known_verdict(
     unit: str,
     given: str = "",
     explained: tuple[str, ...] = (),
+    remains: float = 1.0,
 ) -> Verdict:
     """Judge a known ``parameter`` of a payload by its estimate from all else that is known.
 
     ``given`` is the kind of the commands where gains are given, else empty; ``explained`` the joints whose torque only
-    the declared value leaves unexplained.
+    the declared value leaves unexplained, and ``remains`` what the other leaves of the residual variance, the geometric
+    mean of all channels.
     """
     if abs(found - declared) <= APART * std:
         return GOOD
-    values = {"parameter": parameter, "declared": declared, "found": found, "std": std, "unit": unit, "given": given}
+    values = {"parameter": parameter, "declared": declared, "found": found, "std": std, "unit": unit}
+    values |= {"given": given, "remains": remains}
     kind = F.PAYLOAD_MASS if parameter == "m" else F.PAYLOAD_PARAMETER
     return verdict_of(Finding(kind, explained, values=values, severity=abs(found - declared) / std))
 

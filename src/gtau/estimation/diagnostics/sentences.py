@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from math import ceil, floor, log10, sqrt, tau
+from dataclasses import replace
+from math import ceil, floor, log10
 from typing import Any
 
+from gtau.estimation.diagnostics.cause_sentences import CAUSES, Sentence, Values, carried
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.regression.motion_limits import clock_advice
+from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, NOTED, NOTES, PRIOR, SCALE
+from gtau.estimation.regression.motion_limits import clock_advice, write_limits
 from gtau.estimation.thresholds.estimates import LOST_GAIN
 from gtau.signals.notes import Kind, Note
 
-Values = Mapping[str, Any]
-Sentence = tuple[str, str]
-"""Reason and advice, of a cause its name and advice, which is empty where there is nothing to do.
-
-Fields in braces are the values of the finding, its ``subject``, its first ``joint`` and the ``other`` one, the
-``estimate`` that it is about, the ``cause`` and what ``to_do`` about it.
-"""
-
-LISTED = 3  # parameters that are named
+MOVED = 10.0  # of itself: a gain that moves by more was no estimate
 THOUSAND = 2.0  # a factor between 1000 / 2 and 1000 * 2 is one of a thousand
 WRENCHES = (
     "check the signs, axes, point ('at') and body of each wrench, that none is missing, and that they share the "
@@ -30,20 +25,8 @@ LOADED = (
     "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; if other joints "
     "are weak too, check which runs carry the payload, on which body, and gravity"
 )
-UNLOADED = (
-    "use longer runs, motions in which this joint lifts or accelerates more, or also a payload of known mass; check "
-    "the direction of gravity"
-)
-GRAVITY = (
-    "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and on "
-    "which body"
-)
-SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
+MAY_BE_WRENCHES = {F.SWAPPED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
 SENSOR = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
-FILTER = "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"
-OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from the rest"
-INSTRUMENTS = "use --method iv or didim, or encoders with less noise"
-DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
 
 
 def reason(finding: Finding) -> str:
@@ -52,9 +35,13 @@ def reason(finding: Finding) -> str:
 
 
 def advice(finding: Finding) -> str:
-    """Say what to do about it, wrenches first where they may be the cause."""
-    found = _sentence(finding)[1]
-    return f"{WRENCHES}; otherwise {found}" if finding.values.get("wrenches") else found
+    """Say what to do about it, wrenches first where they may be the cause and none of them is."""
+    found, of_wrenches = (
+        _sentence(finding)[1],
+        {F.WRENCH_OFFSET, F.WRENCH_POINT} & {each.kind for each in finding.causes},
+    )
+    first = finding.values.get("wrenches") and finding.kind in MAY_BE_WRENCHES and not of_wrenches
+    return f"{WRENCHES}; otherwise {found}" if first else found
 
 
 def named(causes: Sequence[Finding]) -> str:
@@ -92,14 +79,18 @@ class _Number(float):
 
 def _sentence(finding: Finding) -> Sentence:
     found = SENTENCES[finding.kind]
-    what, to_do = found if isinstance(found, tuple) else found(_literal(finding.values))
+    what, to_do = (
+        found if isinstance(found, tuple) else found(_literal({**finding.values, "joint": "".join(finding.joints[:1])}))
+    )
     values = {key: _Number(each) if isinstance(each, float) else each for key, each in finding.values.items()}
     values["subject"], values["estimate"] = finding.subject, finding.subject or "estimates"
     if finding.joints:
         values["joint"], values["other"] = finding.joints[0], finding.joints[-1]
         values["estimate"] = f"the gain of '{finding.joints[0]}'"
     if finding.causes:
-        values["cause"], values["to_do"] = named(finding.causes), advice(finding.causes[0])
+        first, loaded = finding.causes[0], {"payload": finding.values.get("payload", True)}
+        first = replace(first, values={**first.values, **loaded})
+        values["cause"], values["to_do"] = named(finding.causes), advice(first)
     values["clock"] = clock_advice(finding.values.get("rate"))
     return what.format(**values), to_do.format(**values)
 
@@ -117,7 +108,10 @@ def _refuted(values: Values) -> Sentence:
     size = (
         " ({size:.2g%} of itself)" if values["unit"] == RELATIVE else " ({size:.2g} {unit})" if values["unit"] else ""
     )
-    explains = " would explain {share:.0f%} of the residual variance and move this gain by {move:+.2g%}"
+    explains = " would explain {share:.0f%} of the residual variance"
+    if "move" in values:
+        large = abs(values["move"]) > MOVED
+        explains += " and move this gain by " + (f"more than {100 * MOVED:.0f} %" if large else "{move:+.2g%}")
     return "{cause}" + size + explains, "{to_do}"
 
 
@@ -142,11 +136,20 @@ def _prior_gain(values: Values) -> Sentence:
 
 
 def _lost(why: str) -> Callable[[Values], Sentence]:
-    loaded = (
-        "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
-        "gravity, which runs carry the payload, and on which body"
-    )
-    return lambda values: (why, loaded if values["payload"] else UNLOADED)
+    def sentence(values: Values) -> Sentence:
+        loaded = (
+            "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
+        )
+        return why, loaded + "gravity" + carried(values) if values["payload"] else _unloaded(values)
+
+    return sentence
+
+
+def _unloaded(values: Values) -> str:
+    """Advise motions; a payload only where no wrench gives the scale, of which the payload might be a part."""
+    motions = "longer runs, motions in which this joint lifts or accelerates more"
+    payload = "" if values.get("wrenches") else ", or also a payload of known mass"
+    return f"use {motions}{payload}; check the direction of gravity"
 
 
 def _wide(why: str, to_do: str = "", more: bool = True) -> Callable[[Values], Sentence]:
@@ -160,62 +163,13 @@ def _wide(why: str, to_do: str = "", more: bool = True) -> Callable[[Values], Se
     return sentence
 
 
-def _ripple(values: Values) -> Sentence:
-    base = bool(values["base"])
-    where = "of the base '{subject}'" if base else "at joint '{joint}'"
-    cause = "a wrench is wrong or missing" if base else "ripple of the motors, cables or springs, which the model lacks"
-    of_gain = " (that of the gain of joint '{moved}' {move:.3g%})" if values["move"] else ""
+def _late(values: Values) -> Sentence:
+    way = "late" if values["lag"] > 0 else "early"
     return (
-        f"residuals repeat at the same positions ({{share:.0f%}} of the variance {where}): {cause}. They repeat in "
-        "every run, so the scatter between blocks does not show them; the standard deviations include how far the "
-        f"estimates move when they are modelled{of_gain}",
-        "",
-    )
-
-
-def _between_runs(values: Values) -> str:
-    listed = ", ".join(f"'{joint}' ({value:+.2f})" for joint, value in values["correlations"])
-    return "residuals of runs that repeat a motion with different loads are correlated at " + listed
-
-
-def _command_lag(values: Values) -> Sentence:
-    lag, phase = values["lag"], tau * values["bandwidth"] * values["lag"]
-    size = f"by {1e3 * lag:.2g} ms (standard deviation {1e3 * values['std']:.2g} ms)"
-    size = size if phase < 1 else f"by more than {1e3 * lag / phase:.2g} ms"
-    return (
-        f"the {{kind}}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass of that "
-        f"time constant attenuates them by {100 * (1 - 1 / sqrt(1 + phase**2)):.2g} % at the bandwidth of the motion, "
-        "{bandwidth:.3g} Hz",
-        "log the {kind}s before any filter and with the time stamps of the positions",
-    )
-
-
-def _clock(values: Values) -> Sentence:
-    """Explain residuals that ask for another strength of gravity.
-
-    Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
-    torques against those of gravity, whose length on Earth is known to 0.3 %.
-    """
-    rate, accelerations = ("high", "large") if values["factor"] > 1 else ("low", "small")
-    return (
-        f"a sampling rate that is too {rate}, as accelerations are too {accelerations} against gravity (or wrong "
-        "lengths throughout the robot)",
-        "{clock}; then check the robot's lengths",
-    )
-
-
-def _length(values: Values) -> Sentence:
-    bodies = ", ".join(f"'{body}'" for body in values["bodies"])
-    return f"a wrong length, such as the {1e3 * values['length']:.4g} mm at {bodies}", "check the robot's geometry"
-
-
-def _gain_change(values: Values) -> Sentence:
-    names, several = " and ".join(f"'{run}'" for run in values["runs"]), len(values["runs"]) > 1
-    way = "larger" if values["change"] > 0 else "smaller"
-    return (
-        f"a current of '{{joint}}' that is {way} in run{'s' * several} {names} than in the others",
-        "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
-        "loaded and unloaded runs, as a motor's torque constant falls as it warms up",
+        f"its {{kind}}s were logged {1e3 * abs(values['lag']):.0f} ms too {way}: shifted by that, {{shifted:.2g%}} of "
+        "them is unexplained, as logged {as_logged:.2g%}",
+        "log them with the time stamps of the positions, or where those of all joints are as late, write 'preparation: "
+        f"{{{{delay: {values['lag']:.3g}}}}}'",
     )
 
 
@@ -240,9 +194,6 @@ def _given_scale(values: Values) -> str:
     )
 
 
-PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
-IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
-
 SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.NEGATIVE_MASS: (
         "the wrenches give the robot a mass of {mass:.3g} kg",
@@ -254,15 +205,16 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "%)",
         "use --method ml, or a heavier payload and longer runs with less noise",
     ),
-    F.ALL_NEGATIVE: (
+    F.ALL_NEGATIVE: lambda values: (
         "all drive gains are negative",
-        "check the sign of the currents and positions, gravity, which runs carry the payload, and on which body",
+        "check the sign of the currents and positions, gravity" + carried(values),
     ),
     F.SWAPPED: (
         "the {kind}s of '{joint}' and '{other}' look swapped: exchanged, {exchanged:.2g%} of them is unexplained, as "
         "logged {as_logged:.2g%}",
         "check that position and {kind} columns belong together, in all runs",
     ),
+    F.LATE: _late,
     F.REFUTED: _refuted,
     F.UNEXPLAINED: _unexplained,
     F.PAYLOAD: lambda values: (
@@ -281,17 +233,17 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.SIGN_OPEN: _lost("the 95 % interval includes zero"),
     F.OTHER_ESTIMATOR: _other_estimator,
     F.PRIOR_GAIN: _prior_gain,
-    F.EFFORT: (
-        "at this gain the torque is {torque:.3g} {unit} (rms), {ratio:.3g} times the joint's limit of {limit:.4g} "
-        "{unit}",
-        "check the payload's mass (kg), the unit of the currents, and 'limits: effort' in the robot file",
+    F.EFFORT: lambda values: (
+        "the torque of '{joint}' is {torque:.3g} {unit} (rms), {ratio:.3g} times its limit of {limit:.4g} {unit}",
+        "check the payload's mass (kg) and the unit of the currents; where the limit is a placeholder, "
+        + _literal(write_limits(values["joint"])),
     ),
     F.WIDE_SCALE: _wide(
         ", limited by the uncertainty of its scale reference",
         "calibrate the sensors, or weigh the payload, more accurately",
         more=False,
     ),
-    F.WIDE_RANDOM: lambda values: _wide("", LOADED if values["payload"] else UNLOADED, more=False)(values),
+    F.WIDE_RANDOM: lambda values: _wide("", LOADED if values["payload"] else _unloaded(values), more=False)(values),
     F.WIDE_RIPPLE: _wide(
         ", as residuals repeat at the same positions (ripple of the motors, cables or springs)",
         "use other paths in the loaded and unloaded runs",
@@ -343,107 +295,6 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "all other data give torques {scale:.4g} times its reading (standard deviation {std:.2g})",
         SENSOR,
     ),
-    F.UNLIKE_LEGS: lambda values: (
-        "legs of the same geometry differ, most in {parameter} of leg '{subject}' ("
-        + ("{share:.0f%}" if values["share"] < 10 else "more than 1000 %")
-        + " from the mean of the others)",
-        "check that they are built alike",
-    ),
-    F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
-    F.POSITION_NOISE: (
-        "position noise biases {count} of {all} estimates by more than their standard deviations: {estimate} by "
-        "{deviations:.1f} of them (instrumental variables, which such noise does not bias, differ by {t:.0f} standard "
-        "deviations of the difference); the intervals include it",
-        INSTRUMENTS,
-    ),
-    F.RIPPLE: _ripple,
-    F.COMMON_RESIDUALS: lambda values: (
-        f"{_between_runs(values)}: what the model lacks there depends on the motion alone, and cancels in the gains",
-        "",
-    ),
-    F.OPPOSED_RESIDUALS: lambda values: (
-        f"{_between_runs(values)}: what the model lacks there changes sign with the load, and moves gains; most likely "
-        "{cause}",
-        "{to_do}",
-    ),
-    F.SMALL_REFUTATION: (
-        "{cause} would explain {share:.0f%} of the residual variance and move no gain by more than {move:.2g%}",
-        "{to_do}",
-    ),
-    F.WEAK_INSTRUMENTS: (
-        "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of "
-        "{strength:.2g}, where it needs {needed:.2g}), so that it would differ by its own bias",
-        "let the joints move independently of each other, or use a heavier payload",
-    ),
-    F.UNTESTED: ("{cause} could not be made for comparison: {refusal}", ""),
-    F.AUTOCORRELATED: (
-        "residuals are autocorrelated: standard errors are {factor:.1f} times those of white noise, so the model lacks "
-        "something, such as friction of another kind, ripple of the motors, cables or elasticity",
-        "",
-    ),
-    F.IMPOSSIBLE_PARAMETERS: lambda values: (
-        "physically impossible parameters: "
-        + ", ".join(f"{name} = {value:.3g} {unit}" for name, value, unit in values["parameters"][:LISTED])
-        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
-        IMPOSSIBLE,
-    ),
-    F.NOT_SEPARATED: lambda values: (
-        f"these motions cannot separate {', '.join(values['parameters'])} from the other base parameters: no value is "
-        "given",
-        "add runs that move all joints in other ways",
-    ),
-    F.FEW_ROWS: (
-        "the tests of the model were skipped, as the robot moves too little for them ({rows} rows in the middle of the "
-        "runs, for {unknowns} unknowns): the intervals hold scatter alone",
-        "log longer motions",
-    ),
-    F.COMMAND_LAG: _command_lag,
-    F.SLIGHT_COMMAND_LAG: _command_lag,
-    F.CUBIC_FRICTION: ("cubic friction of '{joint}'", OTHER_FRICTION),
-    F.LOAD_FRICTION: ("load-dependent friction of '{joint}'", OTHER_FRICTION),
-    F.STRIBECK_FRICTION: ("Stribeck friction of '{joint}'", OTHER_FRICTION),
-    F.VISCOUS_DRIFT: ("viscous friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
-    F.COULOMB_DRIFT: ("Coulomb friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
-    F.SATURATION: (
-        "the torque constant of '{joint}' falling with its current",
-        "stay at lower currents, with slower motions or a lighter payload, and check that the log holds the actual "
-        "current; friction that grows with the load has the same effect",
-    ),
-    F.GAIN_DRIFT: ("the torque constant of '{joint}' falling along the runs", "let the robot warm up before the runs"),
-    F.CURRENT_LAG: (
-        "a low-pass filter of the current of '{joint}', or an elastic transmission",
-        "log the current before any filter, and move more slowly",
-    ),
-    F.ENCODER_ZERO: (
-        "an error in the zero of encoder '{joint}'",
-        "check the zeros of the encoders against the robot's own",
-    ),
-    F.GRAVITY_TILT: ("gravity tilted towards ({towards[0]:.2g}, {towards[1]:.2g}, {towards[2]:.2g})", GRAVITY),
-    F.GRAVITY_STRENGTH: ("gravity of another strength", GRAVITY),
-    F.GRAVITY: ("another gravity, about ({gravity[0]:.1f}, {gravity[1]:.1f}, {gravity[2]:.1f}) m/s2", GRAVITY),
-    F.CLOCK: _clock,
-    F.LENGTH: _length,
-    F.GAIN_CHANGE: _gain_change,
-    F.BANDWIDTH: ("{estimate} with a bandwidth {factor:g} times as large", FILTER),
-    F.SLOW_ROWS: (
-        "{estimate} without rows below {fraction:.2g%} of a joint's rms speed",
-        "make motions with fewer reversals, or give 'preparation' by hand",
-    ),
-    F.TWO_STAGE: (
-        "{estimate} by two-stage least squares",
-        "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction "
-        "that grows with the load has the same effect",
-    ),
-    F.INSTRUMENTS: ("{estimate} by instrumental variables", INSTRUMENTS),
+    **NOTED,
+    **CAUSES,
 }
-
-NOTES: Mapping[F, Kind] = {
-    F.POSITION_NOISE: Kind.NOISE,
-    F.COMMAND_LAG: Kind.FILTERED,
-    F.SLIGHT_COMMAND_LAG: Kind.READING,
-    F.UNTESTED: Kind.READING,
-    F.COMMON_RESIDUALS: Kind.READING,
-    F.WEAK_INSTRUMENTS: Kind.READING,
-    F.NOT_SEPARATED: Kind.SEPARATION,
-}
-"""Kinds of the notes that are not on the model."""

@@ -317,7 +317,9 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
         else:
             small = abs(found.value - declared) <= accuracy * abs(declared)
         given = "" if fit.free_gains else dataset.runs[0].kind
-        verdict = known_verdict(kind, declared, found.value, found.std, unit, given, found.explained)
+        before = fit.system.problem.total_rows @ np.log(fit.solution.sigma)
+        remains = float(np.exp(2 * (found.left - before) / fit.system.problem.total_rows.sum()))
+        verdict = known_verdict(kind, declared, found.value, found.std, unit, given, found.explained, remains)
         verdicts[name] = GOOD if small else verdict
     return verdicts
 

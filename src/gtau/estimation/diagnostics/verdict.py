@@ -53,6 +53,7 @@ OUTCOMES: Mapping[F, Outcome] = {
     # a gain that is noise: what it seems to contradict is noise too
     F.TLS_CONFUSED: Outcome.NOT_IDENTIFIABLE,
     # the data against the description of robot and logs
+    F.LATE: Outcome.CONTRADICTORY,
     F.ALL_NEGATIVE: Outcome.CONTRADICTORY,
     F.SWAPPED: Outcome.CONTRADICTORY,
     F.REFUTED: Outcome.CONTRADICTORY,
@@ -67,7 +68,6 @@ OUTCOMES: Mapping[F, Outcome] = {
     F.SIGN_OPEN: Outcome.NOT_IDENTIFIABLE,
     F.OTHER_ESTIMATOR: Outcome.CONTRADICTORY,
     F.PRIOR_GAIN: Outcome.CONTRADICTORY,
-    F.EFFORT: Outcome.CONTRADICTORY,
     F.WIDE_SCALE: Outcome.WEAK,
     F.WIDE_RIPPLE: Outcome.WEAK,
     F.WIDE_CAUSE: Outcome.WEAK,

@@ -30,7 +30,7 @@ from gtau.estimation.regression.factors import EXTRA, ROWS, Factors
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.stretches import stretch_numbers
+from gtau.estimation.regression.stretches import stretch_of
 from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
@@ -180,6 +180,7 @@ def _reduced(
     The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by columns.
     """
     regressor = idm.columns(columns)
+    stretches = stretch_of(edges, decimator.outputs(len(measured)))
     n, b = len(idm.actuated), len(columns) + EXTRA - 3
     dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
     T = [[np.zeros((0, 2 * b + 3))] * n for _ in range(STRETCHES)]
@@ -194,7 +195,7 @@ def _reduced(
 
     streams = (stream_rows(idm, regressor, each, decimator, load) for each in (simulated, measured))
     for part, other in zip(*streams, strict=True):
-        stretch = stretch_numbers(edges, part.outputs)
+        stretch = stretches[part.outputs]
         A = np.zeros((n, len(part.time), 2 * b + 3))
         for k, each in enumerate((part, other)):
             A[regressor.rows, :, regressor.columns + k * b] = each.entries

@@ -20,7 +20,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL
 from gtau.signals.channel import Channel
-from gtau.signals.payload import Payload
+from gtau.signals.payload import FIRST_MOMENTS, Payload
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +74,12 @@ def known_values(payload: Payload) -> dict[str, float]:
 
 def carried_payload(idm: InverseDynamics, base: BaseParameters, run: int, payload: Payload) -> CarriedPayload:
     """Express the parameters of a ``payload`` on the robot's tool in base columns (eq. 18)."""
-    values = known_values(payload)
-    free = [kind for kind in INERTIAL if kind not in values]
+    values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
+    free = [kind for kind in INERTIAL if kind not in values and kind not in center]
     of_tool = {
         kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool).name)] for kind in INERTIAL
     }
+    of_tool["m"] = of_tool["m"] + sum(each * of_tool[kind] for kind, each in center.items())  # moments are the mass's
     columns = np.reshape([of_tool[kind] for kind in free], (len(free), base.count)).T
     kept, coefficients, _ = independent_columns(columns)
     formulas = {

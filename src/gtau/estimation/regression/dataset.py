@@ -12,10 +12,11 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.doubtful_currents import doubtful_currents
+from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
 from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
 from gtau.estimation.regression.motion_limits import within_limits
-from gtau.estimation.regression.stretches import Place, edges_of, find_places
+from gtau.estimation.regression.repeated_runs import Place, edges_in_step, find_places
 from gtau.estimation.regression.system import System, assemble_system
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -68,15 +69,16 @@ class Dataset:
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, ...]:
-        """Rows at which the stretches of each run begin and end, (STRETCHES + 1,)."""
-        return tuple(edges_of(each, place) for each, place in zip(self.prepared, self.places, strict=True))
+        """Where the stretches of each run begin and end, as shares of its samples, (STRETCHES + 1,)."""
+        return edges_in_step(self.prepared, self.places)
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """What is odd in the robot, and what was repaired or left out of each run."""
         runs = (note.of(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
         of_robot = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
-        return (*of_robot, *doubtful_currents(self.runs, self.robot.base), *runs)
+        heavy = doubtful_payloads(self.robot, (run.payload for run in self.runs))
+        return (*of_robot, *doubtful_currents(self.runs, self.robot.base), *heavy, *runs)
 
     def system(
         self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None

@@ -15,7 +15,7 @@ import numpy as np
 from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS, STRETCHES, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
-from gtau.estimation.regression.stretches import stretch_numbers, uniform_edges
+from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
 from gtau.signals.channel import Channel, channels_of_model
@@ -97,7 +97,7 @@ def reduce_run(
     """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
 
     With ``weigh`` of weighted rows; in blocks of ``fast`` samples. ``progress`` gets the samples done at each stretch.
-    ``edges`` (STRETCHES + 1,) are the rows at which stretches begin and end, those of equal stretches if left out.
+    ``edges`` (STRETCHES + 1,) of the stretches are shares of its samples, those of :func:`stretch_edges` if left out.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def reduce_run(
         Where the closures refuse a sample.
     """
     regressor, near = idm.columns(columns), singularities(idm)
-    edges = uniform_edges(decimator.outputs(len(prepared))) if edges is None else edges
+    stretches = stretch_of(stretch_edges(prepared) if edges is None else edges, decimator.outputs(len(prepared)))
     channels = channels_of_model(idm.robot, prepared.run.sensors)
     c, p = len(channels), len(columns) + EXTRA
     rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
@@ -126,7 +126,7 @@ def reduce_run(
 
     for part in stream_rows(idm, regressor, prepared, decimator, load, fast):
         distances.append(near.distances(part.motion).T)
-        stretch = stretch_numbers(edges, part.outputs)
+        stretch = stretches[part.outputs]
         A = equations(regressor, channels, part)
         if weigh is not None:
             e = np.einsum("jkp,jp->jk", A, weigh.coefficients)

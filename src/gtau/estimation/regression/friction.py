@@ -106,7 +106,7 @@ class Temperatures:
 
 
 def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
-    """Find the differences in all runs, cut into stretches at the rows ``edges``; None without any temperature.
+    """Find the differences in all runs, whose stretches have ``edges``; None where none has a temperature.
 
     Raises
     ------
@@ -123,8 +123,8 @@ def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]
     joints, runs = prepared[0].run.joints, []
     known = [joint for joint in joints if all(joint in each.of_joint for each in logged)]
     for each, temperature, cut in zip(prepared, logged, edges, strict=True):
-        ends = each.time[0] + (each.time[-1] - each.time[0]) * cut / max(cut[-1], 1)
-        time = np.linspace(ends[:-1], ends[1:], INSTANTS, axis=1).ravel()
+        share = np.interp(np.linspace(0, STRETCHES, STRETCHES * INSTANTS), np.arange(STRETCHES + 1), cut)
+        time = each.time[0] + share * (each.time[-1] - each.time[0])
         means = [temperature.at(joint, time).reshape(STRETCHES, INSTANTS).mean(axis=1) for joint in known]
         runs.append(np.array(means).reshape(len(known), STRETCHES))
     reference = np.mean(np.hstack(runs), axis=1)

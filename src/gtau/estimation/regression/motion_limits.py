@@ -85,6 +85,11 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
             )
 
 
+def write_limits(joint: str) -> str:
+    """Advise how to write the limits of a joint that its file has wrong."""
+    return f"write its own under 'robot' of the experiment file ({{file: ..., limits: {{{joint}: ...}}}})"
+
+
 def stated_rate(run: Run) -> float | None:
     """Return the sampling rate (Hz) that a log's signals state; None where the log has a time."""
     stated = run.log is not None and isinstance(run.log.signals.time, SampleRate)
@@ -102,8 +107,8 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
     unit = "rad" if joint.kind == "revolute" else "m"
     other = "deg" if joint.kind == "revolute" else "mm"
     repair = (
-        f"if the log is in {other} say so under 'units', else check the columns and the time, or correct the limits in "
-        "the robot file."
+        f"if the log is in {other} say so under 'units', else check the columns and the time, or "
+        f"{write_limits(joint.name)}."
     )
     if joint.limits.position is not None:
         lower, upper = joint.limits.position
@@ -113,12 +118,12 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
         if excess > FAR_BEYOND_LIMITS:
             raise GtauError(f"run '{run}': {moved}, far outside {limits}; {repair}")
         if excess > BEYOND_LIMITS:
-            action = "check the zero of its position, or correct the limits in the robot file"
+            action = f"check the zero of its position, or {write_limits(joint.name)}"
             yield Note(Kind.LIMITS, f"{moved}, outside {limits}", action, joint=joint.name)
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
         moved = f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / joint.limits.velocity:.3g} times"
         limit = (
             f"its limit of {joint.limits.velocity:.4g} {unit}/s"  # in many files a placeholder, which refuses no log
         )
-        action = f"write the limit of '{joint.name}' in the robot file if this is none, else check columns and units"
+        action = f"check columns and units; where the limit is a placeholder, {write_limits(joint.name)}"
         yield Note(Kind.LIMITS, f"{moved} {limit}", action, joint=joint.name)

@@ -1,139 +1,33 @@
-"""The stretches of the runs that the jackknife leaves out in turn, in step where runs repeat a motion.
-
-What the model lacks mostly depends on the motion. Runs without and with a payload that repeat one motion hold it both,
-and it cancels in the gains, which rest on the difference of the currents. A jackknife that leaves out stretches of one
-run alone takes it for an error of the difference. So runs that repeat a motion are cut at the same positions, and
-their stretches are left out together: what is common then cancels in each unit, and what differs shows.
-"""
+"""Stretches of a run, which the jackknife leaves out in turn: of as many samples in motion each."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from gtau.estimation.regression.equations import STRETCHES
-from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
-from gtau.signals.preparation import PreparedRun
+from gtau.signals.preparation import InMemoryRun, PreparedRun
 
-LONGEST = 1 << 16  # positions of a run that are compared, at most
+ASLEEP = 1e-6  # weight of a sample in a rest
+REST = 0.5  # of a stretch: shorter rests leave rows in it, and longer ones may leave none
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a run stands in the motion of its group: the ``group``'s number, and its ``begin`` and ``end``.
+def stretch_edges(prepared: PreparedRun | InMemoryRun) -> np.ndarray:
+    """Find where the stretches of a run begin and end, as shares of its samples, (STRETCHES + 1,).
 
-    They are the instants (s), by the clock of the run, at which the motion that all runs of the group have begins in
-    the first of them and ends in the last. ``repeated`` says whether the group has more than one run.
+    Equal ones where the robot does not rest for long. Where it does, such blocks would hold all rows in a few of them.
     """
-
-    group: int
-    begin: float
-    end: float
-    repeated: bool
-
-    def part(self, time: float, parts: int) -> int:
-        """Find which of the equal ``parts`` of the group's motion in which an instant (s) of the run lies."""
-        share = (time - self.begin) / max(self.end - self.begin, 1e-300)
-        return min(max(int(share * parts), 0), parts - 1)
+    at, awake = prepared.awake()
+    weight = np.ones(len(awake))
+    moving = np.concatenate([[-1], np.flatnonzero(awake), [len(awake)]]).tolist()
+    for before, after in pairwise(moving):
+        if at[after] - at[before + 1] > REST * at[-1] / STRETCHES:
+            weight[before + 1 : after] = ASLEEP
+    along = np.cumsum([0.0, *(np.diff(at) * weight)])
+    return np.asarray(np.interp(np.linspace(0.0, along[-1], STRETCHES + 1), along, at / at[-1]))
 
 
-def uniform_edges(outputs: int) -> np.ndarray:
-    """Cut ``outputs`` rows into stretches of equal length: the first row of each, and the end, (STRETCHES + 1,)."""
-    return -(-np.arange(STRETCHES + 1) * outputs // STRETCHES)
-
-
-def edges_of(prepared: PreparedRun, place: Place) -> np.ndarray:
-    """Cut the decimated rows of a run into stretches, in step with other runs that repeat its motion."""
-    decimator = prepared.preparation.decimator
-    outputs = decimator.outputs(len(prepared))
-    if not place.repeated:
-        return uniform_edges(outputs)
-    instants = np.linspace(place.begin, place.end, STRETCHES + 1) - float(prepared.time[0])
-    first = np.ceil((instants * prepared.run.rate - decimator.support) / decimator.factor).astype(int)
-    first[0], first[-1] = 0, outputs
-    return np.clip(first, 0, outputs)
-
-
-def stretch_numbers(edges: np.ndarray, outputs: slice) -> np.ndarray:
-    """Find the stretches in which rows of a run lie, from 0 to ``STRETCHES``."""
-    return np.searchsorted(edges[1:], np.arange(outputs.start, outputs.stop), side="right")
-
-
-def find_places(prepared: Sequence[PreparedRun]) -> tuple[Place, ...]:
-    """Group the runs by their motions.
-
-    Runs belong together where the rms difference of their positions after a shift in time, over those of the motion,
-    is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first of every
-    group.
-    """
-    paths, groups = _paths(prepared), list[list[tuple[int, float]]]()
-    for k in range(len(prepared)):
-        for members in groups:
-            shift = _shift(paths, members[0][0], k)
-            if shift is not None:
-                members.append((k, shift))
-                break
-        else:
-            groups.append([(k, 0.0)])
-    found = {}
-    for number, members in enumerate(groups):
-        # an instant t of the first run is t + shift by the clock of another
-        first = min(float(prepared[k].time[0]) - shift for k, shift in members)
-        last = max(float(prepared[k].time[-1]) - shift for k, shift in members)
-        for k, shift in members:
-            found[k] = Place(number, first + shift, last + shift, len(members) > 1)
-    return tuple(found[k] for k in range(len(prepared)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Paths:
-    """Positions (N, n) of the runs at steps of one length (s), their first instants, and which joints move."""
-
-    step: float
-    begin: list[float]
-    q: list[np.ndarray]
-    moves: list[np.ndarray]
-
-
-def _paths(prepared: Sequence[PreparedRun]) -> _Paths:
-    samples = [np.arange(0, len(each), -(-len(each) // LONGEST)) for each in prepared]
-    step = max(int(at[1] if len(at) > 1 else 1) / each.run.rate for each, at in zip(prepared, samples, strict=True))
-    q = []
-    for each, at in zip(prepared, samples, strict=True):
-        time = each.time[at] - each.time[0]
-        position = each.run.position[each.kept.start + at]
-        instants = np.arange(0.0, time[-1] + step / 2, step)
-        q.append(np.column_stack([np.interp(instants, time, of_joint) for of_joint in position.T]))
-    return _Paths(step, [float(each.time[0]) for each in prepared], q, [each.moves for each in prepared])
-
-
-def _shift(paths: _Paths, one: int, other: int) -> float | None:
-    """Find by how much the clock of a run is ahead of another's in the same motion, s; None where motions differ."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    a, b = paths.q[one], paths.q[other]
-    least = REPEATED_PART * max(len(a), len(b))
-    moves = paths.moves[one] | paths.moves[other]
-    if min(len(a), len(b)) < least or not moves.any():
-        return None
-    spread = np.maximum(a.std(axis=0), b.std(axis=0))[moves]
-    centre = a.mean(axis=0)[moves]
-    a, b = ((each[:, moves] - centre) / (spread * np.sqrt(moves.sum())) for each in (a, b))
-    # the mean square of a[i + lag] - b[i] at every lag
-    size = next_fast_len(len(a) + len(b) - 1)
-    products = (rfft(a, size, axis=0) * np.conj(rfft(b, size, axis=0))).sum(axis=1)
-    lags = np.arange(1 - len(b), len(a))
-    cross = irfft(products, size)[lags]
-    squares_a, squares_b = (np.concatenate([[0.0], np.cumsum(np.sum(each**2, axis=1))]) for each in (a, b))
-    low, high = np.maximum(lags, 0), np.minimum(len(a), len(b) + lags)
-    sums = squares_a[high] - squares_a[low] + squares_b[high - lags] - squares_b[low - lags] - 2 * cross
-    enough = high - low >= least
-    difference = np.where(enough, np.sqrt(np.maximum(sums, 0.0) / np.maximum(high - low, 1)), np.inf)
-    best = difference.min(initial=np.inf)
-    if best > REPEATED:
-        return None
-    # of a periodic motion, the shift at which most of both runs overlap
-    k = max(np.flatnonzero(difference <= 2 * best), key=lambda k: (high[k] - low[k], -difference[k]))
-    return float(paths.begin[other] - paths.begin[one] - lags[k] * paths.step)
+def stretch_of(edges: np.ndarray, outputs: int) -> np.ndarray:
+    """List the number of the stretch of each of ``outputs`` rows, (outputs,), from the edges of the stretches."""
+    return np.asarray(np.searchsorted(np.round(edges[1:-1] * outputs, 6), np.arange(outputs), side="right"))

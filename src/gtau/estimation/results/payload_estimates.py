@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.robots.robot import INERTIAL
 from gtau.robots.units import unit_of
+from gtau.signals.payload import FIRST_MOMENTS
 
 
 def payload_estimates(
@@ -52,9 +54,19 @@ def payload_estimates(
                 estimates[kind] = Estimate(
                     kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=free.get(label[kind])
                 )
+        if "m" in estimates and each.payload.center is not None:
+            unit = unit_of("mx", robot, robot.tool)
+            moments = zip(FIRST_MOMENTS, each.payload.center, strict=True)
+            estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
         name, run = each.payload.name, dataset.runs[each.run].name
         payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
     return tuple(payloads)
+
+
+def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
+    """Follow a first moment from a mass whose center is known."""
+    value, std = (None if each is None else size * each for each, size in ((mass.value, at), (mass.std, abs(at))))
+    return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")
 
 
 def named_values(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tuple[float, float]]:

@@ -9,6 +9,7 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.results.estimate import PayloadEstimate
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.estimation.thresholds.estimates import INFLATED
@@ -16,6 +17,7 @@ from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.robots.parameter import parameter_of
 from gtau.signals.columns import Signals
 from gtau.signals.notes import Kind, Note
+from gtau.signals.payload import FIRST_MOMENTS
 
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 
@@ -32,6 +34,8 @@ def remarks(result: IdentifiedModel) -> list[Note]:
         if payload.verdict.outcome != Outcome.GOOD:
             what = f"payload '{payload.name}' {payload.verdict.outcome.value}: {payload.verdict.why}"
             notes.append(_of_verdict(what, payload.verdict))
+        if "m" not in payload.parameters:
+            notes.append(note(Finding(F.MASS_UNSEEN, (), payload.name, {"sums": sums_with_mass(payload)})))
     for sensor in result.sensors:
         if sensor.verdict.outcome != Outcome.GOOD:
             what = f"the torque sensor of '{sensor.joint}' {sensor.verdict.outcome.value}: {sensor.verdict.why}"
@@ -44,6 +48,13 @@ def remarks(result: IdentifiedModel) -> list[Note]:
         listed = [(each.name, each.value, each.unit) for each in absurd]
         notes.append(note(Finding(F.IMPOSSIBLE_PARAMETERS, values={"parameters": listed})))
     return notes + not_separated([name for name, each in result.parameters.items() if each.value is None])
+
+
+def sums_with_mass(payload: PayloadEstimate) -> list[str]:
+    """List what is known of a payload whose mass is not identifiable: sums that hold it, as ``my - 0.1445 m``."""
+    kinds = FIRST_MOMENTS if set(FIRST_MOMENTS) & set(payload.parameters) else tuple(payload.parameters)
+    regroupings = [payload.parameters[kind].regrouping for kind in kinds if kind in payload.parameters]
+    return [each.replace("+ -", "- ") for each in regroupings if each.split()[-1] == "m"]
 
 
 def _of_verdict(what: str, verdict: Verdict) -> Note:

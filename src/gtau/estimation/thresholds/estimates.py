@@ -130,6 +130,16 @@ PLAUSIBLE_LAG = Threshold(
 )
 PLAUSIBLE_ZERO = Threshold(0.5, "error of an encoder's zero, degrees or mm", NONE, NONE, "experience")
 PLAUSIBLE_TILT = Threshold(1.0, "tilt of the base, degrees", NONE, NONE, "experience")
+PLAUSIBLE_OFFSET = Threshold(
+    0.01,
+    "offset of a measured wrench, of the rms of its force or moment",
+    "0.1 to 1 % of the range of a tared six-axis sensor",
+    "17 % (5 N on a flange that carries 30 N, not tared)",
+    "experience; tests/estimation/test_wrench_errors.py",
+)
+PLAUSIBLE_POINT = Threshold(
+    2.0, "error of the point about which a wrench is stated, mm", NONE, "20 (a plate, a flange)", "experience"
+)
 PLAUSIBLE_GRAVITY = Threshold(
     0.2, "difference of local gravity from the standard, per cent", "0.26 at most on Earth", NONE, "latitude and height"
 )
@@ -143,6 +153,13 @@ PRIOR_FACTOR = Threshold(
     "1.1 (data sheets are right to 10 %)",
     "1000 (mA for A)",
     "faults; the paper's introduction",
+)
+GAINS_APART = Threshold(
+    15.0,
+    "gain of a joint over the next smaller one, turning joints and slides each among themselves",
+    "up to 1.3 (Orthoglide, UR10e, Rokae, dVRK), 1.5 (AIRBOT Play); within 5 by gears and motors (Puma 560, WAM, KUKA)",
+    "15 and more (one of several within a factor of 4 in counts, 60; in %, 100; in mA, 1000)",
+    "shared logs, data sheets; the factors between units",
 )
 EFFORT_FACTOR = Threshold(2.0, "rms torque over the joint's limit of effort", "below 1", "1000 (g for kg)", "faults")
 PAYLOAD_MOVES = Threshold(
@@ -218,6 +235,13 @@ REFUTED_SHARE = Threshold(
     "0.06 to 0.86 (faults)",
     "faults, UR10e pairs; a dVRK arm, and currents low-passed or joints elastic in benchmarks/calibration.py",
 )
+OF_BEST = Threshold(
+    0.5,
+    "share of the residual variance that it explains over that of the description alternative that explains most",
+    "0.19 to 0.25 (a length, a current between runs, beside an offset or a point of a wrench that is off)",
+    "1 (itself)",
+    "tests/estimation/test_wrench_errors.py",
+)
 OF_REPEATING = Threshold(
     0.5,
     "share of the residual variance that it explains over that which repeats at the same positions, mean of all joints",
@@ -231,6 +255,36 @@ TOGETHER_SHARE = Threshold(
     "below 0.2 (clean)",
     "0.9 (gravity along another axis)",
     "faults, clean",
+)
+GRAVITY_SHARE = Threshold(
+    0.5,
+    "share of the residual variance, in the geometric mean of all joints or of one that it helps, that gravity along "
+    "another axis takes away",
+    "up to 0.07 (dVRK, whose cables repeat), 0.013 (Rokae), 0 (UR10e, TX40, Panda, KUKA, Orthoglide, five-bar)",
+    "0.88 and more along another axis, 0.84 and 0.995 tilted by 11 degrees (UR10e); 0.53 and more (five-bar, "
+    "Orthoglide, with a payload), nothing from torques of these two, which hardly see it",
+    "shared logs; tests/estimation/test_gravity.py, torques and currents simulated with 0.3 % of noise",
+)
+GRAVITY_LEAST = Threshold(
+    5.0,
+    "angle from the stated gravity, degrees, below which a base is not level and the linear test speaks",
+    NONE,
+    NONE,
+    "five times PLAUSIBLE_TILT",
+)
+GRAVITY_ALIKE = Threshold(
+    1.05,
+    "residual variance over that of the best axis, below which another one explains as much",
+    "1.00 (either normal of a planar robot)",
+    "1.5 and more (the next axis of a UR10e)",
+    "tests/estimation/test_gravity.py",
+)
+GRAVITY_MISFIT = Threshold(
+    0.1,
+    "share of a joint's current or torque that is unexplained, from which gravity along other axes is tried",
+    "0.002 to 0.11 (Orthoglide, UR10e, dVRK, TX40), 0.57 (Panda polled at few hertz)",
+    "0.08 to 0.98 (gravity along another axis); where it is less, a tilt helps",
+    "the same; it decides on some seconds of work, not on an outcome",
 )
 SAME_EFFECT = Threshold(
     1e-5,

@@ -45,6 +45,13 @@ LAG_LEAST = Threshold(
 LAG_LOSS = Threshold(
     0.01, "share of a command that a low-pass of that lag takes away at the bandwidth", NONE, NONE, "a choice"
 )
+LATE = Threshold(
+    0.5,
+    "unexplained share of a joint's current, shifted by more than a delay can be, over that as logged",
+    "0.70 (Aliengo), 0.91 and more (15 sets of shared logs of nine robots, as they are)",
+    "0.02 and less (100 ms), 0.07 to 0.09 (50 ms)",
+    "those logs, tests/estimation/test_late_currents.py",
+)
 DELAY_MOTION = Threshold(
     4.0,
     "standard errors of the share of motion in the current's rate of change",
@@ -119,6 +126,13 @@ LARGEST_CURRENT = Threshold(
     "0.05 to 8.1 (five sets of shared logs with currents), 15 (simulated, catalog)",
     "980 (dVRK), 8100 (UR10e, mA read as A)",
     "shared logs; large drives do reach it, so that it is asked and not refused",
+)
+PAYLOAD_DENSITY = Threshold(
+    100.0,
+    "mass of a payload over the cube of the arm's reach, kg/m3, from which it is rather in g",
+    "1.3 (UR10e with 2.8 kg), 6 to 45 (rated: UR10e, UR5e, Panda, Mecademic Meca500, KUKA KR1000, Fanuc M-2000)",
+    "12,000 and more (5 to 25 kg on those of up to 0.85 m reach, in g), 1,300 (UR10e with 2.8 kg in g)",
+    "data sheets; on large arms small payloads in g pass",
 )
 CURRENTS_APART = Threshold(
     30.0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,7 +20,7 @@ WIDTH = 80
 GAP = 2
 LONGEST = 40  # characters of a word that is not broken
 COLOURS = {"good": "green", "weak": "yellow", "bad": "bold red"}
-ASCII = str.maketrans({"±": "+-", "\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "×": "x", "‘": "'", "’": "'"})
+ASCII = str.maketrans({"±": "+-", "\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "×": "x", "²": "2", "‘": "'", "’": "'"})
 
 
 def show(page: Page) -> None:
@@ -72,13 +73,25 @@ def _ascii(words: str) -> str:
     return words.translate(ASCII)
 
 
+def _kept(words: str) -> str:
+    """Write words in ASCII, with spaces that are not broken between a number and its unit, and within a unit."""
+    return re.sub(
+        r"(?<=\d) (?=%|[A-Za-z]{1,3}\d?\b)|(?<=\bN) (?=m\b)|(?<=\bkg) (?=m)|(?<=\bm) (?=s/)", "\xa0", _ascii(words)
+    )
+
+
+def _wrapped(words: str, width: int) -> str:
+    """Break words into lines, none of them within what :func:`_kept` keeps together unless it is too long."""
+    lines = textwrap.wrap(_kept(words), max(width, 1), break_long_words=False, break_on_hyphens=False)
+    return "\n".join(lines).replace("\xa0", " ")
+
+
 def _lines(texts: Iterable[str], mark: str = "", style: str = "") -> Iterator[RichText]:
     """Wrap texts at spaces, so that paths stay in one piece and no number loses its per cent sign."""
     indent = " " * (2 if mark else 0)
     for words in texts:
-        kept = _ascii(words).replace(" %", "\xa0%")
         lines = textwrap.wrap(
-            mark + kept, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+            mark + _kept(words), WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
         )
         for line in lines:
             yield RichText(line.replace("\xa0", " "), style=style, no_wrap=True, overflow="ignore")
@@ -87,9 +100,9 @@ def _lines(texts: Iterable[str], mark: str = "", style: str = "") -> Iterator[Ri
 def _facts(facts: Facts) -> Iterator[RichText]:
     width = max((len(name) for name in facts.pairs), default=0) + GAP
     for name, value in facts.pairs.items():
-        words = f"{name:<{width}}{_ascii(str(value))}"
+        words = f"{name:<{width}}{_kept(str(value))}"
         lines = textwrap.wrap(words, WIDTH, subsequent_indent=" " * width, break_long_words=False)
-        yield from (RichText(line, no_wrap=True, overflow="ignore") for line in lines)
+        yield from (RichText(line.replace("\xa0", " "), no_wrap=True, overflow="ignore") for line in lines)
 
 
 def _list(found: Table) -> Iterator[RichText]:
@@ -119,10 +132,16 @@ def _table(found: Table) -> Iterator[RichTable]:
         shown = RichTable(box=None, padding=(0, GAP, 0, 0), pad_edge=False, show_header=any(titles))
         for i in block:
             justify: Literal["left", "right"] = "right" if columns[i].kind in NUMERIC else "left"
-            shown.add_column(RichText(titles[i]), justify=justify, width=widths[i], overflow="fold", header_style="")
+            shown.add_column(
+                RichText(_wrapped(titles[i], widths[i])),
+                justify=justify,
+                width=widths[i],
+                overflow="fold",
+                header_style="",
+            )
         for k, row in enumerate(cells):
             styles = [_badge(row[i]) if columns[i].kind == Kind.BADGE else "" for i in block]
-            texts = [RichText(row[i], style=style) for i, style in zip(block, styles, strict=True)]
+            texts = [RichText(_wrapped(row[i], widths[i]), style=style) for i, style in zip(block, styles, strict=True)]
             shown.add_row(*texts, style="dim" if k in found.faint else "")
         yield shown
 
@@ -130,9 +149,9 @@ def _table(found: Table) -> Iterator[RichTable]:
 def _narrowest(column: Column, title: str, cells: Sequence[str], first: bool) -> int:
     """Find the least width of a column: numbers stay on a line, and so do words of texts unless they are very long."""
     if first or column.kind in NUMERIC:
-        words = [*title.split(), *cells]
+        words = [*_kept(title).split(" "), *cells]
     else:
-        words = [*title.split(), *(word for cell in cells for word in cell.split())]
+        words = [*_kept(title).split(" "), *(word for cell in cells for word in _kept(cell).split(" "))]
     return min(max(map(len, words), default=0), LONGEST)
 
 

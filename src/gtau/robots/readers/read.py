@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.robots.floating import drawn_base, float_base
 from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
-from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, RobotSource
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, GivenLimits, RobotSource
 from gtau.robots.robot import Pose, Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
@@ -66,11 +67,25 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
             if source.base.rpy is not None:
                 robot = _mounted(robot, source.base.rpy)
         robot = select_joints(robot, source.joints, source.held) if source.joints or source.held else robot
+        robot = _limited(robot, source.limits)
         if source.base is None and not robot.floating and (six := drawn_base(robot)):
             raise GtauError(f"{listed(six)} have no motor and carry the rest, as a base that floats; {BASE_ADVICE}.")
         return robot
     except GtauError as error:
         raise GtauError(f"{source.file}: {error}") from None
+
+
+def _limited(robot: Robot, given: Mapping[str, GivenLimits]) -> Robot:
+    """Replace limits of joints by those given."""
+    for name in given:
+        robot.joint(name)  # refuses a name that no joint has
+    joints = (
+        replace(joint, limits=replace(joint.limits, **given[joint.name].model_dump(exclude_none=True)))
+        if joint.name in given
+        else joint
+        for joint in robot.joints
+    )
+    return replace(robot, joints=tuple(joints)) if given else robot
 
 
 def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, FiniteFloat, Tag
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, FiniteFloat, Tag, field_validator
 
 from gtau.robots.readers.expressions import evaluate
 from gtau.robots.units import DEGREES_ADVICE, in_degrees
@@ -55,11 +55,32 @@ class Base(BaseModel):
 BaseChoice = Base | Literal["floating"] | None
 
 
+class GivenLimits(BaseModel):
+    """Limits of a joint in place of those of the robot's file, SI units."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    position: tuple[Angle, Angle] | None = None
+    velocity: Annotated[FiniteFloat, Field(gt=0)] | None = None
+    acceleration: Annotated[FiniteFloat, Field(gt=0)] | None = None
+    effort: Annotated[FiniteFloat, Field(gt=0)] | None = None
+
+    @field_validator("position")
+    @classmethod
+    def _in_order(cls, position: tuple[float, float] | None) -> tuple[float, float] | None:
+        if position is not None and position[0] >= position[1]:
+            raise ValueError(
+                f"the limits {position[0]:g} and {position[1]:g} are not in order; write the lower one first"
+            )
+        return position
+
+
 class RobotSource(BaseModel):
     """A robot's file or catalog name, and which part of it, how placed, is the robot.
 
     ``base`` fixes a floating base, says how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
-    joints that move; the others are held, at the positions in ``held`` or at home.
+    joints that move; the others are held, at the positions in ``held`` or at home. ``limits`` replace those of the
+    file, by joint.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -68,6 +89,7 @@ class RobotSource(BaseModel):
     base: Annotated[BaseChoice, BeforeValidator(_base)] = None
     joints: tuple[str, ...] = ()
     held: dict[str, FiniteFloat] = {}
+    limits: dict[str, GivenLimits] = {}
 
 
 def _text_or_group(value: Any) -> str:

@@ -11,6 +11,7 @@ from gtau.estimation.diagnostics.hypotheses.drives import (
     SATURATION,
 )
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Hypothesis
+from gtau.estimation.diagnostics.hypotheses.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
 
 HYPOTHESES: tuple[Hypothesis, ...] = (
     FRICTION_SHAPE,
@@ -20,4 +21,6 @@ HYPOTHESES: tuple[Hypothesis, ...] = (
     CURRENT_LAG,
     ENCODER_ZEROS,
     GRAVITY,
+    WRENCH_OFFSETS,
+    WRENCH_POINTS,
 )

@@ -32,6 +32,7 @@ STEP = 0.1  # of the unit: the torques' change is linear over this
 
 
 def _encoder_zeros(fit: Fit) -> Candidates:
+    """Add a constant error of a joint's position."""
     dataset = fit.dataset
     model, n = dataset.model, len(dataset.model.actuated)
     turns = [dataset.robot.joint(joint).kind == "revolute" for joint in model.actuated]
@@ -62,6 +63,7 @@ ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, description=Tr
 
 
 def _gravity(fit: Fit) -> Candidates | None:
+    """Add a tilt of the base, or another strength of gravity (a wrong clock)."""
     dataset = fit.dataset
     robot = dataset.robot
     gravity = np.array(robot.gravity)

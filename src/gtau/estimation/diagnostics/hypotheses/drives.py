@@ -45,6 +45,7 @@ from gtau.signals.preparation import InMemoryRun
 
 
 def _friction_shape(fit: Fit) -> Candidates:
+    """Add cubic, load-dependent or Stribeck friction where the model has none."""
     joints, speeds = fit.dataset.model.actuated, rms_speeds(fit)
     fv, fs = friction_levels(fit)
     level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
@@ -81,6 +82,7 @@ FRICTION_SHAPE = Hypothesis(
 
 
 def _friction_drift(fit: Fit) -> Candidates:
+    """Add viscous or Coulomb friction that changes along the runs."""
     joints, terms = fit.dataset.model.actuated, fit.system.friction.terms
     # friction that depends on the temperature has a slope of its own for this
     fv, fs = friction_levels(fit) * np.array(
@@ -108,6 +110,7 @@ LARGE = 2.0  # rms currents: where the fall is stated
 
 
 def _saturation(fit: Fit) -> Candidates:
+    """Add a torque constant that falls with the current, ``tau abs(tau)``."""
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     scale = LARGE * rms_torques(fit)
 
@@ -127,6 +130,7 @@ def _saturation(fit: Fit) -> Candidates:
 
 
 def _gain_drift(fit: Fit) -> Candidates:
+    """Add a torque constant that changes along the runs."""
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
 
@@ -156,6 +160,7 @@ GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, description=True)
 
 
 def _current_lag(fit: Fit) -> Candidates:
+    """Add a low-pass filter of the current, or an elastic transmission: the torque's second derivative."""
     model, n = fit.dataset.model, len(fit.gains)
     regressor = model.columns(fit.dataset.base.standard)
 

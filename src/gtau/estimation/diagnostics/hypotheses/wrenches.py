@@ -1,0 +1,105 @@
+"""Errors of measured wrenches: a sensor that was not tared, and a point of application off from where the file says.
+
+A sensor's offset is constant along its own axes. A point is a lever, ``m = m_at + at x f``, so that one which is
+off adds a moment proportional to the force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis, window_motion
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.rows import external_torques
+from gtau.estimation.thresholds.estimates import PLAUSIBLE_OFFSET, PLAUSIBLE_POINT
+from gtau.robots.floating import WRENCH
+from gtau.signals.preparation import InMemoryRun
+
+Reading = Callable[[np.ndarray], np.ndarray]
+"""From what the wrenches read (6 k, M) to by how much too large that may be, (m, 6 k, M)."""
+
+MILLIMETRE = 1e-3
+COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z")
+
+
+def _offsets(fit: Fit) -> Candidates | None:
+    """Add a constant error of a measured force or moment."""
+    bodies = [frame.body for frame in fit.dataset.runs[0].wrenches]
+    if not bodies:
+        return None
+    unit = np.eye(len(WRENCH) * len(bodies))
+
+    def read(measured: np.ndarray) -> np.ndarray:
+        """Give each component, one after another, a reading too large by one; (m, 6 k, M)."""
+        return np.broadcast_to(unit[:, :, None], (*unit.shape, measured.shape[-1]))
+
+    levels = _rms(fit).reshape(-1, 2, 3)
+    levels = np.sqrt(np.sum(levels**2, axis=2, keepdims=True)) * np.ones(3)
+
+    def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
+        worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 6)) / np.maximum(levels.reshape(-1, 6), 1e-12), axis=1)))
+        moment, force = sizes.reshape(-1, 2, 3)[worst].tolist()
+        return Finding(F.WRENCH_OFFSET, (), bodies[worst], {"force": force, "moment": moment})
+
+    return Candidates(
+        [Finding(F.WRENCH_OFFSET, (), body, {"component": each}) for body in bodies for each in COMPONENTS],
+        tuple("N m" if each.startswith("moment") else "N" for _ in bodies for each in COMPONENTS),
+        PLAUSIBLE_OFFSET * levels.reshape(-1, 1),
+        lambda window, values: _felt(fit, window, read),
+        describe,
+    )
+
+
+def _points(fit: Fit) -> Candidates | None:
+    """Add another point about which a measured moment is stated."""
+    bodies = [frame.body for frame in fit.dataset.runs[0].wrenches]
+    if not bodies:
+        return None
+
+    def read(measured: np.ndarray) -> np.ndarray:
+        """Compute by how much moments are too large where the force acts 1 mm further back; (3 k, 6 k, M)."""
+        found = np.zeros((3 * len(bodies), *measured.shape))
+        for k in range(len(bodies)):
+            force = measured[6 * k + 3 : 6 * k + 6].T
+            for axis, direction in enumerate(np.eye(3)):
+                found[3 * k + axis, 6 * k : 6 * k + 3] = -MILLIMETRE * np.cross(direction, force).T
+        return found
+
+    def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
+        worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 3)), axis=1)))
+        shift = (MILLIMETRE * sizes.reshape(-1, 3)[worst]).tolist()
+        return Finding(F.WRENCH_POINT, (), bodies[worst], {"shift": shift})
+
+    return Candidates(
+        [Finding(F.WRENCH_POINT, (), body, {"axis": axis}) for body in bodies for axis in "xyz"],
+        ("mm",) * (3 * len(bodies)),
+        np.full((3 * len(bodies), 1), PLAUSIBLE_POINT),
+        lambda window, values: _felt(fit, window, read),
+        describe,
+    )
+
+
+def _rms(fit: Fit) -> np.ndarray:
+    """Compute the rms of all components of the wrenches in all runs, (6 k,), N m and N."""
+    squares = [np.mean(run.command[:, len(run.joints) + len(run.sensors) :] ** 2, axis=0) for run in fit.dataset.runs]
+    return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+
+
+def _felt(fit: Fit, window: InMemoryRun, read: Reading) -> CandidateColumns:
+    """Find the torques that the joints miss where wrenches read so much too large."""
+    model, run = fit.dataset.model, window.run
+    measured = window.samples().command.T
+    first = len(run.channels) - len(WRENCH) * len(run.wrenches)
+    extra = read(measured[first:])
+    padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))
+    padded[:, first:] = extra
+    return at_full_rate(window, fit.dataset, external_torques(model, run, window_motion(model, window), padded))
+
+
+WRENCH_OFFSETS = Hypothesis("wrench offsets", True, _offsets, description=True)
+WRENCH_POINTS = Hypothesis("wrench points", True, _points, description=True)

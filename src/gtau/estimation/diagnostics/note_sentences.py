@@ -1,0 +1,135 @@
+"""The words for what is noted beside the verdicts: of the data, the fit and the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import sqrt, tau
+
+from gtau.estimation.diagnostics.cause_sentences import INSTRUMENTS, Sentence, Values
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.signals.notes import Kind
+
+LISTED = 3  # parameters that are named
+SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
+PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
+IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
+
+
+def _between_runs(values: Values) -> str:
+    listed = ", ".join(f"'{joint}' ({value:+.2f})" for joint, value in values["correlations"])
+    return "residuals of runs that repeat a motion with different loads are correlated at " + listed
+
+
+def _ripple(values: Values) -> Sentence:
+    base = bool(values["base"])
+    where = "of the base '{subject}'" if base else "at joint '{joint}'"
+    cause = "a wrench is wrong or missing" if base else "ripple of the motors, cables or springs, which the model lacks"
+    of_gain = " (that of the gain of joint '{moved}' {move:.3g%})" if values["move"] else ""
+    return (
+        f"residuals repeat at the same positions ({{share:.0f%}} of the variance {where}): {cause}. They repeat in "
+        "every run, so the scatter between blocks does not show them; the standard deviations include how far the "
+        f"estimates move when they are modelled{of_gain}",
+        "",
+    )
+
+
+def _command_lag(values: Values) -> Sentence:
+    lag, phase = values["lag"], tau * values["bandwidth"] * values["lag"]
+    size = f"by {1e3 * lag:.2g} ms (standard deviation {1e3 * values['std']:.2g} ms)"
+    size = size if phase < 1 else f"by more than {1e3 * lag / phase:.2g} ms"
+    return (
+        f"the {{kind}}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass of that "
+        f"time constant attenuates them by {100 * (1 - 1 / sqrt(1 + phase**2)):.2g} % at the bandwidth of the motion, "
+        "{bandwidth:.3g} Hz",
+        "log the {kind}s before any filter and with the time stamps of the positions",
+    )
+
+
+def _mass_unseen(values: Values) -> Sentence:
+    sums = values["sums"]
+    what = (
+        f"only sums with other parameters of it act on the joints: {', '.join(sums)}"
+        if sums
+        else "it acts on no joint: what carries it turns about a fixed point"
+    )
+    to_do = "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"
+    return f"the mass of payload '{{subject}}' is not identifiable, as {what}", to_do
+
+
+NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
+    F.UNLIKE_LEGS: lambda values: (
+        "legs of the same geometry differ, most in {parameter} of leg '{subject}' ("
+        + ("{share:.0f%}" if values["share"] < 10 else "more than 1000 %")
+        + " from the mean of the others)",
+        "check that they are built alike",
+    ),
+    F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
+    F.GAINS_APART: (
+        "the gains of '{joint}' and '{other}' are a factor of {ratio:.2g} apart ({smaller:.3g} and {larger:.3g} "
+        "{unit}), which motors and gears of one robot hardly are",
+        "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not",
+    ),
+    F.POSITION_NOISE: (
+        "position noise biases {count} of {all} estimates by more than their standard deviations: {estimate} by "
+        "{deviations:.1f} of them (instrumental variables, which such noise does not bias, differ by {t:.0f} standard "
+        "deviations of the difference); the intervals include it",
+        INSTRUMENTS,
+    ),
+    F.RIPPLE: _ripple,
+    F.COMMON_RESIDUALS: lambda values: (
+        f"{_between_runs(values)}: what the model lacks there depends on the motion alone, and cancels in the gains",
+        "",
+    ),
+    F.OPPOSED_RESIDUALS: lambda values: (
+        f"{_between_runs(values)}: what the model lacks there changes sign with the load, and moves gains; most likely "
+        "{cause}",
+        "{to_do}",
+    ),
+    F.SMALL_REFUTATION: (
+        "{cause} would explain {share:.0f%} of the residual variance and move no gain by more than {move:.2g%}",
+        "{to_do}",
+    ),
+    F.WEAK_INSTRUMENTS: (
+        "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of "
+        "{strength:.2g}, where it needs {needed:.2g}), so that it would differ by its own bias",
+        "let the joints move independently of each other, or use a heavier payload",
+    ),
+    F.UNTESTED: ("{cause} could not be made for comparison: {refusal}", ""),
+    F.AUTOCORRELATED: (
+        "residuals are autocorrelated: standard errors are {factor:.1f} times those of white noise, so the model lacks "
+        "something, such as friction of another kind, ripple of the motors, cables or elasticity",
+        "",
+    ),
+    F.IMPOSSIBLE_PARAMETERS: lambda values: (
+        "physically impossible parameters: "
+        + ", ".join(f"{name} = {value:.3g} {unit}" for name, value, unit in values["parameters"][:LISTED])
+        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
+        IMPOSSIBLE,
+    ),
+    F.NOT_SEPARATED: lambda values: (
+        f"these motions cannot separate {', '.join(values['parameters'])} from the other base parameters: no value is "
+        "given",
+        "add runs that move all joints in other ways",
+    ),
+    F.MASS_UNSEEN: _mass_unseen,
+    F.FEW_ROWS: (
+        "the tests of the model were skipped, as the robot moves too little for them ({rows} rows in the middle of the "
+        "runs, for {unknowns} unknowns): the intervals hold scatter alone",
+        "log longer motions",
+    ),
+    F.COMMAND_LAG: _command_lag,
+    F.SLIGHT_COMMAND_LAG: _command_lag,
+}
+
+NOTES: Mapping[F, Kind] = {
+    F.COMMON_RESIDUALS: Kind.READING,
+    F.EFFORT: Kind.LIMITS,
+    F.POSITION_NOISE: Kind.NOISE,
+    F.COMMAND_LAG: Kind.FILTERED,
+    F.SLIGHT_COMMAND_LAG: Kind.READING,
+    F.UNTESTED: Kind.READING,
+    F.GAINS_APART: Kind.UNIT,
+    F.WEAK_INSTRUMENTS: Kind.READING,
+    F.NOT_SEPARATED: Kind.SEPARATION,
+}
+"""Kinds of the notes that are not on the model."""

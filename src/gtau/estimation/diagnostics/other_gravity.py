@@ -1,0 +1,159 @@
+"""Whether gravity along another axis of the base explains the residuals.
+
+An arm on a wall or a ceiling, or a tracker whose vertical is y, has gravity where the robot file has none: beyond the
+few degrees of a base that is not level, parameters adapt, and a linear test of tilts points anywhere. So the robot is
+fitted again with gravity along each axis of the base, and from the best of them freely (Gauss-Newton over directions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY
+from gtau.estimation.diagnostics.linearisation import (
+    central_windows,
+    known_rows,
+    least_squares_step,
+    linearise,
+    on_channels,
+    stack,
+)
+from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
+from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
+from gtau.estimation.regression.dataset import Dataset, model_of
+from gtau.estimation.regression.friction import Friction
+from gtau.estimation.thresholds.estimates import (
+    GRAVITY_ALIKE,
+    GRAVITY_LEAST,
+    GRAVITY_MISFIT,
+    GRAVITY_SHARE,
+    REFUTED_SHARE,
+)
+from gtau.model.base_parameters import base_parameters
+from gtau.progress import Progress, silent
+from gtau.signals.preparation import InMemoryRun
+
+STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
+
+
+@dataclass(frozen=True, eq=False)
+class OtherGravity:
+    """A gravity that explains more: the ``cause``, the ``share`` of the residual variance that goes with it.
+
+    ``moves`` (n,) is by what share of itself each gain moves.
+    """
+
+    cause: Finding
+    share: float
+    moves: np.ndarray
+
+
+def gravity_asked_for(fit: Fit, alternatives: Sequence[Alternative]) -> bool:
+    """Whether a tilt helps, or so much is unexplained that gravity may be the cause: fits take a few seconds each."""
+    of_gravity = [each.share for each in alternatives if each.hypothesis == GRAVITY.name]
+    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
+    return max(of_gravity, default=0.0) > REFUTED_SHARE or misfit > GRAVITY_MISFIT
+
+
+def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
+    """Find the gravity of the same strength, along an axis or free, that explains most of the residuals, if any does.
+
+    Nothing is found where gravity is not seen, nor within the few degrees of which the linear test speaks.
+    """
+    declared = np.array(fit.dataset.robot.gravity)
+    size = float(np.linalg.norm(declared))
+    windows = [window for _, window in central_windows(fit.dataset)]  # the middle of the runs bounds the time
+    middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
+    own = _fitted(fit, middle, declared) if size and windows else None
+    if own is None:
+        return None
+    found = []
+    for k, axis in enumerate(np.vstack([np.eye(3), -np.eye(3)])):
+        progress("gravity along other axes", k, 6)
+        other = own if _degrees(axis, declared) < GRAVITY_LEAST else _fitted(fit, own.dataset, size * axis)
+        if other is not None:
+            found.append((_left(other, own), other))
+    progress("gravity along other axes", 6, 6)
+    left, best = min([(1.0, own), *found], key=lambda each: each[0])
+    alike = [other for rest, other in found if rest <= GRAVITY_ALIKE * left]
+    for better in _freely(fit, best, list(enumerate(windows))):
+        if _left(better, own) < (1 - REFUTED_SHARE) * left:
+            left, best, alike = _left(better, own), better, []
+    gravity = np.array(best.dataset.robot.gravity)
+    moves = np.zeros(len(fit.gains)) if not fit.free_gains else best.gains / own.gains - 1
+    if 1 - left < GRAVITY_SHARE or _degrees(gravity, declared) < GRAVITY_LEAST:
+        return None
+    before, after = own.solution.sigma, best.solution.sigma
+    shares = before / own.system.problem.balance(own.solution.theta)
+    helped = [j for j in range(len(moves)) if after[j] ** 2 < (1 - GRAVITY_SHARE) * before[j] ** 2]
+    joints = tuple(fit.system.problem.joints[j] for j in helped)
+    values = {
+        "gravity": gravity.tolist(),
+        "also": [list(each.dataset.robot.gravity) for each in alike if each is not best],
+        "left": {
+            joint: [float(shares[j]), float(shares[j] * after[j] / before[j])]
+            for joint, j in zip(joints, helped, strict=True)
+        },
+        "remains": left,
+        "floating": bool(fit.dataset.robot.floating),
+    }
+    rows = own.system.problem.total_rows
+    share = 1 - float(rows @ (after / before) ** 2 / rows.sum())
+    return OtherGravity(Finding(F.GRAVITY, joints, values=values), share, moves)
+
+
+def _fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
+    """Fit with another gravity; None where the data do not determine the gains with it."""
+    robot = replace(dataset.robot, gravity=tuple(gravity.tolist()))
+    model = model_of(robot)
+    base = base_parameters(model, sensors=dataset.runs[0].sensors)
+    friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
+    friction = Friction(tuple(each for each in friction.terms if not each.startswith("fl_")), friction.per_run)
+    try:
+        other = replace(dataset, robot=robot, model=model, base=base, factors=()).reduced()
+        system = other.system(friction, fit.system.problem.slowest > 0)
+        return fit_either(ml_or_wls(given), other, system, given)
+    except GtauError:
+        return None
+
+
+def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) -> Iterator[Fit]:
+    """Turn gravity to where the residuals ask for it."""
+    at: Fit | None = start
+    for _ in range(STEPS):
+        if at is None or (candidates := GRAVITY.candidates(at)) is None:
+            return
+        e, J, offered = stack(linearise(at, on_channels(candidates.offer, GRAVITY.shared), windows))
+        errors, known = known_rows(at, windows)
+        wide = np.hstack([np.concatenate([J, known]), np.pad(offered[:, :2], ((0, len(known)), (0, 0)))])
+        tilt = DEGREE * least_squares_step(wide, np.concatenate([e, errors]))[-2:]
+        gravity = np.array(at.dataset.robot.gravity)
+        size = float(np.linalg.norm(gravity))
+        turned = gravity + size * tilt @ [each.values["towards"] for each in candidates.causes[:2]]
+        if not np.isfinite(turned).all() or _degrees(turned, gravity) < 0.01:
+            return
+        at = _fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))
+        if at is not None:
+            yield at
+
+
+def _left(fit: Fit, own: Fit) -> float:
+    """Compute what is left of the residual variance of ``own``, the geometric mean of all channels (the likelihood's).
+
+    So a single joint that feels gravity counts among many that do not.
+    """
+    rows = own.system.problem.total_rows
+    return float(np.exp(2 * rows @ np.log(fit.solution.sigma / own.solution.sigma) / rows.sum()))
+
+
+def _degrees(one: np.ndarray, other: np.ndarray) -> float:
+    cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)) / DEGREE)

@@ -1,0 +1,158 @@
+"""Gravity along another axis than the robot file says is named; where gravity is not seen, nothing is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from floating_logs import AT_HOOK, FIXED, POSE, experiment, simulated
+from plausible_parameters import random_parameters
+
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.other_gravity import OtherGravity, other_gravity
+from gtau.estimation.diagnostics.sentences import advice
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators.estimator import Given
+from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.friction import Friction
+from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.floating import float_base
+from gtau.robots.readers.native_text import write_native
+from gtau.robots.robot import STANDARD_GRAVITY as G
+from gtau.robots.robot import Joint, Limits, Mdh, Robot
+from gtau.signals.payload import Payload
+from gtau.signals.run import Run
+from gtau.simulation.trajectories import envelope, sines
+
+Gravity = tuple[float, float, float]
+LIMITS = Limits(position=(-2.0, 2.0), velocity=3.0)
+
+
+def scara() -> Robot:
+    """Two vertical axes and a slide along them: gravity is a constant force on the slide."""
+    return Robot(
+        "scara",
+        (
+            Joint("1", "ground", "revolute", Mdh(), limits=LIMITS),
+            Joint("2", "1", "revolute", Mdh(d=0.3), limits=LIMITS),
+            Joint("3", "2", "prismatic", Mdh(d=0.25), limits=Limits(position=(0.0, 0.2), velocity=0.5)),
+        ),
+    )
+
+
+def logged(robot: Robot, true: Gravity, currents: bool, seconds: float = 8.0, seed: int = 0) -> list[Run]:
+    """Torques of one run, or currents of two, one of them with a payload, under the ``true`` gravity."""
+    model, rng = InverseDynamics(replace(robot, gravity=true)), np.random.default_rng([5, seed])
+    chi, time = random_parameters(model, rng), np.arange(round(200 * seconds) + 1) / 200
+    gains, runs = rng.uniform(1, 5, len(model.actuated)) if currents else 1.0, []
+    for mass in (0.0, 2.0) if currents else (0.0,):
+        q, qd, qdd = sines(envelope(robot, 0.7), seconds, rng)(time)
+        tau = model.torques(q, qd, qdd, {**chi, f"m_{robot.tool}": chi[f"m_{robot.tool}"] + mass})
+        tau += 0.003 * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)
+        payload = Payload(name="disc", mass=mass) if mass else None
+        kind = "current" if currents else "torque"
+        runs.append(Run(f"{mass:g} kg", model.actuated, time, q, tau / gains, kind=kind, payload=payload))
+    return runs
+
+
+def found(robot: Robot, runs: list[Run]) -> OtherGravity | None:
+    dataset = reduce_runs(robot, runs)
+    given = Given(np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None)
+    system = dataset.system(Friction((), per_run=len(runs) > 1))
+    return other_gravity(fit_either(ml_or_wls(given), dataset, system, given))
+
+
+def axis(gravity: Gravity) -> np.ndarray:
+    return np.array(gravity) / G
+
+
+def test_an_arm_on_a_wall_is_named() -> None:
+    """From torques, where nothing else would say a word, as gains are given."""
+    robot, true = load_robot("ur10e"), (G, 0.0, 0.0)
+    result = identify(robot, logged(robot, true, currents=False))
+    wrong = [each.verdict for each in result.drive_gains.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
+    assert wrong
+    (cause,) = wrong[0].finding.causes
+    assert (wrong[0].finding.kind, cause.kind) == (F.REFUTED, F.GRAVITY)
+    np.testing.assert_allclose(cause.values["gravity"], true, atol=1e-9)
+    before, after = np.array(list(cause.values["left"].values())).T
+    assert (after < 0.003).all()
+    assert before.max() > 0.1
+    assert set(cause.joints) == set(cause.values["left"])
+    sure = [each for each in result.alternatives if each.hypothesis == "gravity"]
+    assert len(sure) == 1  # the tilts that would explain a part of it are not counted again
+    good = identify(replace(robot, gravity=true), logged(robot, true, currents=False))
+    assert {each.verdict.outcome for each in good.drive_gains.values()} == {Outcome.GIVEN}
+
+
+def test_what_to_write_is_what_helps(tmp_path: Path) -> None:
+    """Both ways of the advice give the gravity that was found."""
+    robot, true = load_robot("ur10e"), np.array([0.3, -0.5, 0.8]) * G / np.linalg.norm([0.3, -0.5, 0.8])
+    values = {"gravity": true.tolist(), "also": [], "left": {"a": [0.3, 0.01]}, "floating": False}
+    said = advice(Finding(F.GRAVITY, ("a",), values=values))
+    x, y, z = (float(each) for each in said.split("gravity: [")[1].split("]")[0].split(","))
+    np.testing.assert_allclose([x, y, z], true, atol=0.01)
+    write_native(robot, tmp_path / "arm.yaml")
+    rpy = said.split("rpy: [")[1].split("]")[0]
+    turned = load_robot(tmp_path / "arm.yaml", base={"rpy": [float(each) for each in rpy.split(",")]})
+    np.testing.assert_allclose(turned.gravity, true, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("robot", "true", "currents", "also"),
+    [
+        (load_robot("ur10e"), (0.0, 0.0, G), False, 0),
+        (scara(), (0.0, G, 0.0), False, 0),
+        (load_robot("five-bar"), (G, 0.0, 0.0), True, 0),
+        (load_robot("five-bar"), (0.0, G, 0.0), True, 1),  # lies flat: either normal is the same
+    ],
+    ids=["arm on a ceiling", "scara on a wall", "five-bar on its side", "five-bar lying flat"],
+)
+def test_other_robots(robot: Robot, true: Gravity, currents: bool, also: int) -> None:
+    other = found(robot, logged(robot, true, currents))
+    assert other is not None
+    assert len(other.cause.values["also"]) == also
+    gravities = [other.cause.values["gravity"], *other.cause.values["also"]]
+    assert max(axis(each) @ axis(true) for each in gravities) > 0.999
+
+
+def test_a_direction_between_the_axes() -> None:
+    robot, true = scara(), (0.4 * G, -0.6 * G, -np.sqrt(1 - 0.52) * G)
+    other = found(robot, logged(robot, true, currents=True))
+    assert other is not None
+    assert axis(other.cause.values["gravity"]) @ axis(true) > np.cos(np.radians(2))
+
+
+@pytest.mark.parametrize("currents", [False, True], ids=["torques", "currents"])
+@pytest.mark.parametrize(
+    "robot",
+    [
+        scara(),
+        load_robot("five-bar"),
+        replace(load_robot("five-bar"), name="flat", gravity=(0.0, G, 0.0)),
+        load_robot("ur10e"),
+        pytest.param(load_robot("orthoglide"), marks=pytest.mark.slow),
+    ],
+    ids=lambda robot: robot.name,
+)
+def test_healthy_robots_keep_their_gravity(robot: Robot, currents: bool) -> None:
+    """Also where gravity is not seen, or is no more than an offset of a joint."""
+    assert found(robot, logged(robot, robot.gravity, currents, seconds=5.0)) is None
+
+
+def test_a_tracker_whose_vertical_is_another(tmp_path: Path) -> None:
+    """Of a base that floats gravity is in the axes of the logged poses."""
+    path = experiment(tmp_path, f"{{body: trunk, {POSE}, wrenches: [{AT_HOOK}]}}", simulated(3))
+    write_native(replace(float_base(FIXED, "trunk"), gravity=(0.0, -G, 0.0)), tmp_path / "arm.yaml")
+    result = identify(path)
+    kinds = {each.causes[0].kind for each in result.alternatives if each.probability > 0.5}
+    assert F.GRAVITY in kinds
+    (cause,) = (each.causes[0] for each in result.alternatives if each.causes[0].kind == F.GRAVITY)
+    np.testing.assert_allclose(axis(cause.values["gravity"]), (0.0, 0.0, -1.0), atol=0.02)
+    assert cause.values["floating"]

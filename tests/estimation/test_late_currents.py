@@ -1,0 +1,63 @@
+"""Currents logged so late, or early, that no delay of the model describes it, are named as such."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from five_bar_logs import GAINS, STEEL, Plant
+
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.late_currents import late_currents
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
+from gtau.signals.payload import Payload
+from gtau.signals.run import Run
+
+ROBOT = load_robot("five-bar")
+
+
+def logs(*leads: float) -> list[Run]:
+    """Two runs whose currents are those of the motion ``leads`` (s) later."""
+    plant = Plant(delays=leads, noise=0.01)
+    return [
+        plant.run("free", 12.0, seed=1),
+        replace(plant.run("loaded", 12.0, STEEL, seed=2), payload=Payload(name="steel", mass=STEEL["m"])),
+    ]
+
+
+def reasons(result: Result) -> dict[str, str]:
+    return {joint: gain.verdict.why for joint, gain in result.drive_gains.items()}
+
+
+@pytest.mark.parametrize(("lead", "named"), [(0.1, "100 ms too early"), (-0.1, "100 ms too late")])
+def test_a_delay_of_100_ms_is_named_as_one(lead: float, named: str) -> None:
+    result = identify(ROBOT, logs(lead, lead))
+    for joint, why in reasons(result).items():
+        assert why.startswith(f"its currents were logged {named}"), joint
+    assert "preparation: {delay: " in next(iter(result.drive_gains.values())).verdict.advice
+
+
+def test_the_delay_of_one_joint_is_its_own() -> None:
+    found = identify(ROBOT, logs(-0.05, 0.004))
+    left, right = reasons(found).values()
+    assert left.startswith("its currents were logged 50 ms too late")
+    assert right.startswith("joint 'left' contradicts the model")
+
+
+@pytest.mark.parametrize("lead", [0.0, 0.02, -0.02])
+def test_delays_that_the_model_describes_are_none(lead: float) -> None:
+    dataset = reduce_runs(ROBOT, logs(lead, lead))
+    assert late_currents(dataset, dataset.system().problem.slowest) == ()
+
+
+def test_currents_of_one_joint_in_another_unit_are_asked_about() -> None:
+    """Sixty times as large: the currents are apart by less than units are, the gains are not."""
+    runs = [replace(run, command=run.command * [1.0, 60.0]) for run in logs(0.0, 0.0)]
+    result = identify(ROBOT, runs)
+    (note,) = [each for each in result.notes if each.finding == F.GAINS_APART]
+    assert "the gains of 'right' and 'left' are a factor of" in str(note)
+    assert result.drive_gains["right"].value == pytest.approx(GAINS[1] / 60, rel=0.01)
+    assert all(each.finding != F.GAINS_APART for each in identify(ROBOT, logs(0.0, 0.0)).notes)

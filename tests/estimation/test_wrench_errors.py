@@ -1,0 +1,103 @@
+"""Wrenches that are not tared, or stated about another point, are named, and the intervals hold what they do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from floating_logs import AT_HOOK, AT_SOLE, GAINS, HOOK, POSE, SOLE, Truth, experiment, simulated
+
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.identify import identify
+from gtau.estimation.results.result import Result
+
+BASE = f"{{body: trunk, {POSE}}}"
+
+
+@pytest.fixture(scope="module")
+def flange() -> tuple[Truth, Truth]:
+    """An arm on the ground without a tool, and with one of 3 kg beyond its force sensor."""
+    return simulated(4, moving=False), simulated(5, moving=False, tool=True)
+
+
+@pytest.fixture(scope="module")
+def hanging() -> Truth:
+    return simulated(3)
+
+
+@pytest.fixture(scope="module")
+def standing() -> Truth:
+    return simulated(2, foot=1.0)
+
+
+def reading(truth: Truth, offsets: dict[str, float]) -> Truth:
+    return Truth(truth.chi, {name: each + offsets.get(name, 0.0) for name, each in truth.columns.items()})
+
+
+def moved(wrench: str, at: np.ndarray, by: np.ndarray) -> str:
+    assert str(at.tolist()) in wrench
+    return wrench.replace(str(at.tolist()), str((at + by).tolist()))
+
+
+def of_flange(folder: Path, flange: tuple[Truth, Truth], offsets: dict[str, float], by: np.ndarray) -> Result:
+    bare, carrying = (reading(each, offsets) for each in flange)
+    path = experiment(folder, "", bare, f"  wrenches: [{moved(AT_SOLE, SOLE, by)}]")
+    pl.DataFrame(carrying.columns).write_csv(folder / "tool.csv")
+    path.write_text(path.read_text().replace("runs: [", "runs: [{log: tool.csv}, "))
+    return identify(path)
+
+
+def of_hook(folder: Path, hanging: Truth, offsets: dict[str, float], by: np.ndarray) -> Result:
+    base = f"{{body: trunk, {POSE}, wrenches: [{moved(AT_HOOK, HOOK, by)}]}}"
+    return identify(experiment(folder, base, reading(hanging, offsets)))
+
+
+def of_sole(folder: Path, standing: Truth, offsets: dict[str, float], by: np.ndarray) -> Result:
+    path = experiment(folder, f"{BASE}\n  wrenches: [{moved(AT_SOLE, SOLE, by)}]", reading(standing, offsets))
+    return identify(path)
+
+
+CASES = {
+    "flange": (of_flange, "flange", "3", {"sx": 5.0}, {"sz": 5.0}, True),
+    "hook": (of_hook, "hanging", "trunk", {"hx": 5.0, "hz": -3.0}, {"hmy": 1.0}, False),
+    "sole": (of_sole, "standing", "3", {"sx": 5.0}, {"sy": -4.0}, True),
+}
+FAULTS = [
+    pytest.param(case, fault, marks=[pytest.mark.slow] if fault == "other offset" else [], id=f"{case}, {fault}")
+    for case in CASES
+    for fault in ("tared", "offset", "other offset", "point")
+]
+
+
+@pytest.mark.parametrize(("case", "fault"), FAULTS)
+def test_errors_of_wrenches_are_named(case: str, fault: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    identified, logs, body, one, other, moves = CASES[case]
+    offsets = {"offset": one, "other offset": other}.get(fault, {})
+    by = np.array([0.02, 0.0, 0.0]) * (fault == "point")
+    result = identified(tmp_path, request.getfixturevalue(logs), offsets, by)
+    of_wrenches = [each for each in result.alternatives if each.hypothesis.startswith("wrench")]
+    if fault == "tared":
+        assert of_wrenches
+        assert max(each.share for each in of_wrenches) < 0.02
+        assert all(abs(result.drive_gains[joint].value / gain - 1) < 0.05 for joint, gain in GAINS.items())
+        assert not any(each.verdict.outcome == Outcome.CONTRADICTORY for each in result.drive_gains.values())
+        return
+    cause = max(of_wrenches, key=lambda each: each.share).causes[0]
+    assert (cause.kind, cause.subject) == (F.WRENCH_POINT if fault == "point" else F.WRENCH_OFFSET, body)
+    if fault == "point":  # the file's point is too far along x
+        np.testing.assert_allclose(cause.values["shift"], [-0.02, 0.0, 0.0], atol=0.004)
+    for joint, gain in GAINS.items():
+        each = result.drive_gains[joint]
+        low, high = each.interval(0.95) or (0.0, 0.0)
+        assert each.verdict.outcome == Outcome.CONTRADICTORY or low < gain < high
+        assert "payload" not in each.verdict.sentence
+    verdicts = [each.verdict for each in result.drive_gains.values()]
+    if fault == "point" and moves:
+        assert Outcome.CONTRADICTORY in {each.outcome for each in verdicts}
+    said = [each.finding.causes[0].kind for each in verdicts if each.finding and each.finding.causes]
+    assert set(said) <= {cause.kind}  # and of nothing else
+    noted = {note.finding for note in result.notes}
+    assert said or F.SMALL_REFUTATION in noted
