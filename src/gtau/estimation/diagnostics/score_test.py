@@ -132,7 +132,8 @@ class GainChange:
     """By what share of itself a joint's current is larger in some ``runs`` than in the others; how significant.
 
     ``share`` of the residual variance of all joints goes where each has such a change in these runs; ``moves`` (n,) is
-    by what share of itself each gain moves when this joint's change is modelled.
+    by what share of itself each gain moves when this joint's change is modelled. It is the most significant of as many
+    changes as were ``tried``.
     """
 
     runs: tuple[int, ...]
@@ -140,6 +141,7 @@ class GainChange:
     t: float
     share: float
     moves: np.ndarray
+    tried: int = 1
 
 
 def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarray) -> tuple[GainChange, ...]:
@@ -164,6 +166,7 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
     groups = groups[~groups.all(axis=1) & groups.any(axis=1)]
     if not len(groups):
         return (GainChange((), 0.0, 0.0, 0.0, np.zeros(n)),) * n
+    tried = len(np.unique(groups ^ groups[:, :1], axis=0))  # larger in some runs is smaller in the others
     known = jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels))
     offers, clusters = [(slice(None), False)], np.unique(problem.block_numbers, return_inverse=True)[1]
     (found,) = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), offers, clusters, known)
@@ -179,6 +182,7 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
             float(found.t[k, j]),
             float(shares[k]),
             (T @ found.slopes[k, j])[problem.gain_rows] * found.size[k, j] / solution.gains[:n],
+            tried,
         )
         for j, k in enumerate(worst)
     )
