@@ -17,6 +17,7 @@ from gtau.errors import GtauError
 from gtau.model.base_parameters import BaseParameters, base_parameters, symmetric_order
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.random_states import random_motion
 from gtau.robots.robot import DRIVE, INERTIAL, Coupling, Robot
 
 every_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
@@ -308,3 +309,15 @@ def test_no_samples(robot):
     idm = model(robot)
     n = len(idm.actuated)
     assert idm.regressor(*np.zeros((3, 0, n))).shape == (0, n, len(idm.parameter_names))
+
+
+@pytest.mark.parametrize("name", ["ur10e", "five-bar", "orthoglide", "palletiser"])
+def test_torques_of_gravity_are_those_of_a_robot_in_another_gravity(name: str, rng: np.random.Generator) -> None:
+    robot = load_robot(name)
+    own, change = model(robot), rng.normal(size=3)
+    other = InverseDynamics(replace(robot, gravity=tuple(np.array(robot.gravity) + change)))
+    motion, chi = random_motion(own, 20, rng), rng.normal(size=len(own.parameter_names))
+    difference = np.subtract(*(each.full.torques_along(each.layout, motion, chi) for each in (other, own)))
+    gravity = own.gravity_torques(own.parameter_names)
+    found = gravity.torques(gravity(own.layout, motion, chi), change, len(own.actuated))
+    np.testing.assert_allclose(found, difference, atol=1e-10 * np.abs(difference).max())

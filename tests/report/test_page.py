@@ -27,9 +27,11 @@ from gtau.report.page import (
     section,
     table,
 )
-from gtau.report.render.charts import figure_of, palette, svg_of
+from gtau.report.render.charts import figure_of, palette
 from gtau.report.render.html import MINUS, frame, html, minus
 from gtau.report.render.live import arrays_for, envelope, spec_of, stretches
+from gtau.report.render.panels import sketch_of, ticks
+from gtau.report.render.sketch import Path, Word, svg
 from gtau.report.render.terminal import plain
 
 NASTY = '<b onclick="x">$steel & co</b>'
@@ -174,13 +176,70 @@ def test_a_frame_of_a_notebook_holds_a_page(whole: Page) -> None:
 
 
 def test_an_svg_takes_the_colours_of_the_page(whole: Page) -> None:
-    text = svg_of(
-        intervals(["left", NASTY], [1.0, None], [0.1, None], "gain, %", other=("prior", [1.2, 3.0]), zero=True)
+    text = svg(
+        sketch_of(
+            intervals(["left", NASTY], [1.0, None], [0.1, None], "gain, %", other=("prior", [1.2, 3.0]), zero=True)
+        )
     )
-    assert "var(--predicted)" in text or "var(--accent)" in text
+    assert "var(--predicted)" in text
+    assert "var(--prior)" in text
     assert "&lt;b onclick" in text
     assert not re.search(r"\d\.\d{3,}", text)
-    assert len(text) < 20_000
+    assert len(text) < 5000
+
+
+def test_a_panel_of_a_page_and_its_figure_show_the_same_places() -> None:
+    """Matplotlib's own transformations, from limits that are stated, are the reference."""
+    x, y = np.array([1.0, 3.0, 20.0]), np.array([-2.0, 0.5, 4.0])
+    limits = (1.0, 100.0), (-4.0, 6.0)
+    panel = Panel(Axis("f", log=True, limits=limits[0]), Axis("y", limits=limits[1]), (Series("", x, y),))
+    sketch = sketch_of(panel)
+    left, low, right, high = sketch.window
+    (line,) = (each for each in sketch.inside if isinstance(each, Path) and each.stroke == "predicted")
+    shares = (line.points - (left, low)) / (right - left, high - low)
+    (axes,) = figure_of(Chart((panel,))).axes
+    places = axes.transLimits.transform(axes.transScale.transform(np.column_stack([x, y])))
+    np.testing.assert_allclose(np.unique(shares, axis=0), places, atol=1e-9)
+
+
+def test_every_value_is_inside_its_panel_and_axes_alike_have_one_scale() -> None:
+    circle = np.linspace(0.0, 2 * np.pi, 60)
+    path = Series("", 3.0 + 0.2 * np.cos(circle), 0.2 * np.sin(circle))
+    band = Panel(Axis("x"), Axis("y"), (path,), rules=(Rule(x=4.0), Rule(y=-1.0)), band=(0.0, 2.0))
+    for panel in (band, replace(band, equal=True)):
+        sketch = sketch_of(panel)
+        left, low, right, high = sketch.window
+        drawn = np.vstack([each.points for each in sketch.inside if isinstance(each, Path)])
+        assert (drawn >= np.array([left, low]) - 1e-9).all()
+        assert (drawn <= np.array([right, high]) + 1e-9).all()
+    (round_,) = (each.points for each in sketch.inside if isinstance(each, Path) and each.stroke == "predicted")
+    assert np.ptp(round_[:, 0]) == pytest.approx(np.ptp(round_[:, 1]), rel=1e-2)
+
+
+@pytest.mark.parametrize("high", [3e-4, 0.07, 1.0, 8.6, 99.0, 4e5])
+def test_ticks_are_few_and_round(high: float) -> None:
+    found = np.array(ticks(-high / 3, high))
+    assert 3 <= len(found) <= 7
+    assert np.abs(found).min() == 0.0
+    assert f"{found[1] - found[0]:.1e}"[:3] in ("1.0", "2.0", "2.5", "5.0")
+    words = [each.text for each in sketch_of(Panel(Axis("x"), Axis("y"), (Series("", np.array([-high / 3, high]),
+             np.zeros(2)),))).items if isinstance(each, Word)]  # fmt: skip
+    numbers = [float(word.replace("\N{MINUS SIGN}", "-")) for word in words if word not in "xy"]
+    assert set(np.round(found / high, 9)) <= set(np.round(np.array(numbers) / high, 9))
+
+
+def test_a_matrix_shows_the_strength_of_each_value_at_its_place() -> None:
+    values = np.array([[1.0, -0.5, 0.0], [-0.5, 1.0, 0.3], [0.0, 0.3, 1.0]])
+    sketch = sketch_of(Panel(Axis("x"), Axis("y"), matrix=values))
+    left, low, right, high = sketch.window
+    found = np.zeros((3, 3))
+    for each in sketch.inside:
+        assert isinstance(each, Path)
+        for start, end, _ in each.points.reshape(-1, 3, 2):
+            row = round(3 * (high - start[1]) / (high - low) - 0.5)
+            first, last = (round(3 * (at - left) / (right - left)) for at in (start[0], end[0]))
+            found[row, first:last] = each.opacity * (1 if each.stroke == "positive" else -1)
+    np.testing.assert_array_equal(found, values)
 
 
 # Figures

@@ -16,10 +16,11 @@ from gtau import identify
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.report.render.sketch import Mark, Word
 from gtau.report.render.terminal import plain
 from gtau.report.robot import robot_document as describe
 from gtau.report.robot import robot_page
-from gtau.report.robot_figure import robot_figure
+from gtau.report.robot_figure import robot_figure, robot_sketch
 from gtau.robots.floating import float_base
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.readers.native import parse_native
@@ -198,11 +199,7 @@ def test_a_motor_keeps_its_own_base_parameters() -> None:
 
 
 def texts(robot: Robot) -> list[str]:
-    figure = robot_figure(robot)
-    drawn = [text.get_text() for axes in figure.findobj(match=lambda a: hasattr(a, "texts")) for text in axes.texts]
-    legend = [text.get_text() for axes in figure.findobj(match=lambda a: hasattr(a, "get_legend"))
-              if axes.get_legend() for text in axes.get_legend().get_texts()]  # fmt: skip
-    return drawn + legend
+    return [each.text for each in robot_sketch(robot).items if isinstance(each, Word)]
 
 
 def test_picture_names_motors_payload_and_gravity() -> None:
@@ -220,27 +217,22 @@ def test_picture_explains_only_what_it_shows() -> None:
 @pytest.mark.parametrize("name", ["gough-stewart", "ur10e", "palletiser", "orthoglide"])
 def test_picture_hides_no_name_under_a_joint_or_another_name(name: str) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.text import Annotation
 
     robot = load_robot(name)
-    figure = robot_figure(robot)
+    sketch, figure = robot_sketch(robot), robot_figure(robot)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    names = [
-        text
-        for text in figure.findobj(Annotation)
-        if text.get_bbox_patch() is not None and set(text.get_text().split(", ")) <= robot.driven
-    ]
+    (axes,) = figure.axes
+    names = [text for text in axes.texts if set(text.get_text().split(", ")) <= robot.driven]
     assert sorted(", ".join(text.get_text() for text in names).split(", ")) == sorted(robot.driven)
     boxes = [text.get_window_extent(canvas.get_renderer()) for text in names]
-    marks = [
-        line.get_transform().transform(line.get_xydata())
-        for line in names[0].axes.get_lines()
-        if line.get_marker() in ("o", "s", "D")
-    ]
+    marks = axes.transData.transform([each.place for each in sketch.items if isinstance(each, Mark)])
+    whole = figure.bbox
     for k, box in enumerate(boxes):
         assert not any(box.overlaps(other) for other in boxes[:k])
-        assert not any(box.contains(*point) for mark in marks for point in mark)
+        assert not any(box.contains(*mark) for mark in marks)
+        assert whole.contains(box.x0, box.y0)
+        assert whole.contains(box.x1, box.y1)
 
 
 @pytest.mark.parametrize("length", [3e-4, 0.03, 1.0, 350.0])

@@ -223,7 +223,7 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
     robot, length = layout.robot, characteristic_length(layout.robot)
     frame = frames(layout, c)
     twist = twists(layout, frame, yd)
-    still = accelerations(layout, frame, twist, yd, ca.SX(layout.n_y, 1), np.zeros(3))
+    still = accelerations(layout, frame, twist, yd, ca.SX(layout.n_y, 1), ca.SX(3, 1))
     residual, velocity, gamma = [], [], []
     for closure in robot.closures:
         (R_a, p_a), (R_b, p_b) = attached_frame(closure.a, frame), attached_frame(closure.b, frame)

@@ -20,6 +20,7 @@ from gtau.model.kinematics import (
     accelerations,
     attached_frame,
     attached_velocity,
+    constant,
     frames,
     twists,
 )
@@ -77,6 +78,7 @@ def torques(
     ydd: ca.SX,
     J: ca.SX,
     chi: dict[str, ca.SX],
+    gravity: ca.SX | None = None,
 ) -> ca.SX:
     """Express the torques of the actuated joints ``tau_idm`` (n,), eq. (15).
 
@@ -92,11 +94,14 @@ def torques(
         ``dy/dq`` (n_y, n): the identity in the actuated rows, J_t and J_p in the others.
     chi : dict
         Standard parameters by name; drive parameters that are missing do not act.
+    gravity : SX, optional
+        In base axes (3,), m/s2; the robot's if left out.
     """
     robot = layout.robot
     frame = frames(layout, c)
     twist = twists(layout, frame, yd)
-    acceleration = accelerations(layout, frame, twist, yd, ydd, np.array(robot.gravity))
+    gravity = constant(np.array(robot.gravity)) if gravity is None else gravity
+    acceleration = accelerations(layout, frame, twist, yd, ydd, gravity)
     massive = [body for body in robot.bodies if Parameter("m", body).name in chi]
     wrench = {body: _wrench(chi, body, twist[body], acceleration[body]) for body in massive}
     pulls = []  # of the springs: the rate of whose length they want, and the force against it

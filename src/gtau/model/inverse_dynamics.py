@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
 
@@ -13,7 +13,7 @@ import numpy as np
 from gtau.documents.arguments import TEXT, takes
 from gtau.errors import GtauError
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
-from gtau.model.interpreter.program import Program, compile_program
+from gtau.model.interpreter.program import NONE, Program, compile_program
 from gtau.model.interpreter.threads import share
 from gtau.model.kinematics import Coordinates, coordinates
 from gtau.model.loop_paths import follow
@@ -53,9 +53,9 @@ class Regressor:
         chi = ca.SX.sym("chi", len(self.names))
         return compile_program(self.inputs, [self.matrix @ chi], [chi])
 
-    def __call__(self, layout: Coordinates, motion: Motion) -> np.ndarray:
-        """Compute the entries (entries, N) for the samples of ``motion``."""
-        return self.program(*self._sources(layout, motion))
+    def __call__(self, layout: Coordinates, motion: Motion, parameters: np.ndarray = NONE) -> np.ndarray:
+        """Compute the entries (entries, N) for the samples of ``motion``, and ``parameters`` of the program."""
+        return self.program(*self._sources(layout, motion), parameters=parameters)
 
     def torques(self, entries: np.ndarray, chi: np.ndarray, n: int) -> np.ndarray:
         """Compute torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
@@ -221,6 +221,19 @@ class InverseDynamics:
         c, yd, ydd, _ = inputs
         tau = torques(self.layout, c, yd, ydd, J, chi)
         return inputs, ca.jacobian(tau, ca.vertcat(*chi.values()))
+
+    def gravity_torques(self, names: Sequence[str]) -> Regressor:
+        """Return a regressor whose three columns are the torques (n,) for each m/s2 of gravity along the base's axes.
+
+        Its program takes values of the standard parameters ``names``, the others being zero, as parameters.
+        """
+        (c, yd, ydd, passive), J = self._inputs
+        gravity, values = ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
+        chi = {name: ca.SX(1, 1) for name in self.parameter_names} | dict(zip(names, ca.vertsplit(values), strict=True))
+        tau = torques(self.layout, c, ca.SX(*yd.shape), ca.SX(*ydd.shape), J, chi, gravity)
+        matrix = ca.jacobian(tau, gravity)
+        program = compile_program([c, yd, ydd, passive], [matrix.nz[:]], [values])
+        return replace(_regressor(("x", "y", "z"), [c, yd, ydd, passive], matrix), compiled=program)
 
     @property
     def full(self) -> Regressor:

@@ -272,11 +272,10 @@ def accelerations(
     twist: dict[str, Twist],
     yd: ca.SX,
     ydd: ca.SX,
-    gravity: np.ndarray,
+    gravity: Vector,
 ) -> dict[str, Twist]:
     """Express the acceleration of every body less gravity, which acts as an acceleration of the base."""
-    lift = constant(-np.asarray(gravity, dtype=float))
-    found = {GROUND: Twist(ca.SX(3, 1), lift)}
+    found = {GROUND: Twist(ca.SX(3, 1), -gravity)}
     for k, joint in enumerate(layout.robot.joints):
         before, at, axis = found[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
         omega = twist[joint.antecedent].angular
@@ -291,5 +290,5 @@ def accelerations(
             linear = linear + axis * ydd[k] + 2 * turning
         found[joint.name] = Twist(angular, linear)
     for name, motion in platform_twist(layout, ydd, frame).items():
-        found[name] = Twist(motion.angular, motion.linear + frame[name].R_0.T @ lift)
+        found[name] = Twist(motion.angular, motion.linear - frame[name].R_0.T @ gravity)
     return found

@@ -1,4 +1,4 @@
-"""A robot at home as points and lines on a page: what both drawings of it, Matplotlib's and SVG, show."""
+"""A robot at home as points and lines on a page: what its sketch shows."""
 
 from __future__ import annotations
 

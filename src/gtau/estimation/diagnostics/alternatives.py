@@ -24,6 +24,7 @@ from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
 from gtau.estimation.diagnostics.linearisation import (
     LinearisedWindow,
+    Windows,
     central_windows,
     in_step,
     known_rows,
@@ -136,7 +137,9 @@ def compete(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
     return tuple(found)
 
 
-def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -> tuple[Alternative, ...]:
+def find_alternatives(
+    fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES, windows: Windows | None = None
+) -> tuple[Alternative, ...]:
     """Try all hypotheses on a fit, in one pass over windows of its runs.
 
     Parameters
@@ -145,9 +148,11 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
         What was estimated.
     hypotheses : sequence of Hypothesis
         What is tried.
+    windows : sequence, optional
+        Where: the :func:`central_windows` of the runs, ``WINDOWS`` of each, unless others are given.
     """
     tried = [(each, made) for each in hypotheses if (made := each.candidates(fit)) is not None]
-    windows = central_windows(fit.dataset, WINDOWS)
+    windows = central_windows(fit.dataset, WINDOWS) if windows is None else windows
     if not windows:
         return ()
     offers = [on_channels(candidates.offer, hypothesis.shared) for hypothesis, candidates in tried]

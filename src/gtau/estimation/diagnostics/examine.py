@@ -109,13 +109,14 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         Called as the work goes on.
     """
     lack = lack_of_fit(fit.system.problem, fit.solution)
-    rows, unknowns = usable_rows(fit.dataset, central_windows(fit.dataset, WINDOWS)), len(fit.solution.stacked)
+    windows = central_windows(fit.dataset, WINDOWS)
+    rows, unknowns = usable_rows(fit.dataset, windows), len(fit.solution.stacked)
     if rows < FEWEST_FOR_TESTS * unknowns:
         few = Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns})
         return Examination(lack, (), PositionRipple.none(fit), (), (few,))
-    alternatives = list(find_alternatives(fit))
+    alternatives = list(find_alternatives(fit, windows=windows))
     scaled = False
-    (*differences,), untested = other_estimators(fit)
+    (*differences,), untested = other_estimators(fit, windows)
     if fit.free_gains:
         by_two_stage = two_stage_difference(fit)
         if isinstance(by_two_stage, Finding):

@@ -19,6 +19,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
+    Windows,
     central_windows,
     known_rows,
     least_squares_step,
@@ -61,7 +62,8 @@ def other_length(fit: Fit, progress: Progress = silent) -> OtherLength | None:
 
 def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
     robot = fit.dataset.robot
-    before, _ = _left(fit, fit.dataset.model)
+    windows = central_windows(fit.dataset)
+    before, _ = _left(fit, windows, fit.dataset.model)
     longer, shorter = list(_longer(robot, STEP)), list(_longer(robot, -STEP))
     if not longer:
         return
@@ -70,7 +72,7 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
     for k, (cause, *pair) in enumerate(lengths):
         progress("other lengths", k, len(lengths))
         try:
-            (above, gains_above), (below, gains_below) = (_left(fit, model) for model in pair)
+            (above, gains_above), (below, gains_below) = (_left(fit, windows, model) for model in pair)
         except GtauError:
             continue  # the robot cannot be assembled or follow its motion with another length
         slope, curvature = (above - below) / 2, (above + below) / 2 - before
@@ -82,9 +84,8 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
     progress("other lengths", len(lengths), len(lengths))
 
 
-def _left(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
+def _left(fit: Fit, windows: Windows, model: InverseDynamics) -> tuple[float, np.ndarray]:
     """Fit another ``model`` to first order: squares of the residuals that it leaves, and its gains (n,)."""
-    windows = central_windows(fit.dataset)
     e, J, _ = stack(linearise(fit, None, windows, model))
     errors, known = known_rows(fit, windows)
     e, J = np.concatenate([e, errors]), np.concatenate([J, known])

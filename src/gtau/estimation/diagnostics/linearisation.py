@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +26,9 @@ RANK = 1e-6  # of the largest singular value: directions below it are left out
 CandidateColumns = Callable[[Rows], np.ndarray]
 """Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
+Windows = Sequence[tuple[int, InMemoryRun]]
+"""Windows of runs, each with its run's number."""
+
 Offer = Callable[[InMemoryRun, np.ndarray], CandidateColumns]
 """Makes the candidate columns along a window, from the values (n_b,) of the base columns in its run."""
 
@@ -44,7 +46,7 @@ class LinearisedWindow:
     offered: np.ndarray
 
 
-def central_windows(dataset: Dataset, pieces: int = 1, moving: Dataset | None = None) -> list[tuple[int, InMemoryRun]]:
+def central_windows(dataset: Dataset, pieces: int = 1, cut: Sequence[list[range]] | None = None) -> Windows:
     """Cut the middle of every run into ``pieces`` windows, each with its run's number.
 
     Long rests, in which no channel has a usable sample, are cut out; what is left of them at either side keeps the
@@ -57,22 +59,29 @@ def central_windows(dataset: Dataset, pieces: int = 1, moving: Dataset | None = 
         Whose runs are cut.
     pieces : int
         Windows of each run.
-    moving : Dataset, optional
-        The same runs prepared otherwise, whose rests are cut out instead, so that windows of both are the same.
+    cut : sequence of list of range, optional
+        From :func:`moving_stretches` of the same runs prepared otherwise, so that windows of both are the same.
     """
-    found = []
-    for run, whole in enumerate(dataset.prepared):
-        at = whole if moving is None else moving.prepared[run]
-        size = min(SAMPLES // len(dataset.prepared), len(whole)) // pieces
-        stretches = _moving_stretches(at, size * pieces, max(int(REST * size), 1))
+    found: list[tuple[int, InMemoryRun]] = []
+    cut = moving_stretches(dataset, pieces) if cut is None else cut
+    for run, (whole, stretches) in enumerate(zip(dataset.prepared, cut, strict=True)):
         size = sum(map(len, stretches)) // pieces
         if dataset.preparation.at(whole.run.rate).decimator.outputs(size) == 0:
             continue
-        stretches = _middle(stretches, size * pieces)
-        middle = InMemoryRun(whole.run, joined([whole.samples(each.start, each.stop) for each in stretches]))
+        kept = _middle(stretches, size * pieces)
+        middle = InMemoryRun(whole.run, joined([whole.samples(each.start, each.stop) for each in kept]))
         parts = range(0, size * pieces, size)
         found += [(run, InMemoryRun(whole.run, middle.samples(at, at + size), middle, at)) for at in parts]
     return found
+
+
+def moving_stretches(dataset: Dataset, pieces: int = 1) -> list[list[range]]:
+    """List for each run the stretches in its middle, without long rests, that ``pieces`` windows are cut from."""
+    sizes = [min(SAMPLES // len(dataset.prepared), len(each)) // pieces for each in dataset.prepared]
+    return [
+        _moving_stretches(each, size * pieces, max(int(REST * size), 1))
+        for each, size in zip(dataset.prepared, sizes, strict=True)
+    ]
 
 
 def _moving_stretches(prepared: PreparedRun, wanted: int, longest_rest: int) -> list[range]:
@@ -83,7 +92,8 @@ def _moving_stretches(prepared: PreparedRun, wanted: int, longest_rest: int) -> 
         begin = (len(prepared) - width) // 2
         usable = prepared.samples(begin, begin + width).usable.any(axis=1)
         awake = np.concatenate([[-1], np.flatnonzero(usable), [width]])
-        rests = [(a + 1, b) for a, b in pairwise(awake.tolist()) if b - a - 1 > max(longest_rest, 2 * margin)]
+        long = np.flatnonzero(np.diff(awake) - 1 > max(longest_rest, 2 * margin))
+        rests = zip((awake[long] + 1).tolist(), awake[long + 1].tolist(), strict=True)
         edges = [0, *(edge for a, b in rests for edge in (min(a + margin, b), max(b - margin, a))), width]
         found = [range(begin + a, begin + b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a < b]
         if width == len(prepared) or sum(map(len, found)) >= wanted:
@@ -99,7 +109,7 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
     return [each for each in cut if each]
 
 
-def in_step(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]]) -> np.ndarray:
+def in_step(dataset: Dataset, windows: Windows) -> np.ndarray:
     """Give numbers (W,) to windows, the same to those of runs that repeat a motion which are nearest to each other."""
     found: list[int] = []
     first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
@@ -113,7 +123,7 @@ def in_step(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]]) -> np.
     return np.array(found)
 
 
-def usable_rows(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]]) -> int:
+def usable_rows(dataset: Dataset, windows: Windows) -> int:
     """Count the decimated rows of all channels in windows that are kept."""
     return sum(
         int(dataset.preparation.at(window.run.rate).decimator.keep(window.all.usable).sum()) for _, window in windows
@@ -123,7 +133,7 @@ def usable_rows(dataset: Dataset, windows: Sequence[tuple[int, InMemoryRun]]) ->
 def linearise(
     fit: Fit,
     offer: Offer | None,
-    windows: Iterable[tuple[int, InMemoryRun]],
+    windows: Windows,
     model: InverseDynamics | None = None,
 ) -> list[LinearisedWindow]:
     """Linearise the residuals of a fit along windows of its runs.
@@ -134,7 +144,7 @@ def linearise(
         What was estimated.
     offer : callable, optional
         Makes candidate columns of all channels; see :func:`on_channels`.
-    windows : iterable
+    windows : sequence
         From :func:`central_windows`.
     model : InverseDynamics, optional
         Another model of the robot, with the same base columns.
@@ -240,7 +250,7 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
     return with_sensors
 
 
-def known_rows(fit: Fit, windows: Sequence[tuple[int, InMemoryRun]]) -> tuple[np.ndarray, np.ndarray]:
+def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
     """Compute the residuals (k,) of the known parameters and their Jacobian (k, size), rows beside the windows'.
 
     They count against as many rows as the windows have.

@@ -24,11 +24,13 @@ from gtau.estimation.diagnostics.alternatives import Alternative, compete, suppo
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
+    Windows,
     central_windows,
     errors_and_jacobian,
     in_step,
     known_rows,
     linearise,
+    moving_stretches,
     window_rows,
 )
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
@@ -151,24 +153,28 @@ def two_stage_difference(fit: Fit) -> Difference | Finding:
     return Difference(Finding(F.TWO_STAGE), moves, std)
 
 
-def other_estimators(fit: Fit) -> tuple[tuple[Difference, ...], tuple[Finding, ...]]:
+def other_estimators(fit: Fit, windows: Windows | None = None) -> tuple[tuple[Difference, ...], tuple[Finding, ...]]:
     """Find what estimators with other preparations, and instrumental variables, find otherwise, and which refuse.
 
     Parameters
     ----------
     fit : Fit
         What was estimated.
+    windows : sequence, optional
+        Where: the :func:`central_windows` of the runs, ``WINDOWS`` of each, unless others are given.
     """
     dataset = fit.dataset
+    windows = central_windows(dataset, WINDOWS) if windows is None else windows
+    cut = moving_stretches(dataset, WINDOWS)
     further, preparations = _filtered_further(dataset.preparation), _preparations(dataset.preparation)
     try:
-        pairs = _pairs(fit, dataset if further is None else _prepared_as(dataset, further))
+        filtered = dataset if further is None else _prepared_as(dataset, further)
+        pairs = _pairs(fit, windows, central_windows(filtered, WINDOWS, cut))
     except GtauError as refusal:  # the loops do not close along motion that is filtered otherwise
         return (), (_untested(refusal, Finding(F.INSTRUMENTS), *(changed for changed, _ in preparations)),)
     if not pairs:
         return (), ()
     rows = [J for _, J, _ in pairs]
-    windows = central_windows(dataset, WINDOWS)
     known, clusters = known_rows(fit, windows)[1], in_step(dataset, windows)
     back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
     T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains) @ back
@@ -180,13 +186,13 @@ def other_estimators(fit: Fit) -> tuple[tuple[Difference, ...], tuple[Finding, .
     for changed, preparation in preparations:
         other = replace(fit, dataset=_prepared_as(dataset, preparation))
         try:
-            tried = linearise(other, None, central_windows(other.dataset, WINDOWS, dataset))
+            linear = linearise(other, None, central_windows(other.dataset, WINDOWS, cut))
         except GtauError as refusal:
             untested.append(_untested(refusal, changed))
             continue
-        if len(tried) != len(pairs):
+        if len(linear) != len(pairs):
             continue  # its filters are longer than a window
-        moments = [(each.jacobian.reshape(-1, len(back)), each.errors.ravel()) for each in tried]
+        moments = [(each.jacobian.reshape(-1, len(back)), each.errors.ravel()) for each in linear]
         weighed = [(J.T @ J, J.T @ e) for J, e in moments]
         found.append(Difference(changed, *_difference(usual, weighed, clusters, known, back, T)))
     return tuple(found), tuple(untested)
@@ -224,7 +230,7 @@ def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
     return replace(dataset, preparation=preparation, prepared=prepared)
 
 
-def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Compute Jacobians along the further filtered and the usual motion, (., k) each, and residuals (.,), by window.
 
     Rows of a joint are reduced together, so that products of their columns remain. The sign of a speed that is filtered
@@ -233,9 +239,8 @@ def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.
     model, found = fit.dataset.model, []
     dry = [k for k, name in enumerate(fit.dataset.base.standard) if name.startswith("fs_")]
     dry.append(fit.dataset.base.count + TERMS.index("fl"))
-    windows = zip(central_windows(fit.dataset, WINDOWS), central_windows(further, WINDOWS, fit.dataset), strict=True)
-    for (run, usual), (_, filtered) in windows:
-        A, keep = window_rows(fit, run, usual, None, model)
+    for (run, window), (_, filtered) in zip(usual, further, strict=True):
+        A, keep = window_rows(fit, run, window, None, model)
         Z, keep_filtered = window_rows(fit, run, filtered, None, model)
         b = A.shape[-1] - 3
         Z[..., dry] = A[..., dry]
@@ -243,8 +248,8 @@ def _pairs(fit: Fit, further: Dataset) -> list[tuple[np.ndarray, np.ndarray, np.
         factors = [triangle(of_joint[kept]) for of_joint, kept in zip(both, keep & keep_filtered, strict=True)]
         height = max(map(len, factors))
         R = np.stack([np.pad(each, ((0, height - len(each)), (0, 0))) for each in factors])
-        e, J, _ = errors_and_jacobian(fit, run, usual, R[..., b:])
-        _, J_filtered, _ = errors_and_jacobian(fit, run, usual, np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1))
+        e, J, _ = errors_and_jacobian(fit, run, window, R[..., b:])
+        _, J_filtered, _ = errors_and_jacobian(fit, run, window, np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1))
         found.append((J_filtered.reshape(-1, J.shape[-1]), J.reshape(-1, J.shape[-1]), e.ravel()))
     return found
 

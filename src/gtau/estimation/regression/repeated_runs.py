@@ -42,12 +42,12 @@ def edges_in_step(prepared: Sequence[PreparedRun], places: Sequence[Place]) -> t
     found = []
     for each, place in zip(prepared, places, strict=True):
         group = [k for k, other in enumerate(places) if other.group == place.group]
-        k = max(group, key=lambda k: prepared[k].time[-1] - prepared[k].time[0])
-        edges, first = stretch_edges(prepared[k]), prepared[k]
-        if first is not each:
-            since = first.time[0] + edges * (first.time[-1] - first.time[0]) - places[k].begin
-            edges = (place.begin + since - each.time[0]) / (each.time[-1] - each.time[0])
-            edges = np.clip(np.concatenate([[0.0], edges[1:-1], [1.0]]), 0.0, 1.0)
+        longest = max(group, key=lambda k: len(prepared[k]) / prepared[k].run.rate)
+        edges = stretch_edges(prepared[longest])
+        if prepared[longest] is not each:
+            time, begin = prepared[longest].time, places[longest].begin
+            since = time[0] + edges[1:-1] * (time[-1] - time[0]) - begin
+            edges[1:-1] = np.clip((place.begin + since - each.time[0]) / (each.time[-1] - each.time[0]), 0.0, 1.0)
         found.append(edges)
     return tuple(found)
 
@@ -57,8 +57,10 @@ def find_places(prepared: Sequence[PreparedRun]) -> tuple[Place, ...]:
 
     Runs belong together where the rms difference of their positions after a shift in time, over those of the motion,
     is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first of every
-    group.
+    group. Runs in memory, which were made, stand alone.
     """
+    if not all(isinstance(each, PreparedRun) for each in prepared):
+        return tuple(Place(k, 0.0, 0.0, False) for k in range(len(prepared)))
     paths, groups = _paths(prepared), list[list[tuple[int, float]]]()
     for k in range(len(prepared)):
         for members in groups:

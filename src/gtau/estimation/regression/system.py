@@ -77,15 +77,22 @@ class System:
 
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run``, with its payload and its own friction, (n_b,)."""
-        joints = self.whole.joints
-        of_joints = self.map(run)[: len(joints), : self.base.count, : KNOWN + 1] @ self.full(theta)
-        bodies = [parameter_of(name).body for name in self.base.standard]
-        rows = [joints.index(body) if body in joints else 0 for body in bodies]  # whose own friction it may be
-        return np.asarray(of_joints[rows, np.arange(len(rows))])
+        of_joints = self.map(run)[: len(self.whole.joints), : self.base.count, : KNOWN + 1] @ self.full(theta)
+        return np.asarray(of_joints[self._rows, np.arange(len(self._rows))])
+
+    @cached_property
+    def _rows(self) -> list[int]:
+        """For each base column the joint whose own friction it may be."""
+        joints, bodies = self.whole.joints, [parameter_of(name).body for name in self.base.standard]
+        return [joints.index(body) if body in joints else 0 for body in bodies]
+
+    @cached_property
+    def _transmitted(self) -> np.ndarray:
+        return transmitted(self.base.names)
 
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run`` that joints transmit: with payload, without friction, (n_b,)."""
-        return self.motion(run, theta) * transmitted(self.base.names)
+        return self.motion(run, theta) * self._transmitted
 
 
 def assemble_system(

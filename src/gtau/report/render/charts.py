@@ -1,4 +1,4 @@
-"""Charts by Matplotlib: figures for files and notebooks, and SVG in the colours of a page."""
+"""Charts by Matplotlib: figures for files and notebooks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.resources import files
-from io import BytesIO, StringIO
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,13 +17,12 @@ from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.page import Axis, Chart, Panel, Series
 from gtau.report.render.live import envelope
+from gtau.report.render.panels import BUCKETS, NAMES, dashes_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (5, 1.4, 1, 1.4)), (0, (1, 1.3)), (0, (8, 2)), (0, (3, 1, 1, 1)))
-"""How lines of the colours c0, c1, ... are dashed, so that they differ in grey too."""
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "text.parse_math": False,  # names of users may hold a $
@@ -52,24 +51,18 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.handlelength": 2.6,
     "figure.dpi": 150,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "gtau",
 }
-SIZES = ("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize")
-SVG_STYLE = STYLE | dict.fromkeys(SIZES, 7.5)
-WIDTH, NARROW, WIDE = 7.2, 3.3, 4.5  # inches, of a figure, of panels beside each other on a page, and of one alone
-NAMES = 220.0  # points, that the names at an axis share
-BUCKETS = 600  # of a line, each drawn by its extremes
+WIDTH = 7.2  # inches, of a figure
 
 
 @contextmanager
-def styled(svg: bool = False) -> Iterator[None]:
+def styled() -> Iterator[None]:
     """Draw in the style of the package; afterwards the user's settings of Matplotlib are as they were."""
     import matplotlib
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(SVG_STYLE if svg else STYLE)
+        matplotlib.rcParams.update(STYLE)
         yield
 
 
@@ -198,11 +191,11 @@ def _series(axes: Axes, series: Series) -> None:
         spans = [(start, stop - start) for start, stop in series.x]
         axes.broken_barh(spans, (float(series.y[0]) - 0.35, 0.7), color=colour, linewidth=0)
     elif series.mark == "line":
-        k = int(series.colour[1:]) if series.colour[1:].isdigit() else 0
+        dashes = dashes_of(series)
         x, y = series.x, series.y
         if np.all(np.diff(x) >= 0):  # along time or frequency, not a path
             x, y = (each.reshape(-1) for each in envelope(x, y[:, None], BUCKETS))
-        axes.plot(x, y, color=colour, linewidth=series.width, linestyle=DASHES[k % len(DASHES)], **look)
+        axes.plot(x, y, color=colour, linewidth=series.width, linestyle=(0, dashes) if dashes else "-", **look)
     elif series.mark == "points":
         axes.plot(series.x, series.y, color=colour, marker="o", linestyle="none", markersize=2 + series.width, **look)
         axes.margins(x=0.03)
@@ -226,41 +219,6 @@ def _matrix(axes: Axes, values: np.ndarray) -> None:
     image[..., :3] = np.where(values[..., None] < 0, *(to_rgb(palette()[each]) for each in ("negative", "positive")))
     image[..., 3] = np.abs(values)
     axes.imshow(image, interpolation="nearest", aspect="equal")
-
-
-def svg_of(panel: Panel, alone: bool = False) -> str:
-    """Draw a panel as the markup of an inline SVG whose colours are those of the page's style sheet."""
-    width = WIDE if alone else NARROW
-    height = 0.8 * width if panel.equal else panel.height if panel.matrix is None else width
-    longest = max((len(name) for name in panel.y.names.values()), default=0)
-    left = min((0.052 if alone else 0.06) * longest + 0.1, 0.45 * width) if longest else 0.55
-    bottom = left if panel.x.names else 0.36
-    with styled(svg=True):
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(width, height))
-        axes = figure.add_axes((left / width, bottom / height, 1 - (left + 0.12) / width, 1 - (bottom + 0.08) / height))
-        draw(axes, panel)
-        axes.set_title("")
-        return svg_text(figure)
-
-
-def svg_text(figure: Figure) -> str:
-    """Write a figure as inline SVG: no header, no ids but those that are referred to, colours as CSS variables."""
-    content = StringIO()
-    with styled(svg=True):
-        figure.savefig(content, format="svg", transparent=True, metadata={"Date": None})
-    text = content.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
-    text = re.sub(r'<g id="[^"]*">', "<g>", text)
-    text = re.sub(r'<svg [^>]*viewBox="([^"]*)"[^>]*>', r'<svg viewBox="\1" stroke-linejoin="round">', text, count=1)
-    text = re.sub(r"font-family: [^;\"]*;?", "", text)
-    names = {value.lower(): name for name, value in reversed(palette().items()) if isinstance(value, str)}
-    names |= {"#444444": "soft", "#e4e4e4": "grid", "#000000": "ink"}
-    text = re.sub(r"#[0-9a-f]{6}\b", lambda found: f"var(--{names[found[0]]})" if found[0] in names else found[0], text)
-    text = re.sub(r"<[^>]*>", lambda found: re.sub(r"(\d\.\d)\d+", r"\1", found[0]), text)  # not the texts between
-    return re.sub(r"\s+", " ", text).replace("> <", "><").strip()
 
 
 def save(chart: Chart, path: Path) -> Path:

@@ -11,10 +11,10 @@ from importlib.resources import files
 from typing import Any
 
 from gtau.report.page import BADGES, NUMERIC, Chart, Column, Drawing, Kind, Page
-from gtau.report.render.charts import svg_of, svg_text
 from gtau.report.render.live import arrays_for, live_charts, spec_of
+from gtau.report.render.panels import MINUS, sketch_of
+from gtau.report.render.sketch import svg
 
-MINUS = "\N{MINUS SIGN}"
 FIT = (
     "new ResizeObserver(() => { try { frameElement.style.height = document.body.getBoundingClientRect().height + 16 + "
     "'px'; } catch (outside) {} }).observe(document.body);"
@@ -97,15 +97,15 @@ def _svg(chart: Chart) -> list[tuple[str, Any]]:
     from markupsafe import Markup
 
     alone = chart.columns == 1
-    return [(each.title, Markup(svg_of(each, alone))) for each in chart.panels]
+    return [(each.title, Markup(svg(sketch_of(each, alone)))) for each in chart.panels]
 
 
 def _robot(drawing: Drawing) -> Any:
     from markupsafe import Markup
 
-    from gtau.report.robot_figure import robot_figure
+    from gtau.report.robot_figure import robot_sketch
 
-    return Markup(svg_text(robot_figure(drawing.robot)))
+    return Markup(svg(robot_sketch(drawing.robot)))
 
 
 def _style() -> str:

@@ -6,8 +6,6 @@ strength of gravity are candidate columns.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from gtau.errors import GtauError
@@ -24,7 +22,6 @@ from gtau.estimation.thresholds.estimates import (
     PLAUSIBLE_TILT,
     PLAUSIBLE_ZERO,
 )
-from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.preparation import InMemoryRun
 
 DEGREE, MILLIMETRE = np.pi / 180, 1e-3
@@ -65,22 +62,18 @@ ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, description=Tr
 def _gravity(fit: Fit) -> Candidates | None:
     """Add a tilt of the base, or another strength of gravity (a wrong clock)."""
     dataset = fit.dataset
-    robot = dataset.robot
-    gravity = np.array(robot.gravity)
+    gravity = np.array(dataset.robot.gravity)
     size = float(np.linalg.norm(gravity))
     if not size:
         return None
     _, _, Vt = np.linalg.svd(gravity[None, :])
     changes = [*Vt[1:] * size * DEGREE, gravity / 100]  # m/s2 a degree, and a per cent
-    models = [InverseDynamics(replace(robot, gravity=tuple(gravity + change))) for change in changes]
-    model, standard = dataset.model, dataset.base.standard
-    own, others = model.columns(standard), [each.columns(standard) for each in models]
+    model, n = dataset.model, len(dataset.model.actuated)
+    regressor = model.gravity_torques(dataset.base.standard)
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        motion = window_motion(model, window)  # gravity does not change it
-        before = own.torques_along(model.layout, motion, values)
-        torques = [each.torques_along(model.layout, motion, values) - before for each in others]
-        return at_full_rate(window, dataset, np.stack(torques))
+        entries = regressor(model.layout, window_motion(model, window), values)
+        return at_full_rate(window, dataset, np.stack([regressor.torques(entries, each, n) for each in changes]))
 
     tilts = [Finding(F.GRAVITY_TILT, values={"towards": tilt.tolist()}) for tilt in Vt[1:]]
     plausible = np.array([[PLAUSIBLE_TILT], [PLAUSIBLE_TILT], [PLAUSIBLE_GRAVITY]])
