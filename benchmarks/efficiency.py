@@ -1,6 +1,6 @@
 """How much of what the logs hold of the gains is used: variances over the Cramer-Rao bound of the simulated truth.
 
-    python benchmarks/efficiency.py five-bar orthoglide delta puma560 palletiser
+    python benchmarks/efficiency.py five-bar orthoglide delta 3-rrr ur10e
 
 Four runs of benchmarks/random_part.py, of a robot whose parameters are known. The bound is that of all samples of the
 logs with the noise's true covariance, white or coloured (1 % correlated for 0.1 s, and 0.3 % white); friction differs
@@ -11,9 +11,7 @@ samples, of those that the mask leaves, and of the decimated rows that are used.
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from random_part import NOISE, QUIET, RATE, Case, make_case, spoilt
@@ -31,7 +29,6 @@ from gtau.signals.decimation import Decimator, _kernel
 from gtau.signals.preparation import InMemoryRun, Preparation
 from gtau.signals.preparation_choice import choose_preparation
 
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 DECAY = 0.1  # s
 
 
