@@ -131,7 +131,8 @@ def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
 def scale_lines(result: IdentifiedModel) -> list[str]:
     """Describe what the scale of all gains rests on, or of each where they differ; empty where they were given."""
     known = {each.name: each.parameters["m"].value for each in result.payloads if "m" in each.known}
-    names = _sensors(result) | {f"payload '{name}'": f"payload '{name}' ({mass:g} kg)" for name, mass in known.items()}
+    masses = {name: f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None}
+    names = _sensors(result) | {f"payload '{name}'": words for name, words in masses.items()}
     words = {joint: _words(gain.scale, names) for joint, gain in result.drive_gains.items() if gain.scale}
     if not words:
         return []
