@@ -72,7 +72,7 @@ class Trial:
     """A fit of a group by a structure for each site.
 
     ``names`` (site, kind) of the parameters that are not zero, ``x`` (k,) their values, ``left`` (K, k) those without
-    each block, ``errors`` (K, m) the squared errors of each block and motor by the fit to all other blocks; ``M`` (p, k)
+    each block, ``errors`` (K, m) the squared errors of each block and motor by the fit to all others; ``M`` (p, k)
     maps parameters to columns.
     """
 
