@@ -20,18 +20,22 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from scipy.special import stdtrit
 
 sys.path.append(str(Path(__file__).parent))
 from zoo import ENTRIES
 
 from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.friction.identify import _of_group
 from gtau.estimation.friction.normal_equations import Group
-from gtau.estimation.friction.selection import choose
+from gtau.estimation.friction.selection import Chosen, choose
 from gtau.estimation.friction.sites import PLAIN, SPEEDS, WIDTHS, Site
 from gtau.estimation.friction.stop import stop
 from gtau.estimation.identify import identify
+from gtau.estimation.results.result import Result
 from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import read_experiment
+from gtau.signals.run import Run
 
 LOGS = ("ur10e", "panda", "tx40", "dvrk", "xmate7p", "rokae_motor")
 RATE, BLOCKS, NOISE = 200.0, 20, 0.05  # Hz; of a log; of the rms torque
@@ -73,23 +77,51 @@ def measured(data: Path) -> None:
                 errors = " | ".join(f"{each:.2f}" for each in (all_before, all_after, before, after))
                 print(f"| {entry.robot}, {run.name} | {errors} | {seconds:.0f} |")
                 pairs = zip(made[0][:, 0], made[1][:, 0], strict=True)
+                quiet = [largest(result, run) for result in (plain, found)]
+                print(
+                    "  largest, N m or N:", *(f"{one:.2g} -> {other:.2g}," for one, other in zip(*quiet, strict=True))
+                )
                 print("  joints, all samples:", *(f"{one:.1f} -> {other:.1f}," for one, other in pairs))
 
 
+def largest(result: Result, run: Run) -> np.ndarray:
+    """The largest error of each joint over all samples: the collision threshold without a false alarm on this run."""
+    prediction = result.predict(run)
+    return np.abs(np.where(prediction.valid, prediction.measured - prediction.predicted, 0.0)).max(axis=0)
+
+
 def simulated(count: int) -> None:
-    """Print the share of logs in which each term was taken, per cent."""
-    print("\n| friction | error | presliding | bent | load | false terms |")
-    print("| --- | --- | ---: | ---: | ---: | ---: |")
+    """Print the share of logs in which each term was taken, and of parameters in their 95 % intervals, per cent."""
+    print("\n| friction | error | presliding | bent | load | false terms | in 95 % intervals |")
+    print("| --- | --- | ---: | ---: | ---: | ---: | ---: |")
     right = dict(zip(TRUTHS, (set(), {"width"}, {"width"}, {"speed"}, {"load"}), strict=True))
     for truth in TRUTHS:
         for error in ERRORS:
             found: Counter[str] = Counter()
+            inside: list[bool] = []
             for seed in range(count):
-                kinds = {kind for _, kind in choose(experiment(truth, error, seed)).evidence}
+                group = experiment(truth, error, seed)
+                chosen = choose(group)
+                kinds = {kind for _, kind in chosen.evidence}
+                inside += covered(group, chosen, truth) if kinds == right[truth] else []
                 found.update(kinds)
                 found["false"] += bool(kinds - right[truth])
             shares = " | ".join(f"{100 * found[kind] / count:.0f}" for kind in ("width", "speed", "load", "false"))
-            print(f"| {truth} | {error} | {shares} |", flush=True)
+            share = f"{100 * np.mean(inside):.0f}" if inside else "-"
+            print(f"| {truth} | {error} | {shares} | {share} |", flush=True)
+
+
+def covered(group: Group, chosen: Chosen, truth: str) -> list[bool]:
+    """Whether each parameter is in its interval."""
+    (found,) = _of_group(group, chosen, np.zeros((0, 0)))
+    true = {"off": 0.3, "fv": 0.8, "fs": 2.0} | ({"fb": 1.0} if truth == "Stribeck" else {})
+    true |= {"fl": 0.1} if truth == "load" else {}
+    half = stdtrit(found.freedom, 0.975)
+    inside = [abs(found.values[kind] - value) <= half * (found.std[kind] or 0.0) for kind, value in true.items()]
+    if truth == "Maxwell slip":
+        width = group.sites[0].widths[0] / WIDTHS[0] * 10**-3.5
+        inside.append(abs(found.shape.width - width) <= half * found.spread.width)
+    return inside
 
 
 def experiment(truth: str, error: str, seed: int) -> Group:
@@ -108,9 +140,9 @@ def experiment(truth: str, error: str, seed: int) -> Group:
     z = np.vstack([np.sign(v), stop(q, site.widths, np.full(len(site.widths), np.sign(v[0])))])
     rows = Decimator(20).apply(np.vstack([site.columns(v, z, load, 0.0), y + e]))
     place = np.arange(rows.shape[1]) * BLOCKS // rows.shape[1]
-    G = np.array([rows[:, place == b] @ rows[:, place == b].T for b in range(BLOCKS)])
+    G = np.array([[rows[:, place == b] @ rows[:, place == b].T] for b in range(BLOCKS)])
     columns, none = tuple((0, name) for name in site.names), np.zeros((0, 0))
-    return Group((site,), columns, G, np.bincount(place), none, (0,), none, none)
+    return Group((site,), columns, G, np.bincount(place), np.zeros((len(columns), 0)), (0,), none, none)
 
 
 def friction(truth: str, q: np.ndarray, v: np.ndarray, load: np.ndarray, travel: float, rms: float) -> np.ndarray:

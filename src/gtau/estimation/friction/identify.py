@@ -89,7 +89,7 @@ def identify_friction(fit: Fit, covariance: np.ndarray) -> FrictionStep:
 def _errors(group: Group, trial: Trial) -> list[tuple[float, float]]:
     """Compute the rms of error and torque of each motor over all its rows."""
     left = np.append(-trial.M @ trial.x, 1.0)
-    squares = np.einsum("p,mpq,q->m", left, group.of_motors, left)
+    squares = np.einsum("p,bmpq,q->m", left, group.G, left) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
     rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
     return list(zip(rms.tolist(), signal.tolist(), strict=True))
@@ -110,10 +110,10 @@ def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:
 
 def _of_group(group: Group, chosen: Chosen, fixed: np.ndarray) -> list[IdentifiedFriction]:
     trial = chosen.trial
-    A = np.einsum("pa,pq,qc->ac", trial.M, group.G.sum(axis=0)[:-1, :-1], trial.M)
+    A = np.einsum("pa,pq,qc->ac", trial.M, group.G.sum(axis=(0, 1))[:-1, :-1], trial.M)
     S = np.linalg.pinv(A, rcond=1e-9, hermitian=True) @ trial.M.T @ group.cross
     covariance = jackknife(trial.left) + S @ fixed @ S.T
-    signal = max(float(group.G[:, -1, -1].sum()), 1e-300)
+    signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
     error, plain = (float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, chosen.plain))
     made = []
     for s, (site, structure) in enumerate(zip(group.sites, trial.structures, strict=True)):

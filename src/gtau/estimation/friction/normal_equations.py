@@ -20,13 +20,13 @@ RESTING = 0.01  # of the rms speed: a joint whose mean speed behind the filter i
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Joints that share motors: the products of their columns, block by block.
+    """Joints that share motors: the products of their columns, by block and motor.
 
-    ``columns`` name (site, column) of (p,); ``G`` (K, p + 1, p + 1) are the products of the columns and of the torque
-    that is left to friction, the last, N m or N over the motors' residuals. ``rows`` (K,) count them. ``cross``
-    (p, gains and base parameters) are products with what gains and base parameters add to the torque. ``motors`` are
-    the numbers of the actuated joints, ``of_motors`` (m, p + 1, p + 1) the products of each one's rows, unweighted, and
-    ``signals`` (m, 2) count them and add up the squares of its measured torque.
+    ``columns`` name (site, column) of (p,); ``G`` (K, m, p + 1, p + 1) are the products of the columns and of the
+    torque that is left to friction, the last, all times the ``weights`` (m,) of the motors: one over their residuals.
+    ``rows`` (K,) count them. ``cross`` (p, gains and base parameters) are products with what gains and base parameters
+    add to the torque. ``motors`` are the numbers of the actuated joints, ``signals`` (m, 2) count the rows of each and
+    add up the squares of its measured torque.
     """
 
     sites: tuple[Site, ...]
@@ -35,7 +35,7 @@ class Group:
     rows: np.ndarray
     cross: np.ndarray
     motors: tuple[int, ...]
-    of_motors: np.ndarray
+    weights: np.ndarray
     signals: np.ndarray
 
 
@@ -61,10 +61,12 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple
     groups = groups_of(sites)
     starts = np.cumsum([0, *(len(site.names) for site in sites)])
     sizes = [sum(len(sites[k].names) for k in members) for members, _ in groups]
-    G = [np.zeros((runs * each, size + 1, size + 1)) for size in sizes]
+    G = [
+        np.zeros((runs * each, len(motors), size + 1, size + 1))
+        for (_, motors), size in zip(groups, sizes, strict=True)
+    ]
     cross = [np.zeros((size, n + base.count)) for size in sizes]
     rows = [np.zeros(runs * each, dtype=int) for _ in groups]
-    of_motors = [np.zeros((len(motors), size + 1, size + 1)) for (_, motors), size in zip(groups, sizes, strict=True)]
     signals = [np.zeros((len(motors), 2)) for _, motors in groups]
     for run, prepared in enumerate(dataset.prepared):
         decimator = dataset.preparation.at(prepared.run.rate).decimator
@@ -100,7 +102,6 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple
                         continue
                     own = [sites[k].ratios[j] * made[starts[k] : starts[k + 1], kept] for k in members]
                     A = np.vstack([*own, y[j, kept]])
-                    of_motors[g][m] += A @ A.T
                     signals[g][m] += kept.sum(), measured[j, kept] @ measured[j, kept]
                     A *= weights[j]
                     fixed = np.zeros((n + base.count, int(kept.sum())))
@@ -108,13 +109,13 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site]) -> tuple
                     cross[g] += weights[j] * A[:-1] @ fixed.T
                     for b in np.unique(place[kept]):
                         of_block = A[:, place[kept] == b]
-                        G[g][b] += of_block @ of_block.T
+                        G[g][b, m] += of_block @ of_block.T
                         rows[g][b] += of_block.shape[1]
     made_groups = []
     for g, (members, motors) in enumerate(groups):
         used = rows[g] > 0
         listed = tuple((k, name) for k, member in enumerate(members) for name in sites[member].names)
         own_sites = tuple(sites[k] for k in members)
-        of_group = (cross[g], tuple(motors), of_motors[g], signals[g])
+        of_group = (cross[g], tuple(motors), weights[motors], signals[g])
         made_groups.append(Group(own_sites, listed, G[g][used], rows[g][used], *of_group))
     return tuple(made_groups)

@@ -72,8 +72,8 @@ class Trial:
     """A fit of a group by a structure for each site.
 
     ``names`` (site, kind) of the parameters that are not zero, ``x`` (k,) their values, ``left`` (K, k) those without
-    each block, ``errors`` (K,) the squared errors of each block by the fit to all others; ``M`` (p, k) maps parameters
-    to columns.
+    each block, ``errors`` (K, m) the squared errors of each block and motor by the fit to all others; ``M`` (p, k)
+    maps parameters to columns.
     """
 
     structures: tuple[Structure, ...]
@@ -110,8 +110,8 @@ def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
     used = np.append(np.flatnonzero(M.any(axis=1)), len(M))  # a few of very many columns
     T = np.zeros((len(used), M.shape[1] + 1))
     T[:-1, :-1], T[-1, -1] = M[used[:-1]], 1.0
-    G = T.T @ group.G[:, used[:, None], used] @ T
-    whole = G.sum(axis=0)
+    G = T.T @ group.G[:, :, used[:, None], used] @ T
+    whole = G.sum(axis=(0, 1))
     size = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
     A, c = whole[:-1, :-1] / size / size[:, None], whole[:-1, -1] / size
     # the singular value decomposition of a factor, which the products alone do not need to be of full rank for
@@ -123,14 +123,15 @@ def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
     found = nnls(np.hstack([R, -R[:, free]]), d)[0]
     active = (found[: len(listed)] > 0) | np.isin(np.arange(len(listed)), free)
     index = np.append(np.flatnonzero(active), len(listed))
-    G = G[:, index][:, :, index]
+    G = G[..., index[:, None], index]
     scale = np.append(size[active], 1.0)
     G = G / scale / scale[:, None]
     k = len(index) - 1
-    left = _solved(G.sum(axis=0) - G, k)
-    x = _solved(G.sum(axis=0)[None], k)[0]
-    errors = G[:, k, k] - 2 * np.einsum("bk,bk->b", left, G[:, :k, k])
-    errors += np.einsum("bk,bkl,bl->b", left, G[:, :k, :k], left)
+    whole = G.sum(axis=(0, 1))
+    left = _solved(whole - G.sum(axis=1), k)
+    x = _solved(whole[None], k)[0]
+    error = np.hstack([-left, np.ones((len(left), 1))])
+    errors = np.einsum("bp,bmpq,bq->bm", error, G, error)
     names = tuple(listed[a][0] for a in np.flatnonzero(active))
     return Trial(structures, names, x / size[active], left / size[active], errors, M[:, active])
 
@@ -144,11 +145,11 @@ def gained(before: Trial, after: Trial) -> tuple[float, float]:
     """Compute by how much a trial is better on blocks left out: in standard errors, and as a share of the error.
 
     Reversals are few, and the squared errors of blocks so unequal that a mean of theirs has hardly a standard error.
-    The difference of each block counts in units of the errors there, with the mean error added, which bounds it.
+    The difference of each block and motor counts in units of the errors there, with the mean added, which bounds it.
     """
     difference = before.errors - after.errors
-    relative = difference / (before.errors + after.errors + before.errors.mean())
-    spread = np.std(relative, ddof=1) * np.sqrt(len(relative))
+    relative = difference / (before.errors + after.errors + before.errors.mean(axis=0))
+    spread = np.std(relative, ddof=1) * np.sqrt(relative.size)
     share = difference.sum() / max(before.errors.sum(), 1e-300)
     return float(relative.sum() / max(spread, 1e-300)), float(share)
 
@@ -201,7 +202,7 @@ def spread_of_shape(group: Group, trial: Trial, s: int, kind: str) -> float:
     """
     options = _with(group, trial, s, kind)
     grid = np.log(group.sites[s].widths if kind == "width" else group.sites[s].speeds)
-    errors = np.array([each.errors for each in options])  # (options, K)
+    errors = np.array([each.errors.sum(axis=1) for each in options])  # (options, K)
     without = errors.sum(axis=1)[:, None] - errors
     best = np.array([_lowest(grid, column) for column in without.T])
     blocks, step = len(best), grid[1] - grid[0]

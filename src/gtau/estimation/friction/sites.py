@@ -16,9 +16,10 @@ from gtau.robots.parameter import Parameter
 from gtau.signals.storage import block, spans
 
 # Widths, of a joint's travel, and speeds, of its rms speed, that are tried. Presliding of real joints was found at 4e-5
-# to 1e-3 of the travel (UR10e, TX40, Panda), friction that bends at 0.1 to 1 of the rms speed.
+# to 1e-3 of the travel (UR10e, TX40, Panda), friction that bends at 0.1 to 1 of the rms speed; simulators smooth the
+# sign at 0.003 to 0.03 of it.
 WIDTHS = 10.0 ** np.arange(-5.25, -1.99, 0.25)
-SPEEDS = 10.0 ** np.arange(-1.5, 0.51, 0.5)
+SPEEDS = 10.0 ** np.arange(-2.5, 0.51, 0.5)
 PLAIN = ("off", "fv", "fs")
 
 

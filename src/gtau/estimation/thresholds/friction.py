@@ -7,9 +7,10 @@ from gtau.estimation.thresholds import Threshold
 TERM_T = Threshold(
     2.5,
     "standard errors, over blocks left out, by which friction with a term is better",
-    "above in 0 of 50 logs with white and coloured noise, 2 of 50 with ripple or a wrong load",
-    "3.2 to 13 (UR10e, TX40, Panda); above in 97 to 100 % (presliding, load), 84 to 96 % (Stribeck) of 100 logs",
-    "benchmarks/friction.py; at 2.0 the share of false terms is 18 % with ripple, at 3.0 power for Stribeck is 60 %",
+    "above in 0 of 80 logs with white or coloured noise, 5 of 80 with ripple or a wrong load",
+    "2.6 to 13 (UR10e, TX40, Panda); above in 98 to 100 % (presliding, load), 78 to 98 % (Stribeck) of 40 logs each",
+    "benchmarks/friction.py; at 2.0 false terms are 12 to 24 % with ripple or a wrong load, at 3.0 Stribeck is found "
+    "in 60 to 92 %",
 )
 TERM_SHARE = Threshold(
     0.02,
