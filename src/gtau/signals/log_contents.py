@@ -20,7 +20,7 @@ ROWS = 200_000  # of a log that are looked at
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
 # Between commands and positions, rms, in standard deviations of the position; below, commands are of positions.
 # Positions that lag by 20 to 120 ms on sines of up to 0.9 Hz: 0.02 to 0.14, references of a quadruped 0.23; currents
-# and torques of nine measured logs 1.2 to 1300.
+# and torques of eight measured logs 1.2 to 1270.
 FOLLOWED = 0.3
 ADDED = 50  # samples over which velocities are added up
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
