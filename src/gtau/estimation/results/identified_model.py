@@ -14,13 +14,13 @@ from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
     Named,
-    PayloadEstimate,
     ReferenceTemperatures,
     Requirement,
     SensorEstimate,
     TorqueError,
 )
 from gtau.estimation.results.friction_law import FrictionLaw
+from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
