@@ -249,7 +249,7 @@ def test_a_chart_of_torques_is_titled_with_its_run() -> None:
     time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
     kept = np.ones((50, 2), dtype=bool)
     kept[10:20, 0] = False
-    prediction = Prediction(("left", "elbow_joint"), time, torques * [1.1, 1.01], torques, kept, kept)
+    prediction = Prediction(("left", "elbow_joint"), time, torques * [1.1, 1.01], torques, kept, kept, 0 * torques)
     chart = torques_chart(prediction, ["N m", "N"], "current", time, title="loaded")
     labels = [panel.y.label for panel in chart.panels]
     assert labels == ["torque, N m", "residual, N m", "force, N", "residual, N"]
@@ -272,9 +272,8 @@ def test_the_stretch_of_a_validation_begins_with_its_run() -> None:
         measured[-20] = 3.0  # the largest difference
         kept = np.ones((500, 1), dtype=bool)
         run = SimpleNamespace(name="run", time=np.array([100.0, 100.2 + last]), kind="current")
-        shown.append(
-            worst_stretch(RunEvidence(run, False, Prediction(("left",), time, ones, measured, kept, kept)), 10.0)
-        )
+        prediction = Prediction(("left",), time, ones, measured, kept, kept, 0 * ones)
+        shown.append(worst_stretch(RunEvidence(run, False, prediction), 10.0))
     assert shown[0] == (0.0, pytest.approx(5.0))
     assert shown[1][0] > 40.0
     assert shown[1][1] == pytest.approx(60.0)

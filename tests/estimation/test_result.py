@@ -184,7 +184,7 @@ def test_a_run_that_does_not_suit(result: Result) -> None:
         result.predict(replace(run, joints=("a", "b")))
     with pytest.raises(GtauError, match="holds torques, but the model was identified from currents"):
         result.predict(replace(run, kind="torque"))
-    short = {name: getattr(run, name)[:150] for name in ("time", "position", "command", "valid")}
+    short = {name: getattr(run, name)[:40] for name in ("time", "position", "command", "valid")}
     with pytest.raises(GtauError, match="give a longer"):
         result.validate(replace(run, **short))
 

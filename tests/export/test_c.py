@@ -12,14 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models_to_export import model_of, sprung
+from models_to_export import model_of, preslid, sprung
 from propelling_models import LOGGED, held, propelling, states
 from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
 from scipy.integrate import solve_ivp
 
 from gtau.estimation.results.result import Result
 from gtau.export.c import export
-from gtau.export.identified import identified, torques
+from gtau.export.functions import functions
+from gtau.export.identified import identified, torques, torques_of
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import Drive, hardware, simulate
 from gtau.simulation.controllers import Reference, computed_torque
@@ -296,3 +297,25 @@ def test_c_code_takes_energy_and_swings_down(tmp_path: Path, rng: np.random.Gene
         energy.append(plant.energy(replace(state, qd=x[n:])))
     assert np.diff(energy).max() < 1e-5 * (energy[0] - energy[-1])
     assert energy[-1] < energy[0]
+
+
+@needs_gcc
+@pytest.mark.parametrize("robot", [tree(), ROBOTS[[each.name for each in ROBOTS].index("five-bar")]], ids=str)
+def test_friction_before_sliding_follows_the_pose(robot: Robot, tmp_path: Path) -> None:
+    """Through reversals C gives what the law gives along the same path; a start begins with friction at rest."""
+    result = preslid(model_of(robot, terms=False))
+    c, model = Compiled(result, tmp_path), identified(result)
+    c.pose = np.zeros(len(functions(model).home))
+    time = np.linspace(0, 0.4, 41)
+    way = 0.02 * np.sin(2 * np.pi * 4 * time)[:, None]
+    q, qd, qdd = home(robot) + way, np.gradient(way, time, axis=0) + 0 * home(robot), 0 * home(robot) + 0 * way
+    motion = result.model.motion(*(np.ascontiguousarray(each.T) for each in (q, qd, qdd)))
+    law, z = result.friction_law, np.zeros((len(c.model.joints), len(time)))
+    for k in range(1, len(time)):
+        z[:, k] = np.clip(z[:, k - 1] + (q[k] - q[k - 1]) / law.widths, -1, 1)
+    assert (np.abs(z) < 0.9).any(axis=1).all()
+    expected = torques_of(model, motion, model.values, z).T
+    assert c("start", q[0]) == 0
+    for k, each in enumerate(q):
+        assert c("move", each) == 0
+        assert relative(c("torques", qd[k], qdd[k], model.values, size=c.n), expected[k]) < 1e-9

@@ -10,7 +10,7 @@ from robots_for_tests import slider_crank
 
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.estimate import Estimate, FrictionCurve
 from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import base_parameters
@@ -82,6 +82,18 @@ def model_of(
         if consistent
         else None,
     )
+
+
+def preslid(result: Result) -> Result:
+    """The model with friction on all samples in its motors: presliding in all of them, bent in the first."""
+    curves = {}
+    for k, joint in enumerate(result.robot.actuated):
+        unit = torque_unit(result.robot, joint)
+        values = {"fv": 0.4, "fs": 2.0, "fl": 0.03} | ({} if k else {"fb": 1.5})
+        made = {f"{kind}_{joint}": Estimate(f"{kind}_{joint}", value, 0.01, unit) for kind, value in values.items()}
+        width, speed = Estimate(f"width_{joint}", 0.004, 1e-4, "rad"), Estimate(f"vs_{joint}", 0.1, 0.01, "rad/s")
+        curves[joint] = FrictionCurve(joint, made, width, None if k else speed, {"presliding": 9.0}, 1.0, 2.0)
+    return replace(result, curves=curves)
 
 
 def sprung() -> Robot:

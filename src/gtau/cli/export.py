@@ -64,9 +64,10 @@ def use(
     """Compute motor, model and external joint torques along a log, to see contacts and collisions.
 
     External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). For
-    each joint are printed its rms and largest value, when that was, the residual of the identification, and the share
-    of rows beyond four residuals. LOG has the columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or
-    m, A), unless an experiment file names others. FILE gets motor, model and external torque of every sample.
+    each joint are printed its rms, away from reversals and over all samples, its largest value, when that was, the
+    residual of the identification, and the share of samples beyond four residuals. LOG has the columns t, qJOINT and
+    vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names others. FILE gets motor,
+    model and external torque of every sample.
     """
     with refusals(json_):
         from dataclasses import asdict

@@ -154,7 +154,12 @@ def validate(
     model: ModelFile,
     experiment: ExperimentFile,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html and a figure of each run.")
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder for report.html and, of each run, a figure and a table with all samples.",
+        ),
     ] = None,
     json_: Json = False,
 ) -> None:

@@ -15,6 +15,7 @@ from gtau.estimation.estimators.essential_parameters import reduce_fit
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
+from gtau.estimation.friction.identify import FrictionStep, identify_friction
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import PAPER
 from gtau.estimation.results.build import build_result
@@ -38,6 +39,8 @@ class Options:
         Covariances by the block jackknife, which allows for residuals correlated in time, or by the method's formula.
     ratio : float, optional
         The paper's r_sigma for the essential parameters; without one the Bayesian information criterion decides.
+    all_samples : bool
+        Identify friction on all samples, at these gains and inertial parameters; predictions take it.
     joint_reduction : bool
         Estimate the gains again together with the essential parameters, as the paper does.
     accuracy : float
@@ -49,12 +52,21 @@ class Options:
     delays: bool = True
     correlated: bool = True
     ratio: float | None = None
+    all_samples: bool = True
     joint_reduction: bool = False
     accuracy: float = ACCURACY
 
 
 DEFAULT = Options()
-AS_PAPER = Options("chebyshev", select_friction=False, delays=False, correlated=False, ratio=10.0, joint_reduction=True)
+AS_PAPER = Options(
+    "chebyshev",
+    select_friction=False,
+    delays=False,
+    correlated=False,
+    ratio=10.0,
+    all_samples=False,
+    joint_reduction=True,
+)
 
 
 def estimate(
@@ -107,4 +119,5 @@ def estimate(
         nothing = np.zeros_like(covariance)
         uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
     diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, options.accuracy)
-    return build_result(fit, estimator, examined, uncertainty, essential, diagnosis, bodies)
+    friction = identify_friction(fit, uncertainty.covariance) if options.all_samples else FrictionStep()
+    return build_result(fit, estimator, examined, uncertainty, essential, diagnosis, bodies, friction)

@@ -12,6 +12,7 @@ import numpy as np
 from gtau.documents.csv import in_csv
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
+from gtau.estimation.results.estimate import Prediction
 from gtau.estimation.results.result import Result
 from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
@@ -28,13 +29,15 @@ class External:
     """External torque of a joint along a log.
 
     ``residual`` is the rms torque residual of the identification; ``rms`` and ``largest`` (at ``time``, s) are over the
-    rows where the model holds, ``share`` is the part of them beyond four residuals. N m or N.
+    samples away from reversals, ``share`` is the part of them beyond four residuals; ``rms_all`` is over all valid
+    samples. N m or N.
     """
 
     joint: str
     unit: str
     residual: float | None
     rms: float
+    rms_all: float
     largest: float
     time: float
     share: float | None
@@ -42,12 +45,7 @@ class External:
 
 @dataclass(frozen=True, eq=False)
 class TorquesAlongLog:
-    """A table with a row an instant, and a summary a joint.
-
-    Columns: ``t`` (s); for each joint ``motor_J`` (drive gain times current), ``model_J`` (what the motion takes),
-    ``external_J`` (the torque that the environment exerts on the joint, model minus motor; N m or N) and ``usable_J``,
-    false near reversals of the joint and near gaps, where the model does not hold.
-    """
+    """A table with a row a sample, of :meth:`gtau.estimation.results.estimate.Prediction.table`; a summary a joint."""
 
     table: pl.DataFrame
     joints: tuple[External, ...]
@@ -98,39 +96,30 @@ def carrying(result: Result, run: Run, payload: str) -> Run:
 
 
 def torques_along_log(result: Result, run: Run) -> TorquesAlongLog:
-    """Compute motor, model and external torques along a run, filtered and decimated as for identification.
+    """Compute motor, model and external torques at every sample of a run, behind the low-pass of identification.
 
     Raises
     ------
     GtauError
         Where the run does not suit the robot, or the model refuses a sample.
     """
-    import polars as pl
-
     prediction = result.predict(run)
     residual = {each.joint: each.rms for each in result.residuals}
-    columns: dict[str, np.ndarray] = {"t": prediction.time}
-    joints = []
-    for j, joint in enumerate(prediction.joints):
-        external = prediction.predicted[:, j] - prediction.measured[:, j]
-        keep = prediction.keep[:, j]
-        columns |= {
-            f"motor_{joint}": prediction.measured[:, j],
-            f"model_{joint}": prediction.predicted[:, j],
-            f"external_{joint}": external,
-            f"usable_{joint}": keep,
-        }
-        if keep.any():
-            joints.append(_summary(joint, torque_unit(result.robot, joint), residual.get(joint), prediction.time[keep],
-                                   external[keep]))  # fmt: skip
-    return TorquesAlongLog(pl.DataFrame(columns), tuple(joints))
+    joints = [
+        _summary(prediction.of([joint]), torque_unit(result.robot, joint), residual.get(joint))
+        for j, joint in enumerate(prediction.joints)
+        if prediction.keep[:, j].any()
+    ]
+    return TorquesAlongLog(prediction.table(), tuple(joints))
 
 
-def _summary(joint: str, unit: str, residual: float | None, time: np.ndarray, external: np.ndarray) -> External:
-    worst = int(np.argmax(np.abs(external)))
-    beyond = None if residual is None else float(np.mean(np.abs(external) > USABLE * residual))
-    rms = float(np.sqrt(np.mean(external**2)))
-    return External(joint, unit, residual, rms, float(external[worst]), float(time[worst]), beyond)
+def _summary(of: Prediction, unit: str, residual: float | None) -> External:
+    external, keep, valid = (each[:, 0] for each in (of.predicted - of.measured, of.keep, of.valid))
+    kept = external[keep]
+    worst = int(np.argmax(np.abs(kept)))
+    beyond = None if residual is None else float(np.mean(np.abs(kept) > USABLE * residual))
+    rms, rms_all = (float(np.sqrt(np.mean(each**2))) for each in (kept, external[valid]))
+    return External(of.joints[0], unit, residual, rms, rms_all, float(kept[worst]), float(of.time[keep][worst]), beyond)
 
 
 def write_table(found: TorquesAlongLog, path: Path) -> None:
@@ -157,19 +146,22 @@ def write_table(found: TorquesAlongLog, path: Path) -> None:
 def summary_text(found: TorquesAlongLog) -> str:
     """Print the summary as a table."""
     lines = [
-        f"{'External torque':<20}{'rms':>10}{'residual':>11}{'largest':>11}{'at, s':>10}{'beyond 4':>11}   unit",
+        f"{'External torque':<20}{'rms':>10}{'rms, all':>10}{'residual':>11}{'largest':>11}{'at, s':>10}"
+        f"{'beyond 4':>11}   unit",
     ]
     for each in found.joints:
         residual = "-" if each.residual is None else f"{each.residual:.4g}"
         share = "-" if each.share is None else f"{100 * each.share:.2f} %"
         lines.append(
-            f"  {each.joint:<18}{each.rms:>10.4g}{residual:>11}{each.largest:>11.4g}{each.time:>10.4g}{share:>11}"
+            f"  {each.joint:<18}{each.rms:>10.4g}{each.rms_all:>10.4g}{residual:>11}{each.largest:>11.4g}"
+            f"{each.time:>10.4g}{share:>11}"
             f"   {each.unit}"
         )
     return "\n".join(
         [
             *lines,
-            "residual: rms torque residual of the identification; beyond 4: share of rows",
+            "rms: away from reversals, as largest and beyond 4; all: over all samples.",
+            "residual: rms torque residual of the identification; beyond 4: share of samples",
             "whose external torque exceeds four of them, by chance 0.006 %. A contact, a",
             "collision or an unknown payload shows there.",
         ]

@@ -77,6 +77,8 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
         "n": f"{n:<3}",
         "n_p": f"{len(model.parameters):<3}",
         "n_c": f"{len(made.home):<3}",
+        "states": str(len(made.presliding)),
+        "presliding": _presliding(made),
         "joint_table": "\n".join(_joint_rows(model, turns)),
         "friction": textwrap.fill(
             in_c(result.friction_law.range_sentence), 116, initial_indent=" * ", subsequent_indent=" * "
@@ -106,6 +108,15 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
         "kernels": _kernels(made),
     }
     return fields | {"closing": _filled("serial.c" if made.step is None else "loops.c", fields)}
+
+
+def _presliding(made: Functions) -> str:
+    """Write what moves the states of presliding friction with the configuration."""
+    first, lines = len(made.home) - len(made.presliding), []
+    for k, (width, ratios) in enumerate(made.presliding, start=first):
+        way = " + ".join(f"{ratio!r} * (after[{place}] - before[{place}])" for place, ratio in ratios.items())
+        lines.append(f"  after[{k}] = fmin(fmax(before[{k}] + ({way}) / {width!r}, -1.0), 1.0);")
+    return "\n".join(lines or ["  (void)before;", "  (void)after;"])
 
 
 def _numbers(values: Iterable[float]) -> str:

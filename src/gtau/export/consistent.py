@@ -14,9 +14,10 @@ from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.export.identified import identified, torques_of
 from gtau.model.random_states import random_motion
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, parameter_of
 
 STATES = 500
+PLAIN = ("fv", "fs", "off")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +25,8 @@ class ConsistentModel:
     """Standard parameters by name and drive gains by joint, of rigid bodies that can exist.
 
     Friction takes energy at every speed: no ``fv``, ``fs`` or f3 (``cubics``, by joint) is negative. Where identified
-    ones are, ``fv`` and ``fs`` are the straight line nearest to the friction up to the fastest logged speed, and
-    ``straight`` names the joint.
+    ones are, or friction bends (``fb``), ``fv`` and ``fs`` are the straight line nearest to the friction up to the
+    fastest logged speed, and ``straight`` names the joint.
     """
 
     result: Result
@@ -53,11 +54,14 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
         )
     standard, cubics, straight = dict(found.standard), {}, []
     for joint in result.robot.joints:
-        name, term = joint.name, Parameter("f3", joint.name).name
-        cubic = (result.friction[term].value or 0.0) if term in result.friction else 0.0
-        viscous, coulomb = (standard.get(Parameter(kind, name).name, 0.0) for kind in ("fv", "fs"))
-        if min(viscous, coulomb, cubic) < 0:
-            viscous, coulomb = result.friction_law.straight(viscous, coulomb, cubic, name)
+        name, terms = joint.name, {key: each.value or 0.0 for key, each in result.friction_parameters.items()}
+        if name in result.curves:  # whose viscous and Coulomb friction are those of the model, not of rigid bodies
+            standard |= {key: terms[key] for kind in PLAIN if (key := Parameter(kind, name).name) in terms}
+        viscous, coulomb, more, cubic = (
+            (standard | terms).get(Parameter(kind, name).name, 0.0) for kind in ("fv", "fs", "fb", "f3")
+        )
+        if more or min(viscous, coulomb, cubic) < 0:
+            viscous, coulomb = result.friction_law.straight(standard | terms, name)
             standard |= {Parameter("fv", name).name: viscous, Parameter("fs", name).name: coulomb}
             straight.append(name)
         elif cubic:
@@ -105,8 +109,9 @@ def friction_notes(model: ConsistentModel) -> list[str]:
     if model.straight:
         listed = ", ".join(f"{joint} up to {law.logged(joint)}" for joint in model.straight)
         notes.append(
-            "friction with negative coefficients would propel a joint at some speed: damping and friction are the "
-            f"straight line nearest to it within the logged speeds ({listed}), extrapolated beyond"
+            "friction that bends, or has negative coefficients that would propel a joint, is no straight line: "
+            f"damping and friction are the straight line nearest to it within the logged speeds ({listed}), "
+            "extrapolated beyond"
         )
     if model.cubics:
         listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in model.cubics)
@@ -119,12 +124,22 @@ def friction_comments(model: ConsistentModel) -> list[Any]:
     return [Comment(f" {note.replace('--', '- -')} ") for note in friction_notes(model)]
 
 
+def terms_left_out(model: ConsistentModel) -> list[str]:
+    """List the friction terms that neither damping nor Coulomb friction of a joint can stand for."""
+    held = (*PLAIN, "f3", "fb")
+    return [name for name in model.result.friction_parameters if parameter_of(name).kind not in held]
+
+
 def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str]) -> list[str]:
     """List what no rigid-body format holds: the friction terms ``left_out``, negative ones, and delays."""
     result, notes = model.result, []
     notes += friction_notes(model)
+    widths = {joint: each.width for joint, each in result.curves.items() if each.width}
+    held = [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]
+    if held:
+        notes.append(f"{target} has no friction before sliding, of these widths: {', '.join(held)}")
     if left_out:
-        kinds = {"f3": "cubic in speed", "fl": "proportional to the load"}
+        kinds = {"f3": "cubic in speed", "fb": "bent", "fl": "proportional to the load"}
         kinds |= dict.fromkeys(TEMPERATURE_TERMS, "by temperature")
         named = ", ".join(f"{name} ({kinds[name.split('_', 1)[0]]})" for name in left_out)
         notes.append(f"{target} cannot express this friction, left out: {named}")

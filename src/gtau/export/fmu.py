@@ -71,6 +71,7 @@ def _document(model: Identified, made: Functions) -> dict[str, object]:
         "payloads": {name: values.tolist() for name, values in model.payloads.items()},
         "drive_gains": model.gains.tolist(),
         "actuated": made.actuated.tolist(),
+        "presliding": [[width, list(map(list, ratios.items()))] for width, ratios in made.presliding],
         "home": made.home.tolist(),
         "home_q": made.home[made.actuated].tolist(),
         "newton_steps": NEWTON_STEPS,

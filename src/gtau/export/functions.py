@@ -2,6 +2,9 @@
 
 Where the loops are, two stages: steps of Newton's method bring the configuration ``c`` to the actuated positions, and
 everything else is computed from the closed ``c``. A serial robot has ``c = q`` and the second stage alone.
+
+Behind the configuration stand the states z of presliding friction. Positions drive them, so that whoever moves the
+configuration moves them too: ``z <- clip(z + ratios . dq / width, -1, 1)``.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from gtau.estimation.results.friction_law import carried
+from gtau.estimation.friction.law import carried
 from gtau.export.identified import Identified
 from gtau.model.closures import closure_maps
 from gtau.model.dynamics import torques
@@ -33,14 +36,16 @@ class Functions:
     Attributes
     ----------
     outputs : dict
-        By the names of ``OUTPUTS``: functions of c (n_c,), qd, qdd (n,) and the parameters (n_p,).
+        By the names of ``OUTPUTS``: functions of c and z (n_c + s,), qd, qdd (n,) and the parameters (n_p,).
     step, last_step : Function, optional
         Configuration after a step of Newton's method and the size of its correction, rad or lengths over
         ``length``; the last one also gives the condition number of the loops. None for a serial robot.
     home : ndarray
-        Closed configuration (n_c,) to start from.
+        Closed configuration to start from, with states at rest, (n_c + s,).
     actuated : ndarray
         Where the actuated joints stand in c, (n,).
+    presliding : tuple
+        Of each state, where it stands behind c: its width, rad or m, and the ratios of actuated joints, by place in c.
     """
 
     outputs: dict[str, ca.Function]
@@ -48,6 +53,7 @@ class Functions:
     last_step: ca.Function | None
     home: np.ndarray
     actuated: np.ndarray
+    presliding: tuple[tuple[float, dict[int, float]], ...]
 
 
 def functions(model: Identified) -> Functions:
@@ -66,7 +72,9 @@ def functions(model: Identified) -> Functions:
     p = ca.SX.sym("p", len(model.parameters))
     base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
     load = torques(layout, c, yd, ydd, J, _standard(model, carried(ca, base.standard, chi)))
-    friction = _Friction(model, p, yd, J)
+    law = model.result.friction_law
+    z = ca.SX.sym("z", len(law.states))
+    friction = _Friction(model, p, yd, J, z)
     rubbing = friction(load)
     still = ca.substitute(ca.substitute(load, qd, ca.SX.zeros(n)), qdd, ca.SX.zeros(n))
     made = {
@@ -76,8 +84,15 @@ def functions(model: Identified) -> Functions:
         "inertia": ca.jacobian(load, qdd),
         "regressor": friction.regressor(load),
     }
-    outputs = {name: _function(name, [c, qd, qdd, p], [value.T]) for name, value in made.items()}  # row by row
-    return Functions(outputs, step, last_step, home, layout.actuated)
+    outputs = {
+        name: _function(name, [ca.vertcat(c, z), qd, qdd, p], [value.T]) for name, value in made.items()
+    }  # row by row
+    presliding = tuple(
+        (float(width), {int(layout.actuated[j]): float(law.ratios[row, j]) for j in np.flatnonzero(law.ratios[row])})
+        for row, width in zip(law.states, law.widths, strict=True)
+    )
+    home = np.concatenate([home, np.zeros(len(presliding))])
+    return Functions(outputs, step, last_step, home, layout.actuated, presliding)
 
 
 def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
@@ -92,12 +107,13 @@ def _standard(model: Identified, chi: list[ca.SX]) -> dict[str, ca.SX]:
 
 @dataclass(frozen=True, eq=False)
 class _Friction:
-    """Torques of friction and offsets by :class:`gtau.estimation.results.friction_law.FrictionLaw`, of parameters p."""
+    """Torques of friction and offsets by :class:`gtau.estimation.friction.law.FrictionLaw`, of parameters p."""
 
     model: Identified
     p: ca.SX
     yd: ca.SX
     J: ca.SX
+    z: ca.SX
 
     def __call__(self, load: ca.SX) -> ca.SX:
         forces, scales = self._scaled(load)
@@ -118,7 +134,10 @@ class _Friction:
     def _scaled(self, load: ca.SX) -> tuple[ca.SX, ca.SX]:
         law = self.model.result.friction_law
         forces, speeds = (ca.densify(ca.vertcat(*each)) for each in law.forces(ca, self._values, self.yd, load))
-        return forces, law.scales(ca, forces, speeds)
+        scales = law.scales(ca, forces, speeds)
+        if law.states:
+            forces = ca.densify(ca.vertcat(*law.forces(ca, self._values, self.yd, load, self.z)[0]))
+        return forces, scales
 
     def _on_motors(self, forces: ca.SX, scales: ca.SX) -> ca.SX:
         joints = self.model.result.robot.joints

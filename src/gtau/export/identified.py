@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.friction import TERMS
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
@@ -41,7 +41,7 @@ class Identified:
     name : str
         The robot's name as an identifier of C, MATLAB and Python.
     parameters : tuple of ExportedParameter
-        Base parameters, then the friction terms f3 and fl.
+        Base parameters, those of friction as the model predicts it, then the friction terms f3, fb and fl.
     payloads : dict
         Name of each identified or known payload to the values of all parameters (n_p,) with it.
     gains : ndarray
@@ -68,6 +68,12 @@ class Identified:
         return np.array([each.value for each in self.parameters])
 
     @property
+    def friction(self) -> tuple[str, ...]:
+        """Names of all parameters of friction, those of base parameters by their standard ones."""
+        plain = [name for name in self.result.base.standard if parameter_of(name).kind in ("fv", "fs", "off")]
+        return (*plain, *self.terms)
+
+    @property
     def terms(self) -> tuple[str, ...]:
         """Names of the friction terms among the parameters (``fl_11``)."""
         return tuple(each.name for each in self.parameters[self.result.base.count :])
@@ -86,7 +92,12 @@ def identified(result: Result) -> Identified:
     if missing:
         raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
     parameters = []
-    for each in (*(result.parameters[name] for name in base.names), *_terms(result)):
+    friction = result.friction_parameters
+    for name, standard in zip(base.names, base.standard, strict=True):
+        plain = result.parameters[name]
+        each = replace(friction[standard], name=name, regrouping=plain.regrouping) if standard in friction else plain
+        parameters.append(ExportedParameter(each.name, each.value or 0.0, each.std, each.unit, each.regrouping))
+    for each in _terms(result):
         parameters.append(ExportedParameter(each.name, each.value or 0.0, each.std, each.unit, each.regrouping))
     gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
     values = np.array([each.value for each in parameters])
@@ -117,15 +128,21 @@ def torques(
     return torques_of(model, idm.motion(q.T, qd.T, qdd.T), model.values if values is None else values).T
 
 
-def torques_of(model: Identified, motion: Motion, values: np.ndarray) -> np.ndarray:
-    """Compute torques (n, N) of a motion, friction included."""
-    count = model.result.base.count
-    return torques_along(model.result, motion, values[:count], dict(zip(model.terms, values[count:], strict=True)))
+def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
+    """Compute torques (n, N) of a motion, friction included, at states z (s, N) of presliding; sliding without them."""
+    base = model.result.base
+    names = (*base.standard, *model.terms)
+    terms = {name: value for name, value in zip(names, values, strict=True) if name in model.friction}
+    return torques_along(model.result, motion, values[: base.count], terms, z)
 
 
 def _terms(result: Result) -> list[Estimate]:
-    offered = [Parameter(kind, joint).name for kind in TERMS for joint in result.robot.actuated]
-    return [result.friction[name] for name in offered if name in result.friction]
+    without = (*result.base.standard, *(name for name in result.friction_parameters if _by_temperature(name)))
+    return [each for name, each in result.friction_parameters.items() if name not in without]
+
+
+def _by_temperature(name: str) -> bool:
+    return parameter_of(name).kind in TEMPERATURE_TERMS
 
 
 def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -147,7 +164,7 @@ def notes_on(model: Identified) -> tuple[str, ...]:
     """Note parameters without a value, and friction whose shape beyond the logged speeds the logs do not show."""
     result = model.result
     bent = [name for name in model.terms if name.startswith("f3_")]
-    bent += [name for name, each in result.parameters.items() if name.startswith("fv_") and (each.value or 0.0) < 0]
+    bent += [each.name for each in model.parameters if each.name.startswith("fv_") and each.value < 0]
     if not bent:
         return not_known(model)
     law = result.friction_law

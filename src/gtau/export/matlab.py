@@ -26,7 +26,8 @@ function [c, status] = {name}_move(c, q)
 %   status 0: done; 1: the loops did not close from the last pose; 2: too close to a type 2 singularity; 3: a position
 %   is infinite or not a number. After a status other than 0, c is the last good configuration. Begin with {name}_start.
   actuated = [{actuated}];
-  moved = c(:);
+  before = c(:);
+  moved = before(1:{n_c});
   moved(actuated) = q(:);
   first = 0;
   status = 3;
@@ -45,7 +46,7 @@ function [c, status] = {name}_move(c, q)
   status = 2;
   if ~(condition < {condition}), return; end
   status = 0;
-  c = moved;
+  c = preslide(before, moved);
 end
 """
 START = """\
@@ -58,6 +59,7 @@ function [c, status] = {name}_start(q)
     [c, status] = {name}_move(c, home(actuated) + (q(:) - home(actuated)) * step / {steps});
     if status ~= 0, return; end
   end
+  c({n_c} + 1:end) = 0;
 end
 """
 SERIAL_MOVE = """\
@@ -66,7 +68,7 @@ function [c, status] = {name}_move(c, q)
 %   status 0: done; 3: a position is infinite or not a number, and c the last configuration.
   status = 3;
   if ~all(isfinite(q(:))), return; end
-  c = q(:);
+  c = preslide(c(:), q(:));
   status = 0;
 end
 """
@@ -74,7 +76,14 @@ SERIAL_START = """\
 function [c, status] = {name}_start(q)
 % {NAME}_START  Configuration of the actuated positions q, home where one of them is no finite number.
   [c, status] = {name}_move([{home}].', q);
+  c({n_c} + 1:end) = 0;
 end
+"""
+PRESLIDE = """\
+function c = preslide(before, moved)
+% Friction before sliding: the way since the last pose moves its states, which stand behind the configuration.
+  c = [moved; before(numel(moved) + 1:end)];
+{lines}end
 """
 
 
@@ -98,18 +107,28 @@ def matlab_files(model: Identified) -> dict[str, str]:
         "NAME": name.upper(),
         "home": _list(made.home),
         "actuated": " ".join(str(k + 1) for k in made.actuated),
+        "n_c": str(len(made.home) - len(made.presliding)),
     }
     numbers = {"closed": repr(CLOSED), "contraction": repr(CONTRACTION), "condition": repr(CONDITION)}
     if made.step is None or made.last_step is None:
-        files[f"{name}_move.m"], files[f"{name}_start.m"] = (
-            text.format(**fields) for text in (SERIAL_MOVE, SERIAL_START)
-        )
+        files[f"{name}_move.m"] = SERIAL_MOVE.format(**fields) + "\n" + _preslide(made)
+        files[f"{name}_start.m"] = SERIAL_START.format(**fields)
     else:
         kernels = _kernel(made.step, "newton") + _kernel(made.last_step, "last_newton")
-        files[f"{name}_move.m"] = MOVE.format(**fields, **numbers, steps=NEWTON_STEPS) + "\n" + kernels
+        files[f"{name}_move.m"] = (
+            MOVE.format(**fields, **numbers, steps=NEWTON_STEPS) + "\n" + _preslide(made) + kernels
+        )
         files[f"{name}_start.m"] = START.format(**fields, steps=STARTING_STEPS)
     files[f"{name}_parameters.m"] = _parameters(model, made)
     return files
+
+
+def _preslide(made: Functions) -> str:
+    first, lines = len(made.home) - len(made.presliding) + 1, ""
+    for k, (width, ratios) in enumerate(made.presliding, start=first):
+        way = " + ".join(f"{r!r} * (moved({place + 1}) - before({place + 1}))" for place, r in ratios.items())
+        lines += f"  c({k}) = min(max(before({k}) + ({way}) / {width!r}, -1), 1);\n"
+    return PRESLIDE.format(lines=lines) + "\n"
 
 
 def _function_file(model: Identified, kind: str, function: ca.Function) -> str:

@@ -19,6 +19,7 @@ from gtau.export.consistent import (
     differences,
     friction_comments,
     term_notes,
+    terms_left_out,
 )
 from gtau.export.exported import Exported, written
 from gtau.export.names import identifier
@@ -215,7 +216,7 @@ def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -
     """List what the file lacks: friction terms, offsets, massless bodies."""
     result = model.result
     unlike = [] if cubic else [Parameter("f3", joint).name for joint in model.cubics]
-    said = term_notes(model, "MJCF", [*unlike, *(name for name in result.friction if not name.startswith("f3"))])
+    said = term_notes(model, "MJCF", [*unlike, *terms_left_out(model)])
     unable = [name for name, value in model.standard.items() if name not in expressed and value]
     if unable:
         said.append(f"these offsets are not part of the file: {', '.join(unable)}")

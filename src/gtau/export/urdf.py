@@ -19,6 +19,7 @@ from gtau.export.consistent import (
     differences,
     friction_comments,
     term_notes,
+    terms_left_out,
 )
 from gtau.export.exported import Exported, written
 from gtau.export.names import identifier
@@ -71,7 +72,7 @@ def notes(model: ConsistentModel, name: str) -> list[str]:
     springs = " and springs" if sprung else ""
     found = [f"a URDF has no place for drive gains, rotor inertias, offsets{springs}: they are in {name}_drives.yaml"]
     found += [f"friction cubic in speed is in {name}_drives.yaml too"] if model.cubics else []
-    return found + term_notes(model, "URDF", [term for term in model.result.friction if not term.startswith("f3")])
+    return found + term_notes(model, "URDF", terms_left_out(model))
 
 
 def robot_element(model: ConsistentModel) -> Element:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -28,7 +29,7 @@ from gtau.model.loops import Motion
 from gtau.model.random_states import random_motion
 from gtau.robots.geometry import characteristic_length
 
-TYPES = (1, 2)
+TYPES: tuple[Literal[1, 2], ...] = (1, 2)
 POSES = 64  # random ones, that show the rank of J_t
 NO_MOTION = 1e-7  # share of the largest singular value of J_t: rounding
 

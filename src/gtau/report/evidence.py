@@ -23,6 +23,9 @@ POSES = 1500  # of a run, in the path of the payload's body
 class RunEvidence:
     """A run beside what the model predicts of it; ``refusal`` says why nothing is predicted.
 
+    ``errors`` are those of every sample, ``prediction`` holds one of the decimation factor,
+    ``samples`` all of them where they are wanted.
+
     ``used`` says whether the model was identified from it, ``cut`` whether it is longer than what is shown, and
     ``notes`` what the prediction takes for granted.
     """
@@ -30,6 +33,7 @@ class RunEvidence:
     run: Run
     used: bool
     prediction: Prediction | None = None
+    samples: Prediction | None = None
     errors: tuple[TorqueError, ...] = ()
     refusal: str = ""
     cut: bool = False
@@ -73,7 +77,9 @@ def predicted(result: IdentifiedModel, run: Run, used: bool = False, longest: in
     cut = longest is not None and len(run.time) > longest
     prediction = predict(result, _beginning(run, longest or 0) if cut else run)
     errors = torque_errors(result, prediction)
-    return RunEvidence(run, used, prediction, errors, cut=cut, notes=_unknown_payload(result, run))
+    all_samples = prediction if longest is None else None
+    notes = _unknown_payload(result, run)
+    return RunEvidence(run, used, prediction.rows, all_samples, errors, cut=cut, notes=notes)
 
 
 def _beginning(run: Run, count: int) -> Run:

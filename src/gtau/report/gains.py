@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.headline import reasons
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.thresholds.estimates import ACCURACY
@@ -39,6 +40,7 @@ def gains_section(
         "Drive gains",
         gains_table(result, prior or {}),
         Text(words, style="soft") if estimated else None,
+        reasons_table(result),
         _scale_text(result, short) if estimated else None,
         whole_mass_text(result),
         gains_chart(result.drive_gains, prior or {}) if charts else None,
@@ -71,6 +73,21 @@ def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
         row += [prior.get(joint), _off(prior.get(joint), gain.value)] if prior else []
         rows.append(row)
     return table(columns, rows)
+
+
+def reasons_table(result: IdentifiedModel) -> Table | None:
+    """Tabulate why gains are not good, or what was noticed, and what to do; None where there is nothing to say."""
+    columns = (
+        Column("joint"),
+        Column("verdict", Kind.BADGE),
+        Column("reason", Kind.SENTENCE),
+        Column("action", Kind.SENTENCE),
+    )
+    rows = [
+        (", ".join(map(joint_label, each.joints)), each.outcome.value, each.why, each.action)
+        for each in reasons(result)
+    ]
+    return table(columns, rows, listed=True) if rows else None
 
 
 def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float], name: str = "prior") -> Chart | None:
@@ -132,7 +149,8 @@ def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
 def scale_lines(result: IdentifiedModel) -> list[str]:
     """Describe what the scale of all gains rests on, or of each where they differ; empty where they were given."""
     known = {each.name: each.parameters["m"].value for each in result.payloads if "m" in each.known}
-    names = _sensors(result) | {f"payload '{name}'": f"payload '{name}' ({mass:g} kg)" for name, mass in known.items()}
+    masses = {name: f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None}
+    names = _sensors(result) | {f"payload '{name}'": words for name, words in masses.items()}
     words = {joint: _words(gain.scale, names) for joint, gain in result.drive_gains.items() if gain.scale}
     if not words:
         return []

@@ -16,6 +16,7 @@ from gtau.estimation.results.remarks import VISIBLE, findings, remarks
 from gtau.estimation.results.result import Result
 from gtau.report.evidence import RunEvidence, body_path, largest
 from gtau.report.findings import findings_section, same_in_several
+from gtau.report.friction import friction_section
 from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.geometry import geometry_section
 from gtau.report.logs import logs_section
@@ -70,6 +71,7 @@ def full_page(result: IdentifiedModel) -> Page:
         _sensors_section(result),
         payloads_section(unknown_payloads(result)),
         parameters_section(result),
+        friction_section(result),
         section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if words else None),
         section("Singularities", *_only(singularities_section(result.singularities))),
         geometry_section(result.geometry),
@@ -90,6 +92,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         torques_section(result, runs),
         residuals_section(result, runs),
         parameters_section(result),
+        friction_section(result, runs),
         correlation_section(result),
         singular_values_section(result),
         motion_section(result, runs),
@@ -136,7 +139,8 @@ def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[
     """Find the largest torque residual of the fit, the largest torque error of a validation run, and the least R²."""
     found = {}
     if worst := largest(result.residuals):
-        found["largest torque residual of the rows used"] = f"{worst.relative:.2f} % ({worst.joint})"
+        more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % over all samples"
+        found["largest torque residual of the rows used"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
     if worst := largest([error for run in runs if not run.used for error in run.errors]):
         more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % with reversals"
         found["largest torque error of a validation run"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
@@ -172,7 +176,9 @@ def _fit_words(result: IdentifiedModel) -> list[Item]:
         return []
     best = min(each.relative for each in result.residuals)
     range_ = f"{best:.2f} to {worst.relative:.2f} % rms"
-    found: list[Item] = [Text(f"Torque residuals of the rows used: {range_}, the largest at '{worst.joint}'.")]
+    whole = [each.relative_all for each in result.residuals if each.relative_all is not None]
+    more = f"; of all samples: {min(whole):.2f} to {max(whole):.2f} %" if whole else ""
+    found: list[Item] = [Text(f"Torque residuals of the rows used: {range_}, the largest at '{worst.joint}'{more}.")]
     if result.consistency is not None:
         cost = _growth(_overall(result.consistency))
         found.append(Text(f"Physically consistent parameters: torque residuals {cost}."))

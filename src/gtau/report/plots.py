@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.results.estimate import Prediction
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import predict
 from gtau.report.evidence import RunEvidence
@@ -53,15 +52,11 @@ class Plots:
         """Plot measured and predicted torques and residuals of a joint or all of a run, ``start`` to ``stop`` in s."""
         found, joints = self._evidence(joint, run)
         assert found.prediction is not None
-        whole = found.prediction
-        chosen = [whole.joints.index(name) for name in joints]
-        arrays = (whole.predicted, whole.measured, whole.keep, whole.valid)
-        prediction = Prediction(joints, whole.time, *(each[:, chosen] for each in arrays))
         length = float(found.run.time[-1] - found.run.time[0])
         end = length if stop is None else stop
         if not start < end:
             raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
-        part, time = part_of(prediction, found.time, start, end)
+        part, time = part_of(found.prediction.of(joints), found.time, start, end)
         title = found.run.name if start <= 0 and stop is None else stretch_title(found.run.name, start, end, length)
         units = [torque_unit(self.result.robot, name) for name in joints]
         return figure_of(torques_chart(part, units, found.run.kind, time, title=title))

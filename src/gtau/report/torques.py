@@ -31,10 +31,13 @@ from gtau.report.residual_statistics import autocorrelation, histogram, spectrum
 from gtau.robots.units import torque_unit
 
 REVERSALS = (
-    "The model holds away from reversals, where Coulomb friction does not change sign; identification uses only those "
-    "samples. All samples: the reversals too."
+    "Gains and inertia are identified away from reversals, where friction does not change its sign. All samples: the "
+    "reversals too, with the friction identified on them."
 )
 TORQUE = (Column("torque", Kind.NUMBER, 4), Column("%", Kind.NUMBER, decimals=2))
+
+ALL = (Column("error, all", Kind.NUMBER, 4), Column("%, all", Kind.NUMBER, decimals=2))
+"""Of errors over all samples."""
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:
@@ -45,8 +48,7 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
         Column("joint"),
         Column("error", Kind.NUMBER, 4),
         *TORQUE,
-        Column("error, all", Kind.NUMBER, 4),
-        Column("%, all", Kind.NUMBER, decimals=2),
+        *ALL,
         Column("unit, rms"),
     )
     rows = [
@@ -69,8 +71,13 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
 
 def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
     """Tabulate the torque residuals of a fit."""
-    rows = [(each.joint, each.rms, each.signal, each.relative, each.unit) for each in residuals]
-    return table((Column(title), Column("residual", Kind.NUMBER, 4), *TORQUE, Column("unit, rms")), rows)
+    every = any(each.rms_all is not None for each in residuals)
+    rows = []
+    for each in residuals:
+        over_all = (each.rms_all, each.relative_all) if every else ()
+        rows.append((each.joint, each.rms, each.signal, each.relative, *over_all, each.unit))
+    columns = (Column(title), Column("residual", Kind.NUMBER, 4), *TORQUE, *(ALL if every else ()))
+    return table((*columns, Column("unit, rms")), rows)
 
 
 def largest_errors_table(runs: Sequence[RunEvidence]) -> Table:
@@ -127,8 +134,8 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
         parts.append(section(title, shown, chart, folded=opened[run.used]))
         opened[run.used] = True
     words = (
-        "A small residual does not prove the gains, as both sides carry them. In the shaded stretches the friction "
-        "model does not hold or samples are missing; identification leaves them out."
+        "A small residual does not prove the gains, as both sides carry them. In the shaded stretches friction "
+        "changes its sign or samples are missing; identification of gains and inertia leaves them out."
     )
     each_run = (
         "Torque errors are of single runs, at every sample, and so not the torque residuals of the fit, which are of "
@@ -180,8 +187,7 @@ def torques_chart(
 def part_of(prediction: Prediction, time: np.ndarray, start: float, stop: float) -> tuple[Prediction, np.ndarray]:
     """Take the part of a prediction between two instants of its ``time`` (K,), s."""
     window = (time >= start) & (time <= stop)
-    arrays = (prediction.predicted, prediction.measured, prediction.keep, prediction.valid)
-    return Prediction(prediction.joints, prediction.time[window], *(each[window] for each in arrays)), time[window]
+    return prediction.part(window), time[window]
 
 
 def stretch_title(name: str, start: float, stop: float, length: float) -> str:

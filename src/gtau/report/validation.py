@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from gtau.documents.files import write_atomically
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload_body import PayloadBody
 from gtau.estimation.results.payload_estimate import PayloadEstimate
@@ -97,7 +99,7 @@ def validation_chart(result: Result, evidence: RunEvidence) -> Chart:
 
 
 def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
-    """Write a figure of measured and predicted torques for each run, around the largest residual.
+    """Write for each run a figure of the torques around the largest residual, and a table with all samples.
 
     Raises
     ------
@@ -107,10 +109,15 @@ def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> 
     from gtau.report.render.charts import save
 
     names = unique_names([each.run.name for each in runs])
-    return [
-        save(validation_chart(result, each), folder / f"torques_{name}.png")
-        for name, each in zip(names, runs, strict=True)
-    ]
+    written = []
+    for name, each in zip(names, runs, strict=True):
+        written.append(save(validation_chart(result, each), folder / f"torques_{name}.png"))
+        if each.samples is not None:
+            buffer, path = BytesIO(), folder / f"torques_{name}.parquet"
+            each.samples.table().write_parquet(buffer)
+            write_atomically(path, buffer.getvalue())
+            written.append(path)
+    return written
 
 
 # Payloads

@@ -116,6 +116,40 @@ class Decimator:
         skipped = (len(taps) - 1) // self.factor
         return upfirdn(taps, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
 
+    def smooth(self, columns: np.ndarray, first: int, count: int) -> np.ndarray:
+        """Filter without leaving samples out: the outputs at ``count`` samples of a block from its ``first`` on.
+
+        Where the log ends before the filter does, its last sample goes on; see :meth:`near`.
+
+        Parameters
+        ----------
+        columns : ndarray (..., M)
+            Columns at the samples of the block, ``warm_up`` of them to either side where there are so many.
+
+        Returns
+        -------
+        ndarray (..., count)
+            Columns at these samples.
+        """
+        if self.factor == 1 or self.kind == "chebyshev":
+            from scipy.signal import sosfiltfilt
+
+            filtered = columns if self.factor == 1 else sosfiltfilt(_chebyshev(self.factor), columns, axis=-1)
+            return filtered[..., first : first + count]
+        from scipy.signal import oaconvolve
+
+        lacking = max(self.support - first, 0), max(first + count + self.support - columns.shape[-1], 0)
+        ends = [(0, 0)] * (columns.ndim - 1)
+        seen = np.pad(columns, [*ends, lacking], mode="edge")[..., first + lacking[0] - self.support :]
+        taps = np.trim_zeros(_kernel(self.factor), "f")
+        taps = np.reshape(taps, (1,) * (columns.ndim - 1) + (-1,))
+        return oaconvolve(seen[..., : count + 2 * self.support], taps, mode="valid", axes=-1)
+
+    def near(self, usable: np.ndarray) -> np.ndarray:
+        """Mark the samples (N, n) from which no unusable one, and no end of the log, is within ``guard``."""
+        masked = np.cumsum(~np.pad(usable, ((self.guard + 1, self.guard), (0, 0))), axis=0)
+        return masked[2 * self.guard + 1 :] == masked[: -2 * self.guard - 1]
+
     def keep(self, usable: np.ndarray) -> np.ndarray:
         """Mark the outputs that rest on usable samples only.
 

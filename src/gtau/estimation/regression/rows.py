@@ -15,7 +15,9 @@ from gtau.robots.floating import WRENCH
 from gtau.signals.decimation import Block, Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 from gtau.signals.run import Run
+from gtau.signals.storage import spans
 
+ALL_SAMPLES = 4096  # of a block that is not decimated
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
 
@@ -105,6 +107,59 @@ def stream_rows(
             motion[kept],
             None if friction is None else decimator.apply(friction(of.time, motion, effort), block),
         )
+
+
+@dataclass(frozen=True)
+class Torques:
+    """Torques of a model and commands at every sample of a stretch of a run, all behind the same low-pass.
+
+    ``time`` (K,) in s; ``torques`` (n, K) of the model, friction and what acts from outside included; ``friction``
+    (n, K) alone; ``commands``
+    (3, n, K), as in :class:`Rows`.
+    """
+
+    time: np.ndarray
+    torques: np.ndarray
+    friction: np.ndarray
+    commands: np.ndarray
+
+
+def stream_torques(
+    idm: InverseDynamics,
+    regressor: Regressor,
+    prepared: PreparedRun,
+    decimator: Decimator,
+    values: np.ndarray,
+    friction: Law,
+) -> Iterator[Torques]:
+    """Compute the torques that columns of ``values`` and ``friction`` make at every sample of a run.
+
+    They and the commands pass the low-pass of the decimation, but all samples stay.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    """
+    n, margin, joints = len(prepared), decimator.warm_up, len(idm.actuated)
+    base = [idm.actuated.index(joint) for joint in idm.robot.base]
+    blocks = (
+        Block(slice(max(a - margin, 0), min(b + margin, n)), slice(a, b), min(a, margin))
+        for a, b in spans(n, max(ALL_SAMPLES, 4 * margin))
+    )
+    for block, of, c in _along(idm, prepared, blocks):
+        motion = idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(prepared.run.name, of.time))
+        measured = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
+        external = external_torques(idm, prepared.run, motion, measured)
+        commands = measured[:, :joints]
+        commands[:, base] += external[:, base]
+        external[:, base] = 0.0
+        effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
+        rubbing = friction(of.time, motion, effort)
+        made = np.concatenate([[effort + rubbing, rubbing], commands])
+        count = block.outputs.stop - block.outputs.start
+        filtered = decimator.smooth(made, block.first, count)
+        yield Torques(of.time[block.first : block.first + count], filtered[0], filtered[1], filtered[2:])
 
 
 def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from gtau.estimation.estimators.essential_parameters import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.total_least_squares import total_rows_of
+from gtau.estimation.friction.identify import FrictionStep, IdentifiedFriction
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, UNITS
 from gtau.estimation.regression.problem import Problem
@@ -23,6 +24,7 @@ from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
+    FrictionCurve,
     ReferenceTemperatures,
     SensorEstimate,
     TorqueError,
@@ -32,7 +34,9 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit, unit_of
+from gtau.robots.units import position_unit, torque_unit, unit_of
+
+NO_FRICTION = FrictionStep()
 
 
 def build_result(
@@ -43,6 +47,7 @@ def build_result(
     essential: Essential,
     diagnosis: Diagnosis,
     consistency: Consistency | None = None,
+    friction: FrictionStep = NO_FRICTION,
 ) -> Result:
     """Build the result of an identification.
 
@@ -60,6 +65,8 @@ def build_result(
         What can be believed.
     consistency : Consistency, optional
         Physically consistent standard parameters.
+    friction : FrictionStep
+        Friction on all samples; nothing where the plain law is to predict.
     """
     dataset, system, solution = fit.dataset, fit.system, fit.solution
     covariance, freedom = uncertainty.covariance, uncertainty.effective_freedom
@@ -136,6 +143,7 @@ def build_result(
             for name, unit in _terms(system, robot, temperatures)
             if name in found
         },
+        curves={each.joint: _curve(each, robot, temperatures) for each in friction.joints},
         sensors=_sensors(fit, diagnosis, found, free, std, freedom),
         payloads=payload_estimates(dataset, system, solution.theta, covariance, diagnosis.payloads, freedom),
         residuals=tuple(
@@ -144,6 +152,7 @@ def build_result(
                 float(abs(solution.gains[k]) * solution.sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
                 units[k],
+                *friction.errors.get(joint, ()),
             )
             for k, joint in enumerate(joints)
         ),
@@ -237,6 +246,37 @@ def _terms(system: System, robot: Robot, temperatures: ReferenceTemperatures | N
         (name, UNITS[robot.joint(joint).kind][term] + (per if term in TEMPERATURE_TERMS else ""))
         for name, term, joint in split
     ]
+
+
+def _curve(found: IdentifiedFriction, robot: Robot, temperatures: ReferenceTemperatures | None) -> FrictionCurve:
+    """Name the friction of a joint."""
+    joint, shape, spread = found.joint, found.shape, found.spread
+    of_terms = UNITS[robot.joint(joint).kind]
+    per = "" if temperatures is None else f"/{temperatures.per}"
+
+    def estimate(kind: str, value: float, std: float | None) -> Estimate:
+        name = Parameter(kind, joint).name
+        unit = of_terms[kind] + (per if kind in TEMPERATURE_TERMS else "") if kind in of_terms else None
+        verdict = parameter_verdict(value, std)
+        return Estimate(name, value, std, unit or unit_of(kind, robot, joint), verdict=verdict, freedom=found.freedom)
+
+    def of_shape(name: str, value: float | None, std: float | None, unit: str) -> Estimate | None:
+        if value is None:
+            return None
+        verdict = parameter_verdict(value, std)
+        return Estimate(Parameter(name, joint).name, value, std, unit, verdict=verdict, freedom=found.freedom)
+
+    unit = position_unit(robot, joint)
+    made = [estimate(kind, value, found.std[kind]) for kind, value in found.values.items()]
+    return FrictionCurve(
+        joint,
+        {each.name: each for each in made},
+        of_shape("width", shape.width, spread.width, unit),
+        of_shape("vs", shape.speed, spread.speed, f"{unit}/s"),
+        {term: float(t) for term, t in found.evidence.items()},
+        100 * found.error,
+        100 * found.plain_error,
+    )
 
 
 def _sensors(

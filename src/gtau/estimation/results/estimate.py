@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from numbers import Integral
 from typing import TYPE_CHECKING, Literal
 
@@ -109,6 +109,39 @@ class Named(dict[str, Estimate]):
 
 
 @dataclass(frozen=True)
+class FrictionCurve:
+    """Friction of a joint, identified on all samples; see :mod:`gtau.estimation.friction.law`.
+
+    Attributes
+    ----------
+    joint : str
+        Its name.
+    parameters : dict
+        ``off_J``, ``fv_J``, ``fs_J``, ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, as far as it has them; name to
+        :class:`Estimate`. One that would be negative is 0, without a standard deviation.
+    width, speed : Estimate, optional
+        Of presliding, and v_s, at which friction bends; None where the logs do not show them.
+    evidence : dict
+        By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
+    error, plain_error : float
+        Of blocks left out, with this friction and with the plain law, per cent of the torque that is left to friction.
+    """
+
+    joint: str
+    parameters: Mapping[str, Estimate]
+    width: Estimate | None
+    speed: Estimate | None
+    evidence: Mapping[str, float]
+    error: float
+    plain_error: float
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """All that is estimated of it."""
+        return (*self.parameters.values(), *(each for each in (self.width, self.speed) if each is not None))
+
+
+@dataclass(frozen=True)
 class SensorEstimate:
     """The torque sensor of a joint: its offset and friction by name, its delay (s), and its residual.
 
@@ -175,8 +208,8 @@ class TorqueError:
     """How well the model reproduces a joint's torque ``v g_tau``: rms of error and signal, N m or N.
 
     ``rms`` and ``signal`` are taken over the rows that identification uses, away from the joint's reversals, where
-    Coulomb friction is not modelled; ``rms_all`` and ``signal_all`` over all valid rows, reversals included. The
-    latter are None for the residuals of a fit, which has no other rows.
+    the plain law does not hold; ``rms_all`` and ``signal_all`` over all valid rows, reversals included, with the
+    friction of all samples. The latter are None for the residuals of a fit without it.
     """
 
     joint: str
@@ -219,10 +252,13 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Decimated torques along a run: ``time`` (K,) in s, ``predicted`` and ``measured`` (K, n) in N m or N.
+    """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.
 
-    ``keep`` (K, n) is False near a joint's reversals, where the model's friction does not hold, and near gaps;
-    ``valid`` (K, n) is False near gaps and repaired samples only.
+    ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
+
+    All are behind the low-pass of identification, whose rows are one sample of ``factor``. ``keep`` (N, n) is False
+    near a joint's reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
+    (N, n) is False near gaps and repaired samples, and at the ends of the log up to where the motion begins.
     """
 
     joints: tuple[str, ...]
@@ -231,12 +267,50 @@ class Prediction:
     measured: np.ndarray
     keep: np.ndarray
     valid: np.ndarray
+    friction: np.ndarray
+    factor: int = 1
+
+    @property
+    def rows(self) -> Prediction:
+        """One sample of ``factor``, whose residuals are as independent as the low-pass lets them be."""
+        return replace(self.part(slice(self.factor // 2, None, self.factor)), factor=1)
+
+    def part(self, samples: slice | np.ndarray) -> Prediction:
+        """Take some of the samples."""
+        names = ("time", "predicted", "measured", "friction", "keep", "valid")
+        return replace(self, **{name: getattr(self, name)[samples] for name in names})
+
+    def of(self, joints: Sequence[str]) -> Prediction:
+        """Take some of the joints."""
+        chosen = [self.joints.index(joint) for joint in joints]
+        names = ("predicted", "measured", "friction", "keep", "valid")
+        return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in names})
 
     def __repr__(self) -> str:
         return (
-            f"Prediction({len(self.time)} rows of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
+            f"Prediction({len(self.time)} samples of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
             f"{self.time[-1]:.4g} s)"
         )
+
+    def table(self) -> pl.DataFrame:
+        """Return the torques as a Polars table, one row a sample.
+
+        Columns: ``t`` (s); for each joint ``motor_J`` (drive gain times current), ``model_J`` (what the motion takes),
+        ``external_J`` (the torque that the environment exerts on the joint, model minus motor; N m or N), ``usable_J``
+        (``keep``) and ``valid_J``.
+        """
+        import polars as pl
+
+        columns = {"t": self.time}
+        for j, joint in enumerate(self.joints):
+            columns |= {
+                f"motor_{joint}": self.measured[:, j],
+                f"model_{joint}": self.predicted[:, j],
+                f"external_{joint}": self.predicted[:, j] - self.measured[:, j],
+                f"usable_{joint}": self.keep[:, j],
+                f"valid_{joint}": self.valid[:, j],
+            }
+        return pl.DataFrame(columns)
 
     def to_frame(self) -> pl.DataFrame:
         """Return the prediction as a Polars table, one row an instant and joint; ``.to_pandas()`` converts it."""
@@ -250,6 +324,7 @@ class Prediction:
                 "measured": self.measured.reshape(-1),
                 "predicted": self.predicted.reshape(-1),
                 "kept": self.keep.reshape(-1),
+                "valid": self.valid.reshape(-1),
             }
         )
 

@@ -27,8 +27,8 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     """List all estimates of a result, each once.
 
     Groups: ``drive gain``, ``delay``, ``base parameter``, ``friction`` (viscous, Coulomb and offsets, and then the
-    terms that the data ask for), ``logged speed`` (up to which friction is identified), ``torque sensor JOINT`` and
-    ``payload NAME of RUN``.
+    terms that the data ask for), ``predicted friction`` (of all samples, with which the model predicts), ``logged
+    speed`` (up to which friction is identified), ``torque sensor JOINT`` and ``payload NAME of RUN``.
     """
 
     def rows(group: str, estimates: Iterable[Estimate]) -> Iterator[Row]:
@@ -40,6 +40,8 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     yield from rows("base parameter", (each for name, each in result.parameters.items() if not of_friction[name]))
     yield from rows("friction", (each for name, each in result.parameters.items() if of_friction[name]))
     yield from rows("friction", result.friction.values())
+    for curve in result.curves.values():
+        yield from rows("predicted friction", curve.estimates)
     for joint, speed in result.logged_speeds.items():
         unit = "rad/s" if result.robot.joint(joint).kind == "revolute" else "m/s"
         yield Row("logged speed", Estimate(joint, speed, None, unit))

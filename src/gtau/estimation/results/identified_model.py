@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.friction.law import FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
+    FrictionCurve,
     Named,
     ReferenceTemperatures,
     Requirement,
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.friction_law import FrictionLaw
 from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.base_parameters import BaseParameters, base_parameters
@@ -43,7 +44,11 @@ class IdentifiedModel:
     drive_gains, delays : dict
         Joint name to :class:`Estimate`.
     friction : dict
-        Friction terms beyond the paper's that the data ask for; name to Estimate.
+        Friction terms beyond the paper's that the data ask for, in the equations that give gains and inertia; name to
+        Estimate.
+    curves : dict
+        Friction as the model predicts it, identified on all samples at these gains and inertia; joint to FrictionCurve.
+        Empty for the paper's way, where ``parameters`` and ``friction`` predict.
     parameters : dict
         All base parameters, with which the model predicts; name to Estimate. ``essential`` of each says whether the
         reduction keeps it. As in the paper, ``as_paper`` estimates the kept ones again without the others, whose value
@@ -58,7 +63,7 @@ class IdentifiedModel:
         How the logs were filtered and decimated.
     logged_speeds : dict
         Actuated joint to its largest speed among the rows used, rad/s or m/s; beyond it friction is extrapolated (see
-        :mod:`gtau.estimation.results.friction_law`).
+        :mod:`gtau.estimation.friction.law`).
     statistics : dict
         Further figures of the method.
     notes : tuple of Note
@@ -113,6 +118,7 @@ class IdentifiedModel:
     singular_values: tuple[float, ...] = ()
     geometry: GeometryTest | None = None
     temperatures: ReferenceTemperatures | None = None
+    curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
     requirements: tuple[Requirement, ...] = ()
     known: tuple[InverseDynamics, BaseParameters] | None = None
 
@@ -143,7 +149,11 @@ class IdentifiedModel:
     @cached_property
     def friction_law(self) -> FrictionLaw:
         """Friction of the robot at any speed, for these and other parameters."""
-        return FrictionLaw(self.model, self.logged_speeds)
+        shapes = {
+            joint: Shape(*(None if each is None else each.value for each in (curve.width, curve.speed)))
+            for joint, curve in self.curves.items()
+        }
+        return FrictionLaw(self.model, self.logged_speeds, shapes)
 
     @property
     def gains(self) -> np.ndarray:
@@ -158,8 +168,15 @@ class IdentifiedModel:
 
     @property
     def params(self) -> dict[str, float]:
-        """Values of ``parameters`` by name, as predictions take them; 0 for one that is not identifiable."""
+        """Values of ``parameters`` by name; 0 for one that is not identifiable."""
         return {name: estimate.value or 0.0 for name, estimate in self.parameters.items()}
+
+    @cached_property
+    def friction_parameters(self) -> Mapping[str, Estimate]:
+        """Friction that predictions take, by the names of standard parameters: of the curves, else of the plain law."""
+        if not self.curves:
+            return self.friction
+        return {name: each for curve in self.curves.values() for name, each in curve.parameters.items()}
 
     def payload(self, name: str) -> dict[str, float]:
         """Return a payload's identified parameters by kind, the mean over its runs; empty for an unknown name."""

@@ -13,6 +13,7 @@ from gtau.estimation.grades import to_document as note_document
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
+    FrictionCurve,
     TorqueError,
 )
 from gtau.estimation.results.identified_model import IdentifiedModel
@@ -22,7 +23,9 @@ from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.robots.units import unit_of
 
-SCHEMA = "gtau-model/2"
+SCHEMA = "gtau-model/3"
+OLDER = ("gtau-model/2",)
+"""Schemas that are read too: without friction on all samples, whose plain law then predicts."""
 
 
 def to_document(result: IdentifiedModel) -> dict[str, Any]:
@@ -38,6 +41,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "delays": [_estimate(each, "joint") for each in result.delays.values()],
         "parameters": [_parameter(each) for each in result.parameters.values()],
         "friction": [_estimate(each) for each in result.friction.values()],
+        "curves": [_curve(each) for each in result.curves.values()],
         "sensors": [
             {
                 "joint": each.joint,
@@ -70,6 +74,18 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
         "robot_file": native_text(result.robot),
         "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
+    }
+
+
+def _curve(curve: FrictionCurve) -> dict[str, Any]:
+    return {
+        "joint": curve.joint,
+        "parameters": [_estimate(each) for each in curve.parameters.values()],
+        "width": curve.width and _estimate(curve.width),
+        "speed": curve.speed and _estimate(curve.speed),
+        "evidence": dict(curve.evidence),
+        "error": curve.error,
+        "plain_error": curve.plain_error,
     }
 
 

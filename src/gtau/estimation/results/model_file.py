@@ -34,13 +34,14 @@ from gtau.estimation.estimators.registry import PLACES
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
+    FrictionCurve,
     ReferenceTemperatures,
     Requirement,
     SensorEstimate,
     TorqueError,
 )
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.model_document import SCHEMA, to_document
+from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
 from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.parameter import Parameter
@@ -115,6 +116,27 @@ class _Sensor(_Group):
 
     def made(self) -> SensorEstimate:
         return SensorEstimate(self.joint, _named(self.parameters), self.delay, self.residual, self.ratio)
+
+
+class _Curve(_Group):
+    joint: str
+    parameters: _Estimates
+    width: _Estimate | None
+    speed: _Estimate | None
+    evidence: dict[str, float]
+    error: NonNegativeFloat
+    plain_error: NonNegativeFloat
+
+    @model_validator(mode="after")
+    def _can_be(self) -> Self:
+        for each in (self.width, self.speed):
+            if each is not None and not (each.value or 0.0) > 0:
+                raise ValueError(f"'{each.name}' is not positive; correct it")
+        return self
+
+    def made(self) -> FrictionCurve:
+        parts = (self.width, self.speed, self.evidence, self.error, self.plain_error)
+        return FrictionCurve(self.joint, _named(self.parameters), *parts)
 
 
 class _Preparation(_Group):
@@ -193,6 +215,7 @@ class _Model(_Group):
     delays: _Estimates
     parameters: _Estimates
     friction: _Estimates
+    curves: tuple[_Curve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: tuple[_Payload, ...]
     residuals: tuple[TorqueError, ...]
@@ -219,6 +242,7 @@ class _Model(_Group):
             delays=_named(self.delays),
             parameters=_named(self.parameters),
             friction=_named(self.friction),
+            curves={each.joint: each.made() for each in self.curves},
             sensors=tuple(each.made() for each in self.sensors),
             payloads=tuple(each.made() for each in self.payloads),
             residuals=self.residuals,
@@ -272,7 +296,7 @@ def load(path: str | Path, make: type[Model]) -> Model:
         raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
         raise GtauError(f"{path} is not a model; give the model.json that 'gtau identify' wrote.")
-    if document["schema"] != SCHEMA:
+    if document["schema"] not in (SCHEMA, *OLDER):
         raise GtauError(
             f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again "
             "with this version."
@@ -301,6 +325,9 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
             yield f"the {what} are not those of the joints {', '.join(joints)}"
         if any(each.value is None for each in estimates.values()):
             yield f"one of the {what} is null"
+    strange = set(result.curves) - {joint.name for joint in robot.joints}
+    if strange:
+        yield f"'curves' has the friction of '{sorted(strange)[0]}', which is no joint"
     if any(each.value == 0 for each in result.drive_gains.values()):
         yield "a drive gain is zero"
     if not {Parameter("gain", joint).name for joint in robot.motors} <= set(result.covariance_names):
@@ -319,5 +346,7 @@ def _estimates(result: IdentifiedModel) -> Iterator[Estimate]:
         yield from group.values()
     for payload in result.payloads:
         yield from payload.parameters.values()
+    for curve in result.curves.values():
+        yield from curve.estimates
     for sensor in result.sensors:
         yield from (*sensor.parameters.values(), sensor.delay, *((sensor.ratio,) if sensor.ratio else ()))

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.friction.law import carried
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS, TERMS
-from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.regression.rows import stream_torques
 from gtau.estimation.results.estimate import Prediction, TorqueError
-from gtau.estimation.results.friction_law import carried
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
@@ -21,10 +22,11 @@ from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import prepare
 from gtau.signals.run import Run, arrange
+from gtau.signals.storage import spans
 
 
 def predict(result: IdentifiedModel, run: Run) -> Prediction:
-    """Predict torques at the decimated instants of a run, beside the measured ones; see :meth:`gtau.Result.predict`."""
+    """Predict torques at every sample of a run, beside the measured ones; see :meth:`gtau.Result.predict`."""
     if not isinstance(run, Run):
         raise GtauError(
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
@@ -40,33 +42,36 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     check_wrenches(result.robot, run)
     preparation = at_rate_of([run], result.preparation)
     prepared = prepare(run, preparation, motor_to_joint_speed(model))
+    moving = prepared.kept
+    prepared = replace(prepared, kept=range(len(run.time)))
     decimator = preparation.decimator
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
-    regressor = model.columns(base.standard)
-    gains = result.gains
-    delays = np.array([result.delays[joint].value for joint in model.actuated])
-    time, predicted, measured, keep, valid = [], [], [], [], []
-    load = np.array(carried(np, base.standard, chi))
+    regressor, gains = model.columns(base.standard), result.gains
+    delays = np.array([[result.delays[joint].value] for joint in model.actuated])
+    load, law, states = np.array(carried(np, base.standard, chi)), result.friction_law, result.friction_law.followers()
     check_temperature_unit(result, run)
 
     def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        return result.friction_law.torques(motion, friction_values(result, chi, run, at), effort)
+        return law.torques(motion, friction_values(result, chi, run, at), effort, states(at, motion))
 
-    for part in stream_rows(model, regressor, prepared, decimator, load, friction=friction):
-        assert part.friction is not None
-        tau = regressor.torques(part.entries, load, len(model.actuated)) + part.friction - part.external
-        v, v_d, v_dd = part.currents[:, : len(gains)]  # eq. (17), each current at its delayed time
-        time.append(part.time)
-        predicted.append(tau.T)
-        measured.append((gains[:, None] * (v - delays[:, None] * v_d + delays[:, None] ** 2 / 2 * v_dd)).T)
-        keep.append(part.keep[: len(gains)].T)
-        # the samples that the decimation filter sees: ``keep`` of those that are valid, slow or not
-        first = decimator.factor * part.outputs.start
-        last = decimator.factor * (part.outputs.stop - 1) + 2 * decimator.support
-        valid.append(decimator.keep(prepared.valid(first, last + 1)[:, : len(gains)]))
-    if not np.any([each.any() for each in keep]):
+    predicted, measured, rubbing = [], [], []
+    for part in stream_torques(model, regressor, prepared, decimator, load, friction):
+        predicted.append(part.torques.T)
+        rubbing.append(part.friction.T)
+        v, v_d, v_dd = part.commands  # eq. (17), each current at its delayed time
+        measured.append((gains[:, None] * (v - delays * v_d + delays**2 / 2 * v_dd)).T)
+    n = len(gains)
+    keep = np.concatenate([prepared.samples(*span).usable[:, :n] for span in spans(len(prepared))])
+    valid = np.concatenate([prepared.valid(*span)[:, :n] for span in spans(len(prepared))])
+    # at rest before and after the motion anything within the band of friction holds the robot
+    resting = np.ones((len(valid), 1), dtype=bool)
+    resting[moving.start : moving.stop] = False
+    keep, valid = (decimator.near(each & ~resting) for each in (keep, valid))
+    if not keep.any():
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
-    return Prediction(model.actuated, *(np.concatenate(each) for each in (time, predicted, measured, keep, valid)))
+    made, found, rest = (np.concatenate(each) for each in (predicted, measured, rubbing))
+    time = np.asarray(prepared.time)
+    return Prediction(model.actuated, time, made, found, keep, valid, rest, decimator.factor)
 
 
 def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:
@@ -88,30 +93,36 @@ def friction_values(
     At the temperatures that a run has at ``time`` (N,), else at those of reference.
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
-    values |= {name: each.value or 0.0 for name, each in result.friction.items() if parameter_of(name).kind in TERMS}
+    terms = {name: each.value or 0.0 for name, each in result.friction_parameters.items()}
+    values |= {name: value for name, value in terms.items() if parameter_of(name).kind not in TEMPERATURE_TERMS}
     if result.temperatures is None or run is None or run.temperature is None or time is None:
         return values
-    for joint, reference in result.temperatures.of_joint.items():
-        if joint in run.temperature.of_joint:
-            above = run.temperature.at(joint, time) - reference
-            for term, kind in TEMPERATURE_TERMS.items():
-                if Parameter(term, joint).name in result.friction:
-                    values[Parameter(kind, joint).name] += (
-                        result.friction[Parameter(term, joint).name].value or 0.0
-                    ) * above
+    warm = {name: value for name, value in terms.items() if parameter_of(name).kind in TEMPERATURE_TERMS}
+    for name, slope in warm.items():
+        term, site, _ = parameter_of(name)
+        joint = result.friction_law.motor_of(site)
+        if joint is not None and joint in run.temperature.of_joint:
+            above = run.temperature.at(joint, time) - result.temperatures.of_joint[joint]
+            kind = Parameter(TEMPERATURE_TERMS[term], site).name
+            values[kind] = values[kind] + slope * above
     return values
 
 
 def torques_along(
-    result: IdentifiedModel, motion: Motion, chi: np.ndarray, terms: Mapping[str, float] | None = None
+    result: IdentifiedModel,
+    motion: Motion,
+    chi: np.ndarray,
+    terms: Mapping[str, float] | None = None,
+    z: np.ndarray | None = None,
 ) -> np.ndarray:
     """Compute torques (n, N) along a motion for base parameters ``chi`` (n_b,), all friction included.
 
-    ``terms`` are values of f3 and fl other than the identified ones.
+    ``terms`` are values of friction other than the identified ones, z (s, N) states of presliding; all joints
+    slide without them.
     """
     model, base = result.model, result.base
     load = model.columns(base.standard).torques_along(model.layout, motion, np.array(carried(np, base.standard, chi)))
-    return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load)
+    return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load, z)
 
 
 def torques(

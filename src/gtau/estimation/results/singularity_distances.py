@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class NearestPose:
     """
 
     run: str
-    type: int
+    type: Literal[1, 2]
     distance: float
     time: float
     pose: Mapping[str, float]

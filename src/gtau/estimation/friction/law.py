@@ -1,0 +1,256 @@
+"""Friction of an identified model at any speed, load and temperature: it never adds energy to the robot.
+
+A joint's friction is
+
+    ``fv qd + (fs + fb exp(-|qd| / v_s) + fl |tau_load|) z``,
+
+with ``z = sign(qd)`` where it slides, and where its logs show presliding the state of a stop operator of its width
+(:mod:`gtau.estimation.friction.stop`). ``fb`` is what friction has more at rest than in fast sliding: Stribeck's effect
+where positive, viscous friction that saturates where negative. Both and ``fl`` come from all samples
+(:mod:`gtau.estimation.friction.identify`), with coefficients for which the law takes energy at every speed.
+
+The plain law of the equations of identification is the same with ``z = sign(qd)`` and a cubic term ``f3 qd^3``. Its
+coefficients may be negative, and a polynomial says nothing beyond the speeds of the logs: with ``f3 < 0`` it turns into
+propulsion there. So
+
+- beyond the fastest logged speed V of an actuated joint friction goes on along its slope at V, or stays at its value
+  where that slope is negative;
+- where some terms still propel, as a negative ``fs`` does near standstill or a negative ``fl`` under a great load, they
+  are scaled down until they give no more power than the others take.
+
+Powers are those of sliding. They are balanced joint by joint, and together for joints that move each other: of a
+coupling, or of closed loops. Where friction is dissipative, it is not changed. Offsets are constant torques, of the
+amplifiers for instance: they do no work around a closed path, and stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from gtau.estimation.friction.stop import Follower
+from gtau.estimation.regression.dataset import motor_to_joint_speed
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import Motion
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.robot import DAMPING
+
+LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
+SPEEDS = 200  # at which a straight line is fitted
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What friction of a joint is not linear in.
+
+    ``width`` of presliding, rad or m, None where the joint slides at once; ``speed`` v_s by which friction falls or
+    rises from that at rest to that of sliding, rad/s or m/s, None for friction without ``fb``.
+    """
+
+    width: float | None = None
+    speed: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionLaw:
+    """Friction of a robot as a function of its parameters, of which some may propel.
+
+    Attributes
+    ----------
+    model : InverseDynamics
+        Of the robot.
+    logged_speeds : dict
+        Actuated joint to V, rad/s or m/s; 0 where it is missing, so that its ``f3`` does not count.
+    shapes : dict
+        Joint to its shape; one that is missing slides at once.
+    """
+
+    model: InverseDynamics
+    logged_speeds: Mapping[str, float]
+    shapes: Mapping[str, Shape] = field(default_factory=dict)
+
+    @cached_property
+    def states(self) -> tuple[int, ...]:
+        """The joints with presliding, by their rows among the robot's: those of ``z``, in order."""
+        shapes = [self.shapes.get(joint.name, Shape()) for joint in self.model.robot.joints]
+        return tuple(row for row, shape in enumerate(shapes) if shape.width)
+
+    @property
+    def widths(self) -> np.ndarray:
+        """Widths (s,) of the presliding of ``states``, rad or m."""
+        joints = self.model.robot.joints
+        return np.array([self.shapes[joints[row].name].width for row in self.states], dtype=float)
+
+    def followers(self) -> Callable[[np.ndarray, Motion], np.ndarray]:
+        """Make what follows a run that comes in blocks: from times (N,) and the motion to the states z (s, N)."""
+        actuated, rows = self.model.layout.actuated, self.states
+        elements = [Follower(np.array([width])) for width in self.widths]
+
+        def follow(time: np.ndarray, motion: Motion) -> np.ndarray:
+            paths = self.ratios[list(rows)] @ motion.c[actuated]
+            found = [element(time, path)[0] for element, path in zip(elements, paths, strict=True)]
+            return np.reshape(found, (len(rows), len(time)))
+
+        return follow
+
+    @cached_property
+    def ratios(self) -> np.ndarray:
+        """Speeds (joints, n) of all joints for unit speeds of actuated ones, where these are constant."""
+        layout, robot = self.model.layout, self.model.robot
+        if robot.couplings and not robot.closures:
+            return motor_to_joint_speed(self.model)[: len(robot.joints)]
+        own = np.zeros((len(robot.joints), len(layout.actuated)))
+        own[layout.actuated, np.arange(len(layout.actuated))] = 1.0
+        return own
+
+    @cached_property
+    def groups(self) -> np.ndarray:
+        """Membership (groups, joints + n) of joints and then of the terms of actuated joints; 0 or 1."""
+        joints, n = self.ratios.shape
+        if self.model.robot.closures:
+            return np.ones((1, joints + n))
+        from scipy.sparse.csgraph import connected_components
+
+        driven = self.ratios != 0
+        count, group = connected_components(driven.T.astype(int) @ driven.astype(int), directed=False)
+        of_actuated = np.eye(count)[:, group]
+        return np.hstack([(of_actuated @ driven.T > 0).astype(float), of_actuated])
+
+    def forces(
+        self, math: ModuleType, values: Mapping[str, Any], yd: Any, load: Any, z: Any = None
+    ) -> tuple[list[Any], list[Any]]:
+        """Compute torques of friction, and the speeds that they oppose: of all joints, then the f3 of actuated ones.
+
+        Parameters
+        ----------
+        math : module
+            numpy for arrays, casadi for expressions.
+        values : mapping
+            ``fv``, ``fs``, ``fb``, ``fl`` and ``f3`` by name of the parameter, SI units; what is missing is zero.
+        yd, load : array or SX
+            Velocities of the tree, and torques (n,) that the actuated joints transmit; the first axis is theirs.
+        z : array or SX, optional
+            States (s,) of presliding; without them all joints slide.
+        """
+        joints, states = self.model.robot.joints, () if z is None else self.states
+        forces, speeds = [], [yd[row] for row in range(len(joints))]
+        for row, (joint, speed) in enumerate(zip(joints, speeds, strict=True)):
+            viscous, height, more, of_load = (
+                values.get(Parameter(kind, joint.name).name, 0.0) for kind in ("fv", "fs", "fb", "fl")
+            )
+            shape, motor = self.shapes.get(joint.name, Shape()), self.motor(row)
+            if shape.speed:
+                height = height + more * math.exp(-math.fabs(speed) / shape.speed)
+            if motor is not None:
+                height = height + of_load * math.fabs(load[motor] / self.ratios[row, motor])
+            forces.append(viscous * speed + height * (z[states.index(row)] if row in states else math.sign(speed)))
+        for j, name in enumerate(self.model.actuated):
+            speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
+            cubic = values.get(Parameter("f3", name).name, 0.0)
+            within = math.fmax(math.fmin(speed, top), -top)
+            slope = math.fmax(3 * top**2 * cubic, -self._viscous(values, j))  # with fv, at least 0
+            forces.append(cubic * (within * within * within) + slope * (speed - within))
+            speeds.append(speed)
+        return forces, speeds
+
+    def motor(self, row: int) -> int | None:
+        """Return the motor that alone moves a joint, whose load is its own; None where several do, or none."""
+        moving = np.flatnonzero(self.ratios[row])
+        return int(moving[0]) if len(moving) == 1 else None
+
+    def scales(self, math: ModuleType, forces: Any, speeds: Any) -> Any:
+        """Compute by what each of the forces (joints + n,) is scaled: 1, or less where it propels more than allowed."""
+        groups = self.groups if math is np else math.DM(self.groups)
+        power = forces * speeds
+        taken, given = groups @ math.fmax(power, 0.0), groups @ math.fmax(-power, 0.0)
+        allowed = groups.T @ (taken / math.fmax(math.fmax(taken, given), LEAST_POWER))
+        return 1.0 - (1.0 - allowed) * math.fmax(-math.sign(power), 0.0)
+
+    def logged(self, joint: str) -> str:
+        """Write V of a joint with its unit."""
+        unit = "rad/s" if self.model.robot.joint(joint).kind == "revolute" else "m/s"
+        return f"{self.fastest(joint):.3g} {unit}"
+
+    @property
+    def range_sentence(self) -> str:
+        """Describe over which speeds friction was identified, and what it is beyond."""
+        listed = ", ".join(f"{joint} {self.logged(joint)}" for joint in self.logged_speeds)
+        return (
+            f"Friction is identified up to the fastest logged speeds ({listed}). Beyond it is extrapolated: along its "
+            "slope there, or constant where that is negative. It never propels: terms that would are scaled down."
+        )
+
+    def straight(self, values: Mapping[str, float], joint: str) -> tuple[float, float]:
+        """Fit ``viscous qd + coulomb sign(qd)``, neither negative, to the friction of a joint that slides, up to V.
+
+        For engines with no other friction. ``values`` are those of the law; friction by load is left out.
+        """
+        from scipy.optimize import nnls
+
+        viscous, coulomb, more, cubic = (values.get(Parameter(k, joint).name, 0.0) for k in ("fv", "fs", "fb", "f3"))
+        speed = np.linspace(0.0, self.fastest(joint), SPEEDS)[1:]
+        falling = np.exp(-speed / (self.shapes.get(joint, Shape()).speed or np.inf)) if more else 0.0
+        friction = np.maximum(viscous * speed + coulomb + more * falling + cubic * speed**3, 0.0)
+        (viscous, coulomb), _ = nnls(np.stack([speed, np.ones_like(speed)], axis=1), friction)
+        return float(viscous), float(coulomb)
+
+    def fastest(self, joint: str) -> float:
+        """Return V of any joint, from those of the motors that move it, rad/s or m/s."""
+        row = [each.name for each in self.model.robot.joints].index(joint)
+        logged = np.array([self.logged_speeds.get(name, 0.0) for name in self.model.actuated])
+        return float(np.abs(self.ratios[row]) @ logged)
+
+    def torques(
+        self, motion: Motion, values: Mapping[str, Any], load: np.ndarray, z: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Compute torques (n, N) of friction and offsets along a motion.
+
+        Parameters
+        ----------
+        motion : Motion
+            Of N samples.
+        values : mapping
+            Those of :meth:`forces`, and ``off``, by name, numbers or (N,).
+        load : ndarray
+            Torques (n, N) that the actuated joints transmit.
+        z : ndarray, optional
+            States (s, N) of presliding; without them all joints slide.
+        """
+        joints = self.model.robot.joints
+        forces, speeds = (np.stack(each) for each in self.forces(np, values, motion.yd, load))
+        scales = self.scales(np, forces, speeds)
+        if z is not None and self.states:
+            forces = np.stack(self.forces(np, values, motion.yd, load, z)[0])
+        forces = forces * scales
+        for row, joint in enumerate(joints):
+            forces[row] += values.get(Parameter("off", joint.name).name, 0.0)
+        of_joints = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
+        return np.asarray(of_joints + forces[len(joints) :])
+
+    def motor_of(self, joint: str) -> str | None:
+        """Return the name of the motor that alone moves a joint; see :meth:`motor`."""
+        motor = self.motor([each.name for each in self.model.robot.joints].index(joint))
+        return None if motor is None else self.model.actuated[motor]
+
+    def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
+        """Sum the viscous friction that the motor of actuated joint ``j`` feels."""
+        of_joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
+        return sum(values.get(Parameter("fv", joint.name).name, 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
+
+
+def carried(math: ModuleType, standard: tuple[str, ...], chi: Any) -> list[Any]:
+    """Return the base parameters (n_b) of the torques that joints transmit: 0 for friction and offsets.
+
+    Dampers of springs that propel do not count.
+    """
+    kinds = [parameter_of(name).kind for name in standard]
+    zero = {"fv", "fs", "off"}
+    return [
+        0.0 * chi[k] if kind in zero else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]
+        for k, kind in enumerate(kinds)
+    ]

@@ -1,0 +1,125 @@
+"""Friction identified on all samples: the stop operator, the terms that are found, and what predictions gain."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import five_bar
+from friction_logs import PLAIN, experiment, robot, run
+
+import gtau
+from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.stop import Follower, stop
+from gtau.estimation.pipeline import DEFAULT, estimate
+
+SHAPES = {"left": Shape(width=1.5e-3), "right": Shape(speed=0.2)}
+VALUES = {"fb_right": 0.6, "fl_left": 0.05}
+
+
+def walk(rng: np.random.Generator, samples: int) -> np.ndarray:
+    """A path that turns at once, goes far, and rests for a while, rounded as by an encoder."""
+    steps = rng.normal(size=samples) * rng.choice([0.0, 0.01, 1.0], samples)
+    return np.round(np.cumsum(steps) / 0.02) * 0.02
+
+
+def test_the_stop_operator_is_its_recursion(rng: np.random.Generator) -> None:
+    q, widths = walk(rng, 400), np.array([0.05, 0.7, 6.0])
+    z = np.array([1.0, -1.0, 0.3])
+    found = stop(q, widths, z)
+    for k in range(1, len(q)):
+        z = np.clip(z + (q[k] - q[k - 1]) / widths, -1, 1)
+        np.testing.assert_allclose(found[:, k], z, atol=1e-9)
+
+
+def test_the_stop_operator_gives_no_energy(rng: np.random.Generator) -> None:
+    """Along any path its force takes at least what it may have stored, w / 2."""
+    q, widths = np.interp(np.arange(4000) / 10, np.arange(401), walk(rng, 401)), np.array([0.3, 2.0])
+    z = stop(q, widths, np.zeros(2))
+    work = np.cumsum((z[:, 1:] + z[:, :-1]) / 2 * np.diff(q), axis=1)
+    assert (work >= -1e-9).all()
+    assert (np.maximum.accumulate(work, axis=1) - work <= widths[:, None] / 2 + 1e-9).all()
+
+
+def test_blocks_that_overlap_go_on_where_the_last_one_was(rng: np.random.Generator) -> None:
+    q, widths = walk(rng, 300), np.array([0.4])
+    time = np.arange(300) / 100
+    follow, found = Follower(widths), np.zeros((1, 300))
+    for begin in range(0, 300, 60):
+        part = slice(max(begin - 20, 0), begin + 60)
+        found[:, part] = follow(time[part], q[part])
+    np.testing.assert_allclose(found, stop(q, widths, np.zeros(1)), atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def result() -> gtau.Result:
+    return gtau.identify(robot(), experiment(SHAPES, VALUES))
+
+
+def test_terms_and_parameters_are_found(result: gtau.Result) -> None:
+    left, right = result.curves["left"], result.curves["right"]
+    assert set(left.evidence) == {"presliding", "load"}
+    assert set(right.evidence) == {"bent"}
+    assert right.width is None
+    assert left.speed is None
+    truth = PLAIN | VALUES
+    for each in (*left.parameters.values(), *right.parameters.values()):
+        low, high = each.interval(0.999)
+        assert low <= truth[each.name] <= high, each
+    low, high = left.width.interval(0.999)
+    assert low < 1.5e-3 < high
+    low, high = right.speed.interval(0.999)
+    assert low < 0.2 < high
+
+
+def test_every_sample_is_predicted_better_than_by_the_plain_law(result: gtau.Result) -> None:
+    check = run("check", SHAPES, VALUES, seed=7)
+    plain = replace(result, curves={})
+    for found, before in zip(result.validate(check), plain.validate(check), strict=True):
+        assert found.relative_all < 0.5 * before.relative_all
+        assert found.relative_all < 1.2 * found.relative + 0.3
+    prediction = result.predict(check)
+    assert len(prediction.time) == len(check.time)
+    assert prediction.keep.mean() < 0.85 < 0.95 < prediction.valid.mean()
+
+
+def test_friction_moves_no_gain(result: gtau.Result, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gains, parameters and their intervals are those of an identification without the step."""
+    import gtau.estimation.identify as module
+
+    without = replace(DEFAULT, all_samples=False)
+    monkeypatch.setattr(module, "estimate", lambda data, e, given, _, *more: estimate(data, e, given, without, *more))
+    plain = gtau.identify(robot(), experiment(SHAPES, VALUES))
+    assert plain.curves == {}
+    assert dict(plain.drive_gains) == dict(result.drive_gains)
+    assert dict(plain.parameters) == dict(result.parameters)
+
+
+def test_plain_friction_stays_plain() -> None:
+    found = gtau.identify(robot(), experiment({}, {}, seed=11))
+    for curve in found.curves.values():
+        assert curve.evidence == {}
+        assert (curve.width, curve.speed) == (None, None)
+
+
+def test_a_model_file_holds_the_curves_and_older_ones_are_read(result: gtau.Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "model.json")
+    again = gtau.Result.load(tmp_path / "model.json")
+    assert again.curves == dict(result.curves)
+    assert again.friction_law.shapes == result.friction_law.shapes
+    document = json.loads((tmp_path / "model.json").read_text())
+    del document["curves"]
+    (tmp_path / "old.json").write_text(json.dumps(document | {"schema": "gtau-model/2"}))
+    assert gtau.Result.load(tmp_path / "old.json").curves == {}
+
+
+def test_friction_of_curves_takes_energy_at_every_speed_and_load(result: gtau.Result, rng: np.random.Generator) -> None:
+    model = five_bar()
+    law = FrictionLaw(model, {}, result.friction_law.shapes)
+    values = {name: each.value or 0.0 for name, each in result.friction_parameters.items()}
+    yd, load = 20 * rng.normal(size=(model.layout.n_y, 300)), 200 * rng.normal(size=(2, 300))
+    forces, speeds = (np.stack(each) for each in law.forces(np, values, yd, load))
+    assert (forces * speeds >= 0).all()
