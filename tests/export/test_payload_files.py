@@ -14,7 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import gtau
-from gtau.cli.identification import CONTROLLERS
+from gtau.cli.identification import CONTROLLERS, _exported
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import QUANTITIES, UNITS, PayloadBody
@@ -116,6 +116,24 @@ def test_what_is_not_measured_is_said(kind: str, tmp_path: Path) -> None:
 
 def test_every_kind_is_listed_written_and_spelled() -> None:
     assert list(PAYLOAD_KINDS) == list(WRITERS) == list(READERS) == CONTROLLERS.split(", ")
+
+
+def test_a_payload_weighed_twice_has_two_files(tmp_path: Path) -> None:
+    heavier = RigidBody(3.0, BODY.center, BODY.inertia)
+    done = _exported([payload(), payload(heavier)], "ur", tmp_path)
+    first, second = (each.files[0].read_text() for each in done)
+    assert "(2.5537, [" in first
+    assert "(3.0, [" in second
+
+
+def test_numbers_have_no_exponents(tmp_path: Path) -> None:
+    small = RigidBody(2.0, np.array([1e-9, 0.0, -2.5e-7]), np.diag([1e-5, 2e-5, 2e-5]))
+    for kind in ("ur", "kuka", "abb"):
+        (file,) = gtau.export_payload(payload(small), kind, tmp_path).files
+        assert not re.search(r"\de[-+]\d", file.read_text())
+    _, center, inertia = urscript(tmp_path)
+    assert center.tolist() == small.center.tolist()
+    assert inertia.tolist() == small.inertia.tolist()
 
 
 @pytest.mark.parametrize(

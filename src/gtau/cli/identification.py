@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import textwrap
+from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +30,10 @@ from gtau.cli.console import (
 )
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError, missing_extra
+
+if TYPE_CHECKING:
+    from gtau.estimation.results.payload_body import PayloadBody
+    from gtau.export.exported import Exported
 
 CONTROLLERS = "ur, franka, kuka, abb, ros"  # the PAYLOAD_KINDS of the registry, which --help need not import
 
@@ -233,7 +240,6 @@ def payload(
             from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
             from gtau.estimation.weigh import exact_gains, weigh
-            from gtau.export.registry import export_payload
             from gtau.report.evidence import settings_of
             from gtau.report.validation import bodies_document, weighing_page, weighing_report
             from gtau.report.write import inputs_of, write_report
@@ -254,8 +260,7 @@ def payload(
             inputs = (("model", model), *inputs_of(experiment, described))
             settings = {**settings_of(result), "drive gains": gains.value}
             written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings)]
-            for body in bodies if to is not None else ():
-                exported = export_payload(body, str(to), out)
+            for exported in () if to is None else _exported(bodies, to, out):
                 written += exported.files
                 notes += exported.notes
         if json_:
@@ -271,8 +276,18 @@ def payload(
             )
         else:
             show(weighing_page(result, found, gains.value, exact, bodies), written)
-            if notes:
-                typer.echo("\n".join(f"- {each}" for each in notes))
+            for each in notes:
+                typer.echo(textwrap.fill(f"- {each}", 80, subsequent_indent="  "))
+
+
+def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
+    """Write payloads for a controller, each weighing to its own files."""
+    from gtau.export.names import identifier
+    from gtau.export.registry import export_payload
+    from gtau.report.check import unique_names
+
+    names = unique_names([identifier(each.name) for each in bodies])
+    return [export_payload(replace(each, name=name), to, out) for each, name in zip(bodies, names, strict=True)]
 
 
 def fleet(

@@ -137,7 +137,7 @@ WRITERS: Mapping[str, tuple[Callable[[str, RigidBody, str], Mapping[str, str]], 
 
 
 def _number(value: float) -> str:
-    return repr(float(value))
+    return str(np.format_float_positional(value, trim="0"))  # all digits; not every controller reads exponents
 
 
 def _listed(values: np.ndarray | list[float]) -> str:
