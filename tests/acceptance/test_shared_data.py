@@ -186,6 +186,7 @@ def test_ur10e_consistent_parameters_predict_no_worse(folder: Path, shared: Path
     assert np.sqrt(np.mean(np.square(growth))) < 1.0
 
 
+@pytest.mark.slow
 def test_tx40_as_the_page_says(folder: Path) -> None:
     """Torques are taken for what they are, and explained as well as said."""
     result = identify(folder / "tx40.yaml")

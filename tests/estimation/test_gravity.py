@@ -146,6 +146,7 @@ def test_healthy_robots_keep_their_gravity(robot: Robot, currents: bool) -> None
     assert found(robot, logged(robot, robot.gravity, currents, seconds=5.0)) is None
 
 
+@pytest.mark.slow
 def test_a_tracker_whose_vertical_is_another(tmp_path: Path) -> None:
     """Of a base that floats gravity is in the axes of the logged poses."""
     path = experiment(tmp_path, f"{{body: trunk, {POSE}, wrenches: [{AT_HOOK}]}}", simulated(3))

@@ -16,7 +16,7 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 import gtau.estimation
 from gtau.errors import GtauError
 from gtau.estimation import thresholds
-from gtau.estimation.compare import EstimatorComparison, compare
+from gtau.estimation.compare import compare
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators.registry import ESTIMATORS, NAMES
 from gtau.estimation.identify import identify
@@ -37,11 +37,6 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "experiment.yaml"
 
 
-@pytest.fixture(scope="module")
-def comparison(experiment: Path) -> EstimatorComparison:
-    return compare(experiment)
-
-
 @pytest.mark.parametrize(
     "method",
     [
@@ -51,8 +46,9 @@ def comparison(experiment: Path) -> EstimatorComparison:
         *(pytest.param(m, marks=pytest.mark.slow) for m in ESTIMATORS if m not in ("ml", "tls", "wls")),
     ],
 )
-def test_compare_says_what_identify_says(method: str, experiment: Path, comparison: EstimatorComparison) -> None:
-    row = next(row for row in comparison.rows if row.method == method)
+def test_compare_says_what_identify_says(method: str, experiment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gtau.estimation.compare.ESTIMATORS", {method: ESTIMATORS[method]})
+    (row,) = compare(experiment).rows
     if row.refusal:
         with pytest.raises(GtauError, match=re.escape(row.refusal)):
             identify(experiment, method=method)
@@ -64,10 +60,6 @@ def test_compare_says_what_identify_says(method: str, experiment: Path, comparis
         np.testing.assert_allclose(row.std, [gain.std for gain in gains], rtol=1e-9)
         assert row.outcome == worst([gain.verdict for gain in gains])
         assert row.outcome != "good"
-
-
-def test_every_estimator_is_compared(comparison: EstimatorComparison) -> None:
-    assert [row.method for row in comparison.rows] == list(ESTIMATORS)
 
 
 def test_the_command_line_offers_every_estimator() -> None:

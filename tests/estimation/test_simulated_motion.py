@@ -253,7 +253,7 @@ def test_refusals(clean: list[Run]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "decimation"), [("iv", None), pytest.param("didim", None, marks=pytest.mark.slow), ("didim", 4)]
+    ("method", "decimation"), [*(pytest.param(m, None, marks=pytest.mark.slow) for m in ("iv", "didim")), ("didim", 4)]
 )
 def test_gains_of_the_orthoglide_logs(method: str, decimation: int | None, shared: Path, tmp_path: Path) -> None:
     """Rows that hold more than four bandwidths of the motion need a reference that does."""

@@ -89,6 +89,7 @@ def test_deviations_expected_are_those_of_100_simulated_experiments(found: Desig
     assert np.abs(gains.mean(axis=0) - found.task.gains).max() < 4 * expected.max() / 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "robot", ["orthoglide", *(pytest.param(name, marks=pytest.mark.slow) for name in ("delta", "ur10e"))]
 )

@@ -101,7 +101,9 @@ RADIANS = '<compiler angle="radian"/>'
         ({"turn": 'axisangle="0 0 1 3.1416"'}, "axisangle of body 'a' (line 2: 3.1416)"),
         ({"limits": 'range="-1.57 90"'}, "range of joint 'j' (line 2: -1.57)"),
         ({"turn": 'euler="0 45 0"', "limits": 'range="-90 90"'}, ""),
-        ({"turn": 'euler="0 1.57 0"', "limits": 'range="-3.14 3.14"', "compiler": RADIANS}, ""),
+        ({"turn": 'euler="0 1.57 0"', "limits": 'range="-3.14 3.14"', "compiler": RADIANS},
+         "rounded angles, such as 1.5708, were taken as the multiples of 15 degrees that they stand for, changed by up "
+         "to 0.0008 rad: 'a'"),
     ],
 )  # fmt: skip
 def test_odd_mjcf_files(changed: dict[str, str], said: str, tmp_path: Path) -> None:

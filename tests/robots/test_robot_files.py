@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
+from gtau.robots.geometry import exact_angle
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import native_text, write_native
 from gtau.robots.readers.read import catalog_names
@@ -202,7 +203,7 @@ def test_who_is_actuated(tmp_path: Path) -> None:
 names = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=8).filter(
     lambda name: name.isprintable() and name not in (GROUND, "b", "P")
 )
-numbers = st.floats(-1e3, 1e3).filter(lambda number: not in_degrees(number))
+numbers = st.floats(-1e3, 1e3).filter(lambda number: not in_degrees(number) and exact_angle(number) == number)
 triples = st.tuples(numbers, numbers, numbers)
 placements = st.builds(Mdh, *6 * [numbers]) | st.builds(Pose, triples, triples)
 positive = st.none() | st.floats(1e-3, 1e3)
@@ -703,22 +704,27 @@ def test_limits_that_leave_no_way_are_dropped_with_a_note(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("written", "quarters"),
-    [("1.5708", 1), ("-1.57", -1), ("3.14159", 2), ("3.14", 2), ("1.57079637050", 1), ("1.5707", 1),
-     ("1.5712", None), ("1.5688", None), ("0.001", None), ("0.785", None)],
+    ("written", "degrees"),
+    [("1.5708", 90), ("-1.57", -90), ("3.14159", 180), ("3.14", 180), ("1.57079637050", 90), ("1.5707", 90),
+     ("0.785", 45), ("0.7854", 45), ("-0.52360", -30), ("2.0944", 120), ("0.2617", 15), ("1.30899694", 75), ("3e-7", 0),
+     ("1.5712", None), ("1.5688", None), ("0.001", None), ("0.786", None), ("0.79", None), ("0.26", None),
+     ("0.7855", None), ("0.785401", None), ("1e-5", None), ("1.5e-5", None)],
 )  # fmt: skip
-def test_angles_written_short(written: str, quarters: int | None, tmp_path: Path) -> None:
-    """What stands for quarters of a turn is taken for them, with a note; calibrated angles stay as they are."""
-    angle = float(written) if quarters is None else quarters * np.pi / 2
+def test_angles_written_short(written: str, degrees: int | None, tmp_path: Path) -> None:
+    """What stands for multiples of 15 degrees is taken for them, with a note; calibrated angles stay as they are."""
+    angle = float(written) if degrees is None else np.radians(degrees)
     (tmp_path / "arm.csv").write_text(f"j,a,mu,sigma,gamma,b,alpha,d,theta,r\n1,0,1,0,0,0,{written},0,0,0\n")
     robot = load_robot(tmp_path / "arm.csv")
-    assert robot.joints[0].placement == Mdh(alpha=angle)
-    assert len(robot.notes) == (quarters is not None)
+    assert robot.joints[0].placement.alpha == pytest.approx(angle, abs=1e-15)
+    assert len(robot.notes) == (degrees is not None)
     origin = f'<origin xyz="0 0 0" rpy="{written} 0 0"/>'
     (tmp_path / "arm.urdf").write_text(arm(HINGE.format(origin)))
     robot = load_robot(tmp_path / "arm.urdf")
-    assert robot.joints[0].placement == Pose(rpy=(angle, 0.0, 0.0))
-    assert len(robot.notes) == (quarters is not None)
+    assert robot.joints[0].placement.rpy == pytest.approx((angle, 0.0, 0.0), abs=1e-15)
+    assert len(robot.notes) == (degrees is not None)
+    robot = read(f"robot: r\njoints:\n  j: {{antecedent: ground, alpha: {written}, theta: q}}\n", tmp_path)
+    assert robot.joints[0].placement.alpha == pytest.approx(angle, abs=1e-15)
+    assert len(robot.notes) == (degrees is not None)
 
 
 @pytest.mark.parametrize("key", ["alpha: 90", "gamma: -45", "theta: q + 180", "theta: q, home: 30"])

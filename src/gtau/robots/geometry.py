@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from decimal import Decimal
 from math import atan2, cos, pi, sin
 
 import numpy as np
 
-from gtau.robots.robot import GROUND, Attachment, Placement, Pose, Robot
+from gtau.robots.robot import GROUND, Attachment, Mdh, Placement, Pose, Robot
 
 ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
 
 NEARLY = 1e-6  # rad: angles in single precision
 SHORT = 2e-3  # rad: 3.14 stands for pi
+MEANT = 1e-3  # rad: with fewer decimals, 0.79 or 0.26 need not stand for a multiple of pi/12
 
 SAME = 9  # decimals that two legs share, of lengths in m and of directions
 
@@ -49,31 +52,76 @@ def pose_of(rotation: np.ndarray, position: np.ndarray) -> Pose:
 
 
 def exact_angle(angle: float) -> float:
-    """Return the multiple of pi/2 that an angle in a file stands for, or the angle itself.
+    """Return the multiple of pi/12 (15 degrees) that an angle in a file stands for, or the angle itself.
 
-    Files give pi/2 with fewer digits (1.5708, 1.571, 1.57) or in single precision. An angle is taken for a multiple if
-    it is within 1e-6 of it, or one in the last of its digits and 2e-3 rad: a calibrated angle differs by more.
+    Files give pi/2 with fewer digits (1.5708, 1.571, 1.57) or in single precision, pi/4 as 0.7854. An angle is taken
+    for a multiple if it is within 1e-6 of it, or if it is that multiple rounded or cut off to its digits: two decimals
+    for multiples of pi/2, three for the others. A calibrated angle differs by more.
     """
-    multiple = round(angle / (pi / 2)) * (pi / 2)
-    digits = repr(float(angle)).partition(".")[2]
-    unit = 0.0 if "e" in digits else min(10.0 ** -len(digits), SHORT)
-    return multiple if abs(angle - multiple) < max(NEARLY, unit) else float(angle)
+    multiple = round(angle / (pi / 12)) * (pi / 12)
+    off, unit = abs(multiple) - abs(angle), smallest_unit([angle])
+    quarter = round(angle / (pi / 12)) % 6 == 0
+    cut = -unit / 2 <= off < unit and (abs(off) < SHORT if quarter else unit <= MEANT)
+    return multiple if abs(off) < NEARLY or cut else float(angle)
 
 
-def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, bool]:
-    """Return the pose that a file gives, and whether an angle in it was written short (see :func:`exact_angle`)."""
+def smallest_unit(numbers: Iterable[float]) -> float:
+    """Return the unit of the last digit that the longest of numbers is written with, zeros not counted."""
+    exponents = [int(Decimal(repr(float(number))).as_tuple().exponent) for number in numbers if number]
+    return 10.0 ** min(exponents, default=0)
+
+
+def exact_rotation(rotation: np.ndarray) -> np.ndarray:
+    """Compute the rotation (3, 3) by the multiples of pi/12 that are nearest to roll, pitch and yaw of another."""
+    return Pose(rpy=tuple(round(angle / (pi / 12)) * (pi / 12) for angle in angles_of(rotation))).rotation  # type: ignore[arg-type]
+
+
+def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, float]:
+    """Return the pose that a file gives, and by how much (rad) an angle in it was changed (see :func:`exact_angle`)."""
     given = tuple(rpy)
     angles = tuple(map(exact_angle, given))
-    short = any(abs(angle - exact) > ROUNDING for angle, exact in zip(given, angles, strict=True))
-    return rounded_pose(xyz, angles), short
+    return rounded_pose(xyz, angles), largest_change(given, angles)
 
 
-def short_angles_note(names: Iterable[str]) -> tuple[str, ...]:
-    """Note the joints whose angles a file writes short; none where there are no such."""
-    if not (listed := list(names)):
+def largest_change(given: Iterable[float], taken: Iterable[float]) -> float:
+    """Return the largest difference of angles, zero where it is but rounding in double precision."""
+    change = max((abs(a - b) for a, b in zip(given, taken, strict=True)), default=0.0)
+    return change if change > ROUNDING else 0.0
+
+
+def short_angles_note(changes: Mapping[str, float]) -> tuple[str, ...]:
+    """Note the places whose angles a file writes short, with the largest change, rad; none where there are no such."""
+    if not (listed := [name for name, change in changes.items() if change]):
         return ()
     shown = ", ".join(f"'{name}'" for name in listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")
-    return (f"rounded angles, such as 1.5708, were taken as multiples of pi/2: joint {shown}",)
+    return (
+        "rounded angles, such as 1.5708, were taken as the multiples of 15 degrees that they stand for, changed by up "
+        f"to {max(changes.values()):.2g} rad: {shown}",
+    )
+
+
+def with_exact_angles(robot: Robot) -> Robot:
+    """Take the angles of placements that are written short as exact, with a note (see :func:`exact_angle`)."""
+    changes: dict[str, float] = {}
+
+    def exact(name: str, placement: Placement) -> Placement:
+        if isinstance(placement, Mdh):
+            given: tuple[float, ...] = (placement.gamma, placement.alpha, placement.theta)
+            gamma, alpha, theta = map(exact_angle, given)
+            taken: Placement = replace(placement, gamma=gamma, alpha=alpha, theta=theta)
+            change = largest_change(given, (gamma, alpha, theta))
+        else:
+            taken, change = written_pose(placement.xyz, placement.rpy)
+        changes[name] = max(change, changes.get(name, 0.0))
+        return taken if change else placement
+
+    def end(at: Attachment) -> Attachment:
+        return replace(at, placement=exact(at.body, at.placement))
+
+    joints = tuple(replace(joint, placement=exact(joint.name, joint.placement)) for joint in robot.joints)
+    closures = tuple(replace(each, a=end(each.a), b=end(each.b)) for each in robot.closures)
+    notes = short_angles_note(changes)
+    return replace(robot, joints=joints, closures=closures, notes=(*robot.notes, *notes)) if notes else robot
 
 
 def compose(first: Placement, second: Placement) -> Pose:

@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.geometry import ROUNDING, compose, exact_angle, short_angles_note
+from gtau.robots.geometry import compose, exact_angle, largest_change, short_angles_note
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Robot
 from gtau.robots.units import DEGREES_ADVICE, in_degrees
@@ -22,8 +22,8 @@ class MdhRow:
     """A frame of a table, placed in the frame of its antecedent.
 
     ``sigma`` is 0 for a revolute joint, 1 for a prismatic one and 2 for a fixed frame; ``mu`` is 1 where a motor acts.
-    ``placement`` has the constant that the joint coordinate is added to in ``theta`` or ``r``; ``short`` says that an
-    angle in it was written short, see :func:`gtau.robots.geometry.exact_angle`.
+    ``placement`` has the constant that the joint coordinate is added to in ``theta`` or ``r``; ``short`` is by how
+    much (rad) an angle in it was changed, see :func:`gtau.robots.geometry.exact_angle`.
     """
 
     name: str
@@ -31,7 +31,7 @@ class MdhRow:
     mu: int
     sigma: int
     placement: Mdh
-    short: bool
+    short: float
 
 
 def moving_parameter(name: str, sigma: float) -> str | None:
@@ -62,7 +62,7 @@ def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: S
         if in_degrees(angle):
             raise GtauError(f"{key} of joint '{name}' is {angle:g}; angles are in rad, so {DEGREES_ADVICE}.")
     angles = [exact_angle(angle) for angle in (gamma, alpha, theta)]
-    short = any(abs(a - b) > ROUNDING for a, b in zip(angles, (gamma, alpha, theta), strict=True))
+    short = largest_change((gamma, alpha, theta), angles)
     placement = Mdh(angles[0], b, angles[1], d, angles[2], r)
     return MdhRow(name, antecedent, int(mu), int(sigma), placement, short)
 
@@ -129,7 +129,7 @@ def read_mdh_csv(path: str | Path) -> Robot:
         if not rows:
             raise GtauError("no joint is listed; write a line for each below the header.")
         joints, _ = table_joints(rows)
-        notes = short_angles_note(row.name for row in rows if row.short)
+        notes = short_angles_note({row.name: row.short for row in rows})
         return Robot(path.stem, joints, source=path.name, notes=notes)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None

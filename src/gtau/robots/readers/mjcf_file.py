@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.robots.geometry import SHORT, pose_of
+from gtau.robots.geometry import (
+    MEANT,
+    SHORT,
+    exact_angle,
+    exact_rotation,
+    largest_change,
+    pose_of,
+    short_angles_note,
+    smallest_unit,
+)
 from gtau.robots.readers.xml_document import LARGEST, decimals, line_of, read_xml
 from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
 from gtau.robots.units import in_degrees
@@ -210,6 +219,36 @@ def _is_limited(spec: mujoco.MjSpec, tendon: mujoco.MjsTendon) -> bool:
     return kind == mujoco.mjtLimited.mjLIMITED_TRUE
 
 
+def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Take orientations that are written short as those they stand for, in ``spec``, and note it."""
+    import mujoco
+
+    def exact(element: Any) -> float:
+        kind, radian = element.alt.type, not spec.compiler.degree
+        if kind == mujoco.mjtOrientation.mjORIENTATION_EULER and radian:
+            given = np.array(element.alt.euler)
+            element.alt.euler = taken = np.array([exact_angle(angle) for angle in given])
+            return largest_change(given, taken)
+        if kind == mujoco.mjtOrientation.mjORIENTATION_AXISANGLE and radian:
+            given = np.array(element.alt.axisangle)
+            element.alt.axisangle = taken = np.array([*given[:3], exact_angle(given[3])])
+            return largest_change(given, taken)
+        written = np.array(element.quat)
+        if kind != mujoco.mjtOrientation.mjORIENTATION_QUAT or (unit := smallest_unit(written)) > MEANT:
+            return 0.0
+        rotation = rotation_in(written).as_matrix()
+        turned = exact_rotation(rotation)
+        meant = type(rotation_in(written)).from_matrix(turned).as_quat(scalar_first=True)
+        meant *= np.copysign(1.0, meant @ written)
+        if np.abs(written - meant).max() >= unit:
+            return 0.0
+        element.quat = meant
+        return largest_change([np.linalg.norm(rotation - turned) / np.sqrt(2)], [0.0])
+
+    placed = (*spec.bodies[1:], *spec.frames, *spec.sites)
+    return short_angles_note({each.name or f"unnamed {k}": exact(each) for k, each in enumerate(placed, start=1)})
+
+
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``.
 
@@ -234,6 +273,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         _name_tendons(spec, elements)
         biased = _biased(spec, elements)
         springs, notes = _springs(spec, elements, biased)
+        notes += _with_exact_orientations(spec)
         parts = [each for force in biased.values() for each in force.actuators]
         actuators = [
             (each.name, each.trntype, each.target, float(each.gear[0]))

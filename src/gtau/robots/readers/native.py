@@ -12,6 +12,7 @@ from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document, parse_yaml, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.floating import base_joints
+from gtau.robots.geometry import with_exact_angles
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.robot import (
     DAMPING,
@@ -230,11 +231,11 @@ def read_native(path: str | Path) -> Robot:
     GtauError
         The file cannot be read or describes no robot; says file, line and key, and what to write instead.
     """
-    return _robot(read_yaml(path))
+    return with_exact_angles(_robot(read_yaml(path)))
 
 
 def parse_native(text: str, path: str | Path) -> Robot:
-    """Read a robot from the text of a robot file; as :func:`read_native`, with ``path`` for the messages."""
+    """Read a robot from the text of a robot file; with angles as they stand there; ``path`` is for messages."""
     return _robot(parse_yaml(text, path))
 
 

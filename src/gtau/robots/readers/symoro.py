@@ -80,7 +80,7 @@ def _robot(text: str, path: Path) -> Robot:
         Closure("weld", Attachment(str(cut)), frames[str(cut + joints - links)]) for cut in range(links + 1, joints + 1)
     )
     gravity, notes = _gravity(entries, constants)
-    notes += short_angles_note(row.name for row in rows if row.short)
+    notes += short_angles_note({row.name: row.short for row in rows})
     if not any(joint.actuated for joint in tree) and links == joints:
         tree = tuple(replace(joint, actuated=True) for joint in tree)
         notes += ("no joint has mu = 1, so all were taken as driven by motors",)

@@ -53,7 +53,7 @@ class _Edge:
     parent: str
     child: str
     origin: Pose
-    short: bool  # whether an angle of its origin is written short
+    short: float  # by how much (rad) an angle of its origin was changed
     element: Element
 
 
@@ -141,7 +141,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
         carried = _carried(ordered)
         notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
-        notes += (*_reduction_notes(root), *short_angles_note(edge.name for edge in ordered if edge.short))
+        notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
         return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
@@ -322,10 +322,10 @@ def _reduction_notes(root: Element) -> Iterator[str]:
         )
 
 
-def _origin(element: Element, name: str) -> tuple[Pose, bool]:
+def _origin(element: Element, name: str) -> tuple[Pose, float]:
     origin = element.find("origin")
     if origin is None:
-        return Pose(), False
+        return Pose(), 0.0
     xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
     if degrees := [angle for angle in rpy if in_degrees(angle)]:
         raise GtauError(
