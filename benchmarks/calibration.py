@@ -21,7 +21,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from realism.departures import DEPARTURES
+from realism.departures import DEPARTURES, MOTIONS
 from realism.logs import make_logs
 from realism.pairs import pairs
 from realism.plants import PLANTS
@@ -40,7 +40,8 @@ REAL = "real"
 class Gain:
     """A drive gain as it was found, and what it is compared with.
 
-    ``low`` and ``high`` bound the 95 % interval, ``random_half`` is half the interval of the random part alone.
+    ``low`` and ``high`` bound the 95 % interval, ``random_std`` and ``random_half`` are the standard deviation and
+    half the interval of the random part alone.
     """
 
     joint: str
@@ -51,6 +52,7 @@ class Gain:
     low: float
     high: float
     random_half: float
+    random_std: float
     outcome: str
 
 
@@ -60,12 +62,12 @@ def gain_of(joint: str, gain: Estimate, truth: float, truth_std: float = 0.0) ->
     # the random part has fewer degrees of freedom than the sum, of which the model part counts as known
     freedom = np.inf if gain.freedom is None else gain.freedom * (random / gain.std) ** 4
     half = random * float(stdtrit(min(freedom, 1e9), 0.975))
-    return Gain(joint, truth, truth_std, gain.value, gain.std, low, high, half, gain.verdict.outcome.value)
+    return Gain(joint, truth, truth_std, gain.value, gain.std, low, high, half, random, gain.verdict.outcome.value)
 
 
 def simulated(robot: str, departure: str, seed: int) -> list[Gain]:
     """Gains found from one experiment."""
-    plant, what = PLANTS[robot], DEPARTURES[departure]
+    plant, what = PLANTS[robot], (DEPARTURES | MOTIONS)[departure]
     runs, gains = make_logs(plant, what, seed)
     told = plant.model.robot if what.robot is None else what.robot(plant.model.robot)
     with threadpool_limits(1, "blas"):
@@ -73,9 +75,9 @@ def simulated(robot: str, departure: str, seed: int) -> list[Gain]:
     return [gain_of(joint, gain, float(truth)) for (joint, gain), truth in zip(found.items(), gains, strict=True)]
 
 
-def experiments(robots: list[str], seeds: int, clean: int, only: str) -> Iterator[tuple[str, str, int]]:
+def experiments(robots: list[str], seeds: int, clean: int, only: str, motions: bool) -> Iterator[tuple[str, str, int]]:
     for robot in robots:
-        for name in DEPARTURES:
+        for name in MOTIONS if motions else DEPARTURES:
             if only in name:
                 yield from ((robot, name, seed) for seed in range(clean if name == "none" else seeds))
 
@@ -86,6 +88,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="experiments of each robot and departure")
     parser.add_argument("--clean", type=int, default=1, help="experiments of each robot without a departure")
     parser.add_argument("--only", default="", help="departures whose name contains this")
+    parser.add_argument("--motions", action="store_true", help="runs that repeat a motion, and runs that do not")
     parser.add_argument("--store", type=Path, default=Path("calibration.jsonl"))
     parser.add_argument("--resume", action="store_true", help="keep what stands in the store")
     parser.add_argument("--page", type=Path, help="the page whose tables are replaced")
@@ -96,7 +99,11 @@ def main() -> None:
     done = read(options.store)
     names = [robot for robot in options.robots if robot != REAL]
     stands = {(each["robot"], each["departure"], each["seed"]) for each in done}
-    todo = [each for each in experiments(names, options.seeds, options.clean, options.only) if each not in stands]
+    todo = [
+        each
+        for each in experiments(names, options.seeds, options.clean, options.only, options.motions)
+        if each not in stands
+    ]
     for number, (robot, departure, seed) in enumerate(todo, start=1):
         begin = process_time()
         record = {"robot": robot, "departure": departure, "seed": seed, "gains": [], "refusal": ""}

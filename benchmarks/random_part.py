@@ -1,10 +1,13 @@
 """Monte Carlo coverage of the 95 % intervals of gains and main parameters.
 
     python benchmarks/random_part.py orthoglide ur10e --repetitions 300
+    python benchmarks/random_part.py five-bar orthoglide ur10e --repeat --errors white waves load --repetitions 100
 
 Four runs of a robot of the catalog (or of a robot file), two of them with a known payload, are made again and again
 with new errors, and identified with the default estimator. The motions stay the same: errors of the currents change
 no regressor, so its rows are computed once and factorised; errors of positions and clocks take the whole way each time.
+With ``--repeat`` runs with the payload repeat the motions of those without, and a second line has the intervals of a
+jackknife that leaves out stretches of one run at a time.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from gtau.estimation.regression.equations import SIGNALS, STRETCHES, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.stretches import stretch_of
 from gtau.estimation.regression.system import System
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -49,8 +53,9 @@ LOADED = (False, False, True, True)
 NOISE = 0.01  # of a joint's rms current, unless said otherwise
 QUIET = 0.003
 MAIN = 10.0  # a main parameter is so many standard deviations from zero
-MODELS = ("white", "coloured", "drift", "ripple", "waves", "rounding", "jitter")
+MODELS = ("white", "coloured", "drift", "ripple", "waves", "load", "rounding", "jitter")
 WAVES = 0.03  # of a joint's rms current: long ripple
+LOAD = 0.05  # of what the links take: largest friction that depends on the load
 
 
 def links(robot: Robot, rng: np.random.Generator) -> dict[str, float]:
@@ -77,7 +82,7 @@ class Case:
     truth: dict[str, float]
 
 
-def make_case(source: str) -> Case:
+def make_case(source: str, repeated: bool = False) -> Case:
     robot = load_robot(source)
     model, rng = InverseDynamics(robot), np.random.default_rng(SEED)
     if source == "orthoglide":
@@ -90,15 +95,17 @@ def make_case(source: str) -> Case:
     within = envelope(robot, 0.7)
     motors = {f"{kind}_{joint}" for kind in ("fv", "fs") for joint in robot.actuated}
     payload = Payload(name="known", mass=2.0)
-    paths, torques, friction = [], [], []
+    paths, positions, torques, friction = [], [], [], []
     for k, loaded in enumerate(LOADED):
-        motion = (sines, point_to_point)[k % 2](within, SECONDS, rng)(time)
+        if k < 2 or not repeated:
+            paths.append((sines, point_to_point)[k % 2](within, SECONDS, rng)(time))
+        motion = paths[-1] if not repeated else paths[k % 2]
         carried = {**chi, f"m_{robot.tool}": chi.get(f"m_{robot.tool}", 0.0) + 2.0 * loaded}
-        paths.append(motion[0])
+        positions.append(motion[0])
         torques.append(model.torques(*motion, carried))
         friction.append(model.torques(*motion, {name: chi[name] for name in motors}))
     gains = np.sqrt(np.mean(np.concatenate(torques) ** 2, axis=0))  # about 1 A rms
-    return Case(model, time, tuple(paths), tuple(torques), tuple(friction), gains, payload, chi)
+    return Case(model, time, tuple(positions), tuple(torques), tuple(friction), gains, payload, chi)
 
 
 def spoilt(case: Case, errors: str, rng: np.random.Generator) -> Iterator[Run]:
@@ -107,8 +114,9 @@ def spoilt(case: Case, errors: str, rng: np.random.Generator) -> Iterator[Run]:
     drift = 0.02 * rng.standard_normal((count, n))
     drift -= drift.mean(axis=0)  # the parameters stand for the mean of the runs
     low, high = (end([end(q, axis=0) for q in case.paths], axis=0) for end in (np.min, np.max))
-    if errors == "waves":  # the same in all runs
-        periods, phase = rng.uniform(0.5, 3.0, n), rng.uniform(size=n)
+    # the same in all runs
+    periods, phase = rng.uniform(0.5, 3.0, n) if errors == "waves" else np.full(n, 40.0), rng.uniform(size=n)
+    rub = rng.uniform(0.0, LOAD, n)
     for k in range(count):
         time, q = case.time, case.paths[k]
         current = case.torques[k] / case.gains
@@ -120,11 +128,12 @@ def spoilt(case: Case, errors: str, rng: np.random.Generator) -> Iterator[Run]:
             current = current + NOISE * _coloured(rng, *q.shape)
         elif errors == "drift":
             current = current + drift[k] * case.friction[k] / case.gains
-        elif errors == "ripple":
-            turns = 40 * (q - q.min(axis=0)) / np.ptp(q, axis=0) + rng.uniform(size=n)
-            current = current + NOISE * np.sin(2 * np.pi * turns)
-        elif errors == "waves":
-            current = current + WAVES * np.sin(2 * np.pi * (periods * (q - low) / (high - low) + phase))
+        elif errors in ("ripple", "waves"):
+            wave = np.sin(2 * np.pi * (periods * (q - low) / (high - low) + phase))
+            current = current + (WAVES if errors == "waves" else NOISE) * wave
+        elif errors == "load":
+            links = np.abs(case.torques[k] - case.friction[k])
+            current = current + rub * links * np.sign(np.gradient(q, time, axis=0)) / case.gains
         elif errors == "rounding":
             quantum = np.ptp(q, axis=0) / 2**16
             q = quantum * np.round(q / quantum + rng.uniform(size=n))
@@ -161,8 +170,7 @@ def fix(data: Dataset, k: int) -> Fixed:
     regressor = data.model.columns(data.base.standard)
     parts = list(stream_rows(data.model, regressor, prepared, decimator))
     entries, keep = np.hstack([p.entries for p in parts]), np.hstack([p.keep for p in parts])
-    outputs = entries.shape[1]
-    stretch = np.arange(outputs) * STRETCHES // outputs
+    stretch = stretch_of(data.edges[k], entries.shape[1])
     rows = []
     for s in range(STRETCHES):
         of_joints = []
@@ -203,7 +211,8 @@ def refactor(data: Dataset, fixed: Fixed, run: Run) -> Factors:
 class Repetition:
     """Errors, random standard deviations and their degrees of freedom.
 
-    ``told`` says which delays have a standard deviation, (n,).
+    ``told`` says which delays have a standard deviation, (n,); ``apart`` are the standard deviations of a jackknife
+    that leaves out stretches of one run at a time, and ``apart_freedom`` their degrees of freedom.
     """
 
     names: tuple[str, ...]
@@ -211,6 +220,8 @@ class Repetition:
     std: np.ndarray
     freedom: np.ndarray
     told: np.ndarray
+    apart: np.ndarray
+    apart_freedom: np.ndarray
 
 
 def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
@@ -218,7 +229,7 @@ def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
     with threadpool_limits(1):
         exact = list(spoilt(case, "none", np.random.default_rng(0)))
         data = reduce_runs(case.model.robot, exact)
-        slow = errors in ("waves", "rounding", "jitter")
+        slow = errors in ("rounding", "jitter")
         fixed = [] if slow else [fix(data, k) for k in range(len(exact))]
         found = []
         for seed in seeds:
@@ -226,7 +237,7 @@ def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
             if slow:
                 now = reduce_runs(case.model.robot, runs, data.preparation)
             else:
-                now = replace(data, factors=tuple(map(refactor, [data] * len(runs), fixed, runs)))
+                now = data.with_factors(list(map(refactor, [data] * len(runs), fixed, runs)))
             system = now.system(Friction(per_run=True))
             solution = ml(system.problem)
             found.append(judge(case, system, solution))
@@ -247,6 +258,8 @@ def judge(case: Case, system: System, solution: Solution) -> Repetition:
         *(f"{what}_{joint}" for what in ("gain", "delay") for joint in problem.joints),
     )
     which = np.concatenate([np.array(index, dtype=int), gains, gains + n])
+    apart = replace(problem, in_step=None)
+    alone = ml(apart)
     delays = delay_verdicts(problem, solution, std[gains + n], 0.0)
     return Repetition(
         names,
@@ -254,10 +267,12 @@ def judge(case: Case, system: System, solution: Solution) -> Repetition:
         std[which],
         degrees_of_freedom(problem, solution, True)[which],
         np.array([each.outcome != Outcome.NOT_IDENTIFIABLE for each in delays]),
+        np.sqrt(np.diag(alone.jackknife))[which],
+        degrees_of_freedom(apart, alone, True)[which],
     )
 
 
-def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetition]) -> dict[str, object]:
+def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetition], apart: bool) -> dict[str, object]:
     from scipy.special import stdtrit
 
     from gtau.model.base_parameters import base_parameters
@@ -265,9 +280,10 @@ def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetitio
     base = base_parameters(case.model)
     chi = np.array([case.truth.get(name, 0.0) for name in case.model.parameter_names])
     truth = dict(zip(base.names, base.matrix @ chi, strict=True))
-    error, std = np.array([r.error for r in repetitions]), np.array([r.std for r in repetitions])
-    freedoms = np.array([r.freedom for r in repetitions])
-    hits = np.abs(error) < stdtrit(freedoms, 0.975) * std
+    error, std = np.array([r.error for r in repetitions]), np.array([r.apart if apart else r.std for r in repetitions])
+    freedoms = np.array([r.apart_freedom if apart else r.freedom for r in repetitions])
+    half = stdtrit(freedoms, 0.975) * std
+    hits = np.abs(error) < half
     inside, told = np.mean(hits, axis=0), np.array([r.told for r in repetitions])
     names = repetitions[0].names
     gain = np.array([name.startswith("gain_") for name in names])
@@ -280,6 +296,8 @@ def report(case: Case, source: str, errors: str, repetitions: Sequence[Repetitio
         "repetitions": len(repetitions),
         "gains": [round(100 * float(x), 1) for x in inside[gain]],
         "gains_pooled": round(100 * float(inside[gain].mean()), 1),
+        "z": float(np.sqrt(np.mean((error / std)[:, gain] ** 2))),
+        "half_width": 100 * float(np.exp(np.mean(np.log(half[:, gain] / case.gains)))),
         "main_parameters": int(main.sum()),
         "main_pooled": round(100 * float(inside[main].mean()), 1),
         "pooled": round(100 * float(inside[gain | main].mean()), 1),
@@ -294,39 +312,54 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("robots", nargs="+", help="catalog names or robot files")
     parser.add_argument("--errors", nargs="+", choices=MODELS, default=["white", "coloured", "drift"])
+    parser.add_argument("--repeat", action="store_true", help="runs with the payload repeat the motions of the others")
     parser.add_argument("--repetitions", type=int, default=300)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--json", help="file for the table")
     options = parser.parse_args()
-    heads = ("robot", "errors", "times", "each gain", "gains", "parameters", "all", "smallest cell", "delays (told)")
-    print(f"| {' | '.join(heads)} |\n|{' --- |' * 9}")
+    heads = (
+        "robot",
+        "errors",
+        "times",
+        "each gain",
+        "gains",
+        "rms z",
+        "half-width, %",
+        "parameters",
+        "all",
+        "smallest cell",
+        "delays (told)",
+    )
+    print(f"| {' | '.join(heads)} |\n|{' --- |' * 11}")
     rows = []
     for source in options.robots:
-        case = make_case(source)
+        case = make_case(source, options.repeat)
         for errors in options.errors:
             seeds = np.array_split(np.arange(options.repetitions), options.processes)
             if options.processes == 1:
                 found = repeat(case, errors, seeds[0])
             else:
                 with Pool(options.processes) as pool:
-                    parts = pool.starmap(_apart, [(source, errors, part) for part in seeds])
+                    parts = pool.starmap(_apart, [(source, options.repeat, errors, part) for part in seeds])
                     found = [each for part in parts for each in part]
-            row = report(case, source, errors, found)
-            rows.append(row)
-            each = " ".join(f"{x:.0f}" for x in row["gains"])
-            print(
-                f"| {source} | {errors} | {row['repetitions']} | {each} | {row['gains_pooled']} | {row['main_pooled']} "
-                f"({row['main_parameters']}) | {row['pooled']} | {row['smallest']} ({row['smallest_of']}) | "
-                f"{row['delays']} ({row['delays_told']}) |",
-                flush=True,
-            )
+            for apart in (False, True)[: 1 + options.repeat]:
+                row = report(case, source, errors, found, apart)
+                rows.append(row)
+                each = " ".join(f"{x:.0f}" for x in row["gains"])
+                print(
+                    f"| {source} | {errors}{', one run at a time' * apart} | {row['repetitions']} | {each} | "
+                    f"{row['gains_pooled']} | {row['z']:.2f} | {row['half_width']:.2g} | {row['main_pooled']} "
+                    f"({row['main_parameters']}) | {row['pooled']} | {row['smallest']} ({row['smallest_of']}) | "
+                    f"{row['delays']} ({row['delays_told']}) |",
+                    flush=True,
+                )
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:
             json.dump(rows, file, indent=1)
 
 
-def _apart(source: str, errors: str, seeds: Sequence[int]) -> list[Repetition]:
-    return repeat(make_case(source), errors, seeds)
+def _apart(source: str, repeated: bool, errors: str, seeds: Sequence[int]) -> list[Repetition]:
+    return repeat(make_case(source, repeated), errors, seeds)
 
 
 if __name__ == "__main__":

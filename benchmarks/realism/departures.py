@@ -43,6 +43,8 @@ class Departure:
         Whether a description is wrong that no log can be blamed for.
     invisible : str
         Why no data can show it, where none can.
+    repeated : bool
+        Whether a run with the payload repeats the motion of the one without before it.
     """
 
     rate: float | None = None
@@ -57,6 +59,7 @@ class Departure:
     centre_off: float | None = None
     wrong: bool = False
     invisible: str = ""
+    repeated: bool = False
 
 
 # What is logged
@@ -295,4 +298,44 @@ DEPARTURES: dict[str, Departure] = {
     "a link 1 % longer": Departure(robot=lambda robot: stretched(robot, 1.01), wrong=True),
     "payload declared 30 mm off-centre": Departure(centre_off=0.03, wrong=True),
     "mass of the payload said 5 % too large": Departure(mass=1.05, wrong=True, invisible=SCALE),
+}
+
+
+# What the payload does not change stands in two runs that repeat a motion, and what depends on it in neither or one.
+
+
+def common(shape: Callable[[np.ndarray], np.ndarray], share: float) -> Departure:
+    """A torque of the positions, ``share`` of what rotors and friction take, rms, which is the same with a payload."""
+
+    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray) -> np.ndarray:
+        return share * np.sqrt(2 * np.mean((tau - carried) ** 2, axis=0)) * shape(q)
+
+    return Departure(torque=torque)
+
+
+def coloured(share: float) -> Departure:
+    """Noise of a joint's rms current whose correlation decays in 0.1 s."""
+
+    def spoilt(v: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
+        from scipy.signal import lfilter
+
+        decay = np.exp(-1 / (0.1 * rate))
+        white = np.sqrt(1 - decay**2) * rng.standard_normal((round(rate) + len(v), v.shape[1]))
+        noise = lfilter([1.0], [1.0, -decay], white, axis=0)[-len(v) :]
+        return v + share * np.sqrt(np.mean(v**2, axis=0)) * noise
+
+    return Departure(current=spoilt)
+
+
+SPOILT = {
+    "nothing": Departure(),
+    "ripple": common(lambda q: np.sin(20.0 * q + 1.0), 0.03),
+    "cables": common(lambda q: np.sin(2.0 * q + 0.5 + np.arange(q.shape[1])), 0.05),
+    "load-dependent friction": LOAD_FRICTION,
+    "coloured noise": coloured(0.01),
+}
+MOTIONS = {
+    f"{what}, motions {word}": replace(each, repeated=repeated)
+    for repeated, word in ((False, "differ"), (True, "repeat"))
+    for what, each in SPOILT.items()
 }

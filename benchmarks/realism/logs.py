@@ -26,7 +26,8 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
     time = np.arange(round(plant.seconds * rate) + 1) / rate
     runs = []
     for k, loaded in enumerate(LOADED):
-        motion = departure.motion(plant.within(model.robot), plant.seconds, rng)(time)
+        if not (loaded and departure.repeated):
+            motion = departure.motion(plant.within(model.robot), plant.seconds, rng)(time)
         now = {name: value * (1 + DRIFT * k * name.startswith(("fv_", "fs_"))) for name, value in chi.items()}
         if loaded:
             carried = {f"{kind}_{model.robot.tool}": value for kind, value in plant.payload().items()}

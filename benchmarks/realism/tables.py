@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import Outcome
-from realism.departures import DEPARTURES
+from realism.departures import DEPARTURES, MOTIONS
 from realism.plants import PLANTS
 
 ACCURACY = 0.03
@@ -78,13 +78,16 @@ def count(hits: np.ndarray) -> str:
 
 def page(records: Sequence[dict]) -> str:
     """All tables, as Markdown."""
-    real = [record for record in records if record["departure"] not in DEPARTURES]
+    real = [record for record in records if record["departure"] not in DEPARTURES | MOTIONS]
+    moved = [record for record in records if record["departure"] in MOTIONS]
     made = [record for record in records if record["departure"] in DEPARTURES]
     parts = [goals(made, real)] if made else []
     if made:
         parts += [by_departure(made), missed(made), by_robot(made)]
     if real:
         parts.append(of_pairs(real))
+    if moved:
+        parts.append(of_motions(moved))
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -200,6 +203,30 @@ def _alarms(record: dict) -> int:
         for gain in record["gains"]
         for outcome in (gain["outcome"], gain["second_outcome"])
     )
+
+
+def of_motions(moved: Sequence[dict]) -> str:
+    """One row for what differs from the model, by whether runs repeat a motion."""
+    lines = [
+        "| what | random part holds | rms z | half-width, % | both parts hold | rms z | half-width, % |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for name in MOTIONS:
+        gains = [gain for each in moved if each["departure"] == name for gain in each["gains"]]
+        gains = [gain for gain in gains if gain["outcome"] in (Outcome.GOOD, Outcome.WEAK)]
+        if gains:
+            error, std, random_std, random, low, high, truth = (
+                np.array([gain[key] for gain in gains], dtype=float)
+                for key in ("value", "std", "random_std", "random_half", "low", "high", "truth")
+            )
+            error = error - truth
+            width, wide = (np.exp(np.mean(np.log(each / np.abs(truth)))) for each in (random, (high - low) / 2))
+            lines.append(
+                f"| {name} | {share(np.abs(error) < random)}, {len(gains)} | {rms(error / random_std):.2f} | "
+                f"{100 * width:.2g} | {share((low < truth) & (truth < high))} | {rms(error / std):.2f} | "
+                f"{100 * wide:.2g} |"
+            )
+    return "\n".join(lines)
 
 
 def of_pairs(real: Sequence[dict]) -> str:

@@ -200,6 +200,15 @@ SENTENCES = [  # finding, reason, advice
      "missing. They repeat in every run, so the scatter between blocks does not show them; the standard deviations "
      "include how far the estimates move when they are modelled",
      ""),
+    (Finding(F.COMMON_RESIDUALS, ("left", "right"), values={"correlations": [["left", 0.64], ["right", 0.5]]}),
+     "residuals of runs that repeat a motion with different loads are correlated at 'left' (+0.64), 'right' (+0.50): "
+     "what the model lacks there depends on the motion alone, and cancels in the gains",
+     ""),
+    (Finding(F.OPPOSED_RESIDUALS, ("left",), values={"correlations": [["left", -0.512]]},
+     causes=(Finding(F.LOAD_FRICTION, ("left",)),)),
+     "residuals of runs that repeat a motion with different loads are correlated at 'left' (-0.51): what the model "
+     "lacks there changes sign with the load, and moves gains; most likely load-dependent friction of 'left'",
+     "add runs at other speeds, or with other loads, to separate it from the rest"),
     (Finding(F.SMALL_REFUTATION,
      values={"share": 0.12, "move": 0.0071}, causes=(Finding(F.GRAVITY, values={"gravity": [0.0, -1.2, 9.7]}),)),
      "another gravity, about (0.0, -1.2, 9.7) m/s2 would explain 12 % of the residual variance and move no gain by "

@@ -32,7 +32,7 @@ from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.equations import STRETCHES
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.headline import headline
+from gtau.estimation.results.headline import Reason, headline, reasons
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import BASE_MISFIT, INFLATED
 from gtau.model.home import load_robot
@@ -263,8 +263,10 @@ def test_no_gain_is_called_known_that_another_joint_makes_doubtful(result: Resul
     gains = [
         replace(gain, verdict=each) for gain, each in zip(result.drive_gains.values(), (wrong, doubt), strict=True)
     ]
-    said = headline(replace(result, drive_gains=dict(zip(JOINTS, gains, strict=True))))
-    assert f"Joint '{JOINTS[1]}' is in doubt: {doubt.why}; {doubt.advice}." in said
+    doubtful = replace(result, drive_gains=dict(zip(JOINTS, gains, strict=True)))
+    said = headline(doubtful)
+    assert f"Joint '{JOINTS[1]}' is in doubt." in said
+    assert reasons(doubtful)[1] == Reason(doubt.outcome, (JOINTS[1],), doubt.why, doubt.advice)
     assert "is known to +-" not in said
 
 
@@ -315,9 +317,22 @@ def test_autocorrelated_residuals_are_a_lack_of_fit(result: Result, runs: list[R
 
 def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
     turned = verdict_of(Finding(F.NEGATIVE_GAIN))
-    gains = {joint: replace(gain, verdict=turned) for joint, gain in result.drive_gains.items()}
-    names = " and ".join(f"'{joint}'" for joint in gains)
-    assert headline(replace(result, drive_gains=gains)).endswith(f". Joints {names}: {turned.why}; {turned.advice}.")
+    both = replace(result, drive_gains={j: replace(gain, verdict=turned) for j, gain in result.drive_gains.items()})
+    (row,) = reasons(both)
+    assert (set(row.joints), row.why, row.action) == (set(JOINTS), turned.why, turned.advice)
+    assert " ".join(both.summary(False).split()).count(turned.advice) == 1
+
+
+def test_reasons_that_differ_in_numbers_are_one_row_with_the_worst(result: Result) -> None:
+    gains = {
+        joint: replace(gain, std=half / 196 * gain.value, verdict=verdict_of(Finding(F.WIDE_RANDOM, (), joint, values)))
+        for (joint, gain), half in zip(result.drive_gains.items(), (10.0, 20.0), strict=True)
+        for values in [{"half": half / 100, "accuracy": 0.03, "payload": True, "wrenches": False, "random": True}]
+    }
+    (row,) = reasons(replace(result, drive_gains=gains))
+    assert row.joints == JOINTS[::-1]
+    assert "20" in row.why
+    assert JOINTS[1] in row.why
 
 
 @pytest.mark.parametrize(("left", "unexplained"), [(0.05, False), (1.0, True)])

@@ -92,4 +92,4 @@ def test_stretches_are_equal_where_the_robot_does_not_rest() -> None:
     for each in dataset(0.0).prepared:
         assert stretch_edges(each) == pytest.approx(np.linspace(0, 1, STRETCHES + 1), abs=1e-12)
         outputs = 997
-        assert stretch_of(each, outputs).tolist() == (np.arange(outputs) * STRETCHES // outputs).tolist()
+        assert stretch_of(stretch_edges(each), outputs).tolist() == (np.arange(outputs) * STRETCHES // outputs).tolist()

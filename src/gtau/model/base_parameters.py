@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.documents.arguments import NAMES, WHOLE, takes
+from gtau.documents.arguments import FUNCTION, NAMES, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -91,7 +91,7 @@ def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
-@takes(idm=("a model (gtau.InverseDynamics)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES)
+@takes(idm=("a model (gtau.InverseDynamics)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES, progress=FUNCTION)
 @single_threaded_blas()
 def base_parameters(
     idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = (), progress: Progress = silent

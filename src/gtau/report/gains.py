@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate, PayloadEstimate
+from gtau.estimation.results.headline import reasons
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.base_parameters import whole_mass
@@ -38,6 +39,7 @@ def gains_section(
         "Drive gains",
         gains_table(result, prior or {}),
         Text(words, style="soft") if estimated else None,
+        reasons_table(result),
         _scale_text(result, short) if estimated else None,
         whole_mass_text(result),
         gains_chart(result.drive_gains, prior or {}) if charts else None,
@@ -70,6 +72,21 @@ def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
         row += [prior.get(joint), _off(prior.get(joint), gain.value)] if prior else []
         rows.append(row)
     return table(columns, rows)
+
+
+def reasons_table(result: IdentifiedModel) -> Table | None:
+    """Tabulate why gains are not good, or what was noticed, and what to do; None where there is nothing to say."""
+    columns = (
+        Column("joint"),
+        Column("verdict", Kind.BADGE),
+        Column("reason", Kind.SENTENCE),
+        Column("action", Kind.SENTENCE),
+    )
+    rows = [
+        (", ".join(map(joint_label, each.joints)), each.outcome.value, each.why, each.action)
+        for each in reasons(result)
+    ]
+    return table(columns, rows, listed=True) if rows else None
 
 
 def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float], name: str = "prior") -> Chart | None:

@@ -26,6 +26,7 @@ from gtau.estimation.diagnostics.linearisation import (
     LinearisedWindow,
     Windows,
     central_windows,
+    in_step,
     known_rows,
     least_squares_step,
     linearise,
@@ -160,7 +161,9 @@ def find_alternatives(
     ends = np.cumsum([0, *(len(candidates.causes) for _, candidates in tried)])
     columns = [slice(*pair) for pair in pairwise(ends.tolist())]
     shared = [hypothesis.shared for hypothesis, _ in tried]
-    tests = score_tests(lambda: linear, list(zip(columns, shared, strict=True)), known[1])
+    tests = score_tests(
+        lambda: linear, list(zip(columns, shared, strict=True)), in_step(fit.dataset, windows), known[1]
+    )
     alone = [
         _alternatives(fit, hypothesis, candidates, of_columns)
         for (hypothesis, candidates), of_columns in zip(tried, tests, strict=True)

@@ -85,7 +85,7 @@ def _other_gravity(values: Values) -> Sentence:
         where = "world"
         file += ", in axes of the logged poses, or turn the poses so that their z axis points up"
     else:
-        rpy = f"{atan2(-y, -z) if hypot(y, z) > 1e-9 else 0.0:.4g}, {asin(x / hypot(x, y, z)):.4g}, 0"
+        rpy = f"{atan2(-y, -z) if round(hypot(y, z), 3) else 0.0:.4g}, {asin(x / hypot(x, y, z)):.4g}, 0"
         file += f", or 'base: {{{{rpy: [{rpy}]}}}}' beside its 'file' in the experiment file"
     return (
         f"gravity along {_direction(values['gravity'])}{also and ' or ' + also} of the {where}, which leaves "
@@ -117,11 +117,11 @@ def _wrench_point(values: Values) -> Sentence:
 def _direction(gravity: Sequence[float]) -> str:
     """Name an axis, or write a direction of unit length."""
     size = hypot(*gravity)
-    unit = [each / size for each in gravity]
-    along = max(range(3), key=lambda k: abs(unit[k]))
-    if abs(unit[along]) > 1 - 1e-9:
-        return f"{'-' if unit[along] < 0 else '+'}{'xyz'[along]}"
-    return "({:.2g}, {:.2g}, {:.2g})".format(*(round(each, 2) + 0.0 for each in unit))
+    unit = [round(each / size, 2) + 0.0 for each in gravity]
+    along = [k for k in range(3) if unit[k]]
+    if len(along) == 1:
+        return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
+    return "({:.2g}, {:.2g}, {:.2g})".format(*unit)
 
 
 CAUSES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {

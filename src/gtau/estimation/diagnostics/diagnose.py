@@ -23,6 +23,7 @@ from gtau.estimation.diagnostics.gain_checks import (
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
 from gtau.estimation.diagnostics.position_ripple import ripple_findings
+from gtau.estimation.diagnostics.repeated_motions import repeated_motion_findings
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,
@@ -104,6 +105,7 @@ def diagnose(
         *efforts_exceeded(fit),
         *position_noise(fit, examined.alternatives),
         *ripple_findings(examined.ripple, fit),
+        *repeated_motion_findings(fit, examined.alternatives),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
         *(gains_apart(fit, uncertainty) if fit.free_gains else []),
         *examined.untested,

@@ -193,6 +193,7 @@ def _of_gain_changes(fit: Fit) -> list[Alternative]:
         cause = Finding(F.GAIN_CHANGE, (joint,), "", {"runs": [names[k] for k in each.runs], "change": each.change})
         factor, moment = support(each.change, std, PLAUSIBLE_GAIN_CHANGE)
         certain = _certain(fit, "gain change", cause, each.change, std, each.moves)
+        factor -= np.log(each.tried)  # the largest of several changes is larger by chance
         weighed = replace(certain, plausible=PLAUSIBLE_GAIN_CHANGE, log_factor=factor, second_moment=moment)
         found.append(replace(weighed, share=each.share))
     return found

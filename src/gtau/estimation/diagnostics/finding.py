@@ -53,6 +53,8 @@ class FindingKind(StrEnum):
     GAINS_APART = "gains far apart"
     POSITION_NOISE = "position noise"
     RIPPLE = "position ripple"
+    COMMON_RESIDUALS = "residuals that repeat"
+    OPPOSED_RESIDUALS = "residuals that depend on the load"
     SMALL_REFUTATION = "description refuted, gains unmoved"
     UNTESTED = "other estimators not tried"
     WEAK_INSTRUMENTS = "weak instruments"

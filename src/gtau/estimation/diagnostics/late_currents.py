@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import orth
 
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
@@ -52,8 +53,7 @@ def late_currents(dataset: Dataset, slowest: float) -> tuple[Finding, ...]:
     for j, joint in enumerate(dataset.model.actuated if windows else ()):
         W = np.concatenate([each.own[j] for each in windows])
         norms = np.linalg.norm(W, axis=0)
-        U, s, _ = np.linalg.svd(W / np.where(norms > 0, norms, 1.0), full_matrices=False)
-        U = U[:, s > 1e-10 * s.max(initial=0.0)]
+        U = orth(W / np.where(norms > 0, norms, 1.0))
         if len(W) < 2 * U.shape[1]:
             continue  # as many parameters fit any shift
 

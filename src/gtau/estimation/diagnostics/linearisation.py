@@ -109,6 +109,20 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
     return [each for each in cut if each]
 
 
+def in_step(dataset: Dataset, windows: Windows) -> np.ndarray:
+    """Give numbers (W,) to windows, the same to those of runs that repeat a motion which are nearest to each other."""
+    found: list[int] = []
+    first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
+    for run, window in windows:
+        place = dataset.places[run]
+        middle = float(window.all.time[len(window) // 2]) - place.begin
+        leader, numbered = first.setdefault(place.group, (run, []))
+        if run == leader:
+            numbered.append((middle, max(found, default=-1) + 1))
+        found.append(min(numbered, key=lambda each: abs(each[0] - middle))[1])
+    return np.array(found)
+
+
 def usable_rows(dataset: Dataset, windows: Windows) -> int:
     """Count the decimated rows of all channels in windows that are kept."""
     return sum(

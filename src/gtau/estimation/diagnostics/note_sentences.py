@@ -15,6 +15,11 @@ PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior
 IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
 
 
+def _between_runs(values: Values) -> str:
+    listed = ", ".join(f"'{joint}' ({value:+.2f})" for joint, value in values["correlations"])
+    return "residuals of runs that repeat a motion with different loads are correlated at " + listed
+
+
 def _ripple(values: Values) -> Sentence:
     base = bool(values["base"])
     where = "of the base '{subject}'" if base else "at joint '{joint}'"
@@ -71,6 +76,15 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         INSTRUMENTS,
     ),
     F.RIPPLE: _ripple,
+    F.COMMON_RESIDUALS: lambda values: (
+        f"{_between_runs(values)}: what the model lacks there depends on the motion alone, and cancels in the gains",
+        "",
+    ),
+    F.OPPOSED_RESIDUALS: lambda values: (
+        f"{_between_runs(values)}: what the model lacks there changes sign with the load, and moves gains; most likely "
+        "{cause}",
+        "{to_do}",
+    ),
     F.SMALL_REFUTATION: (
         "{cause} would explain {share:.0f%} of the residual variance and move no gain by more than {move:.2g%}",
         "{to_do}",
@@ -108,6 +122,7 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
 }
 
 NOTES: Mapping[F, Kind] = {
+    F.COMMON_RESIDUALS: Kind.READING,
     F.EFFORT: Kind.LIMITS,
     F.POSITION_NOISE: Kind.NOISE,
     F.COMMAND_LAG: Kind.FILTERED,

@@ -27,6 +27,7 @@ from gtau.estimation.diagnostics.linearisation import (
     Windows,
     central_windows,
     errors_and_jacobian,
+    in_step,
     known_rows,
     linearise,
     moving_stretches,
@@ -174,14 +175,14 @@ def other_estimators(fit: Fit, windows: Windows | None = None) -> tuple[tuple[Di
     if not pairs:
         return (), ()
     rows = [J for _, J, _ in pairs]
-    known = known_rows(fit, windows)[1]
+    known, clusters = known_rows(fit, windows)[1], in_step(dataset, windows)
     back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
     T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains) @ back
     usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
     found, untested = [], []
     if further is not None and not fit.noise_free:
         weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]
-        found.append(Difference(Finding(F.INSTRUMENTS), *_difference(usual, weighed, known, back, T)))
+        found.append(Difference(Finding(F.INSTRUMENTS), *_difference(usual, weighed, clusters, known, back, T)))
     for changed, preparation in preparations:
         other = replace(fit, dataset=_prepared_as(dataset, preparation))
         try:
@@ -193,7 +194,7 @@ def other_estimators(fit: Fit, windows: Windows | None = None) -> tuple[tuple[Di
             continue  # its filters are longer than a window
         moments = [(each.jacobian.reshape(-1, len(back)), each.errors.ravel()) for each in linear]
         weighed = [(J.T @ J, J.T @ e) for J, e in moments]
-        found.append(Difference(changed, *_difference(usual, weighed, known, back, T)))
+        found.append(Difference(changed, *_difference(usual, weighed, clusters, known, back, T)))
     return tuple(found), tuple(untested)
 
 
@@ -254,12 +255,17 @@ def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray,
 
 
 def _difference(
-    usual: Sequence[Moments], weighed: Sequence[Moments], known: np.ndarray, back: np.ndarray, T: np.ndarray
+    usual: Sequence[Moments],
+    weighed: Sequence[Moments],
+    clusters: np.ndarray,
+    known: np.ndarray,
+    back: np.ndarray,
+    T: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute how (theta, gains, delays) differ between two estimators, (k,), and the standard deviations of that.
 
-    The solution counts as where the first estimator ends; a window's share in the difference is its influence on one
-    estimator less that on the other (windows as clusters).
+    The solution counts as where the first estimator ends; the share of a cluster of windows in the difference is its
+    influence on one estimator less that on the other.
     """
     whole, white = np.eye(back.shape[1]), known @ back
     curvatures = [back.T @ A @ back for A, _ in weighed]
@@ -268,10 +274,12 @@ def _difference(
     scale = np.trace(np.sum(curvatures, axis=0)) / max(np.trace(whole - rest), 1.0)  # as there are other rows
     gradients = [back.T @ g - scale * (back.T @ g_usual) for (_, g), (_, g_usual) in zip(weighed, usual, strict=True)]
     step = -inverse @ np.sum(gradients, axis=0)
-    count = len(weighed)
-    shares = [
+    count = int(clusters.max()) + 1
+    of_windows = [
         -inverse @ (back.T @ g + A @ step) + back.T @ g_usual
         for A, (_, g), (_, g_usual) in zip(curvatures, weighed, usual, strict=True)
     ]
-    scatter = np.array([T @ (each - np.mean(shares, axis=0)) for each in shares])
+    shares = np.zeros((count, len(step)))
+    np.add.at(shares, clusters, of_windows)
+    scatter = (shares - shares.mean(axis=0)) @ T.T
     return T @ step, np.sqrt(count / max(count - 1, 1) * np.sum(scatter**2, axis=0))

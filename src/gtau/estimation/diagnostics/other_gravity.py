@@ -138,7 +138,7 @@ def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) ->
         gravity = np.array(at.dataset.robot.gravity)
         size = float(np.linalg.norm(gravity))
         turned = gravity + size * tilt @ [each.values["towards"] for each in candidates.causes[:2]]
-        if not np.isfinite(turned).all() or _degrees(turned, gravity) < 0.01:
+        if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
         at = _fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))
         if at is not None:

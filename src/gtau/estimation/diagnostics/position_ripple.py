@@ -99,7 +99,8 @@ def position_ripple(fit: Fit) -> PositionRipple:
     shares = 1 - rest / np.maximum(before, 1e-300)
     if np.max(shares) < RIPPLE_SHARE:
         return PositionRipple(shares, nothing.moves)
-    moved, _ = _fit([first, second], heights, known)
+    repeats = shares > 0  # what of a joint does not repeat would only take up what its parameters explain
+    moved, _ = _fit([first, second], np.where(repeats, heights, np.inf), known)
     state = solution.iterate
     return PositionRipple(shares, to_gains(state, problem.n_theta, fit.free_gains) @ (moved - step))
 
@@ -110,12 +111,14 @@ def _fit(
     """Fit steps of the estimates (k,) and each run's torques at the knots (runs, n, KNOTS) together.
 
     Each half has one piece a run. A torque acts in one joint of one run only, so it is eliminated there; it is drawn
-    to zero with the weight ``1 / heights`` (c,), as it can stand in for a parameter.
+    to zero with the weight ``heights`` (c,), as it can stand in for a parameter, and is zero where that is infinite.
     """
     tops, rests = [], []
     for of_run in zip(*halves, strict=True):
         for j, height in enumerate(heights):
             rows = [np.column_stack([each.offered[j], each.jacobian[j], each.errors[j]]) for each in of_run]
+            if np.isinf(height):
+                height, rows = 1.0, [np.pad(each[:, KNOTS:], ((0, 0), (KNOTS, 0))) for each in rows]
             R = triangle(np.eye(KNOTS, rows[0].shape[1]) * height, *rows)
             tops.append(R[:KNOTS])
             rests.append(R[KNOTS:, KNOTS:])

@@ -40,12 +40,13 @@ class ScoreTests:
 def score_tests(
     windows: Callable[[], Iterable[LinearisedWindow]],
     hypotheses: Sequence[tuple[slice, bool]],
+    clusters: np.ndarray,
     known: np.ndarray | None = None,
 ) -> tuple[ScoreTests, ...]:
     """Test each candidate column alone, in each channel's equations alone or shared by all channels.
 
-    All other unknowns adapt to it. Standard deviations follow from the scatter over the windows, within which
-    residuals may be autocorrelated (a sandwich estimate with windows as clusters).
+    All other unknowns adapt to it. Standard deviations follow from the scatter over clusters of windows, within which
+    residuals may be correlated (a sandwich estimate).
 
     Parameters
     ----------
@@ -53,6 +54,8 @@ def score_tests(
         Gives the windows anew each time, so that they need not be in memory together.
     hypotheses : sequence of (slice, bool)
         Columns that belong together, and whether each of them acts on all channels with one size.
+    clusters : ndarray
+        (W,) the number of the cluster that each window belongs to, from 0.
     known : ndarray, optional
         Jacobian (., k) of further equations, of known parameters, with errors of unit variance.
 
@@ -69,11 +72,10 @@ def score_tests(
             for columns, shared in hypotheses
         ]
 
-    count, joints = 0, next(iter(windows())).errors.shape[0]
+    count, joints = int(clusters.max()) + 1, next(iter(windows())).errors.shape[0]
     blocks = []
     for each in windows():
         blocks.append(each.jacobian.reshape(-1, each.jacobian.shape[-1]))
-        count += 1
     if known is not None:
         blocks.append(known)
     back = whitening(np.concatenate(blocks), np.zeros(joints))
@@ -92,8 +94,8 @@ def score_tests(
         -np.where(lost, 0.0, (score - along @ J_e) / rest)
         for lost, score, along, rest in zip(spanned, c_e, J_c, left, strict=True)
     ]
-    scatter = [np.zeros(rest.shape) for rest in left]
-    for each in windows():
+    scores = [np.zeros((count, *rest.shape)) for rest in left]
+    for cluster, each in zip(clusters, windows(), strict=True):
         W, c = each.jacobian @ back, each.offered
         rest = each.errors - W @ J_e
         # the score of a window: what is left of its column, (m, j) of joint j in all rows i, times its residuals
@@ -102,12 +104,12 @@ def score_tests(
         for k, along in enumerate(J_c):
             score = own_rest[k] - along @ W_rest
             square = own_own[k] + np.sum((along @ W_W - 2 * own_W[k]) * along, axis=2)
-            scatter[k] += (score + size[k] * square) ** 2
+            scores[k][cluster] += score + size[k] * square
     least = max(e_e - float(J_e @ J_e), 1e-300)
     return tuple(
         ScoreTests(
             size[k],
-            np.where(spanned[k], np.inf, np.sqrt(scatter[k] * count / max(count - 1, 1)) / left[k]),
+            np.where(spanned[k], np.inf, np.sqrt(np.sum(scores[k] ** 2, axis=0) * count / max(count - 1, 1)) / left[k]),
             np.where(spanned[k], 0.0, size[k] ** 2 * left[k] / least),
             -J_c[k] @ back.T,
         )
@@ -130,7 +132,8 @@ class GainChange:
     """By what share of itself a joint's current is larger in some ``runs`` than in the others; how significant.
 
     ``share`` of the residual variance of all joints goes where each has such a change in these runs; ``moves`` (n,) is
-    by what share of itself each gain moves when this joint's change is modelled.
+    by what share of itself each gain moves when this joint's change is modelled. It is the most significant of as many
+    changes as were ``tried``.
     """
 
     runs: tuple[int, ...]
@@ -138,6 +141,7 @@ class GainChange:
     t: float
     share: float
     moves: np.ndarray
+    tried: int = 1
 
 
 def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarray) -> tuple[GainChange, ...]:
@@ -162,9 +166,10 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
     groups = groups[~groups.all(axis=1) & groups.any(axis=1)]
     if not len(groups):
         return (GainChange((), 0.0, 0.0, 0.0, np.zeros(n)),) * n
+    tried = len(np.unique(groups ^ groups[:, :1], axis=0))  # larger in some runs is smaller in the others
     known = jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels))
-    offers = [(slice(None), False)]
-    (found,) = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), offers, known)
+    offers, clusters = [(slice(None), False)], np.unique(problem.block_numbers, return_inverse=True)[1]
+    (found,) = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), offers, clusters, known)
     shares = found.share.sum(axis=1)
     worst = _first_largest(np.abs(found.t[:, :n]))
     if shares.max() > DOMINANT:  # the same runs for all joints
@@ -177,6 +182,7 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
             float(found.t[k, j]),
             float(shares[k]),
             (T @ found.slopes[k, j])[problem.gain_rows] * found.size[k, j] / solution.gains[:n],
+            tried,
         )
         for j, k in enumerate(worst)
     )

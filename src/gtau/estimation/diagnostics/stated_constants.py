@@ -201,7 +201,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
         return ()
     state = solution.iterate
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    whole, *units = (_linear(block, problem, state, weights) for block in (stacked(problem), *problem.blocks))
+    whole, *units = (_linear(block, problem, state, weights) for block in (stacked(problem), *problem.units))
     size = whole.shape[1] - len(sensors) - 1
     of_known = np.zeros((len(problem.known), whole.shape[1]))
     of_known[:, :size] = jacobian_of_known(problem, size)

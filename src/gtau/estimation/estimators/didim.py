@@ -42,17 +42,22 @@ def along_simulated_motion(
     for k in range(PASSES):
         progress("simulation", k, PASSES)
         loads = [system.load(run, solution.theta) if loaded else None for run in range(len(dataset.runs))]
-        simulated = zip(resimulated_runs(dataset, system, solution), loads, dataset.factors, strict=True)
+        simulated = zip(resimulated_runs(dataset, system, solution), loads, dataset.factors, dataset.edges, strict=True)
         factors = tuple(
             replace(
                 reduce_run(
-                    dataset.model, dataset.base.standard, run, dataset.preparation.at(run.run.rate).decimator, load
+                    dataset.model,
+                    dataset.base.standard,
+                    run,
+                    dataset.preparation.at(run.run.rate).decimator,
+                    load,
+                    edges=edges,
                 ),
                 distances=logged.distances,  # to singularities: of what the robot did
             )
-            for run, load, logged in simulated
+            for run, load, logged, edges in simulated
         )
-        along = replace(dataset, factors=factors)
+        along = dataset.with_factors(factors)
         system = along.system(system.friction, system.problem.slowest > 0)
         before, solution = solution, solve(system.problem)
         std = np.sqrt(np.diag(solution.covariance))

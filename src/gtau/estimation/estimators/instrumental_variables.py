@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -134,7 +134,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 
     def replicates() -> np.ndarray:
         blocks = []
-        for block, other in zip(pair.measured.blocks, pair.simulated.blocks, strict=True):
+        for block, other in zip(pair.measured.units, pair.simulated.units, strict=True):
             e_u, J_u, Z_u = linear(block, other)
             left = inverse @ (Z_u @ back).T
             blocks.append((left @ J_u @ back, left @ e_u))
@@ -150,11 +150,11 @@ def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
     loads = [system.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
     preparation, columns = dataset.preparation, dataset.base.standard
     pairs = [
-        _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load)
-        for measured, other, load in zip(dataset.prepared, simulated, loads, strict=True)
+        _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load, edges)
+        for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.edges, strict=True)
     ]
     measured, instruments = (
-        replace(dataset, factors=factors).system(system.friction, system.problem.slowest > 0).whole
+        dataset.with_factors(factors).system(system.friction, system.problem.slowest > 0).whole
         for factors in zip(*pairs, strict=True)
     )
     whole, of_instruments, b = [], [], measured.n_theta + 1
@@ -172,6 +172,7 @@ def _reduced(
     simulated: InMemoryRun,
     decimator: Decimator,
     load: np.ndarray | None,
+    edges: np.ndarray,
 ) -> tuple[Factors, Factors]:
     """Reduce a run along the motion measured and along the one simulated, with the same rows behind each row.
 
@@ -179,7 +180,7 @@ def _reduced(
     The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by columns.
     """
     regressor = idm.columns(columns)
-    stretches = stretch_of(measured, decimator.outputs(len(measured)))
+    stretches = stretch_of(edges, decimator.outputs(len(measured)))
     n, b = len(idm.actuated), len(columns) + EXTRA - 3
     dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
     T = [[np.zeros((0, 2 * b + 3))] * n for _ in range(STRETCHES)]

@@ -215,7 +215,7 @@ def finish(
         # one step from the solution, with unit u left out
         whitened, second, blocks = rows @ back, curvature(triangles), []
         gauss = whitened.T @ whitened
-        for block in problem.blocks:
+        for block in problem.units:
             J_u = (jacobian(block, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
             e_u = (residuals(block, state) * weights[:, None]).reshape(-1)
             left = curved(gauss - J_u.T @ J_u, second - curvature(block))
@@ -277,7 +277,7 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
     ndarray
         Of (theta, gains, delays), (n_theta + 2 c,).
     """
-    state, blocks = solution.iterate, len(problem.blocks)
+    state, blocks = solution.iterate, len(problem.units)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
 
     def rows(blocks: np.ndarray) -> np.ndarray:
@@ -289,7 +289,7 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
     back = whitening(every, np.zeros(len(problem.channels)))
     named = to_gains(state, problem.n_theta, free_gains) @ back
     variances = []
-    for block in problem.blocks:
+    for block in problem.units:
         J = rows(block) @ back
         left = np.eye(J.shape[1]) - J.T @ J
         try:

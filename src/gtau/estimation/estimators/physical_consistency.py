@@ -194,7 +194,7 @@ def _gain_std(
 ) -> np.ndarray:
     """Compute standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
     n = len(problem.joints)
-    factors = [triangle(_linear(unit, state, problem, weights, True)) for unit in problem.blocks]
+    factors = [triangle(_linear(unit, state, problem, weights, True)) for unit in problem.units]
     left = (triangle(R, stated) for R in leave_one_out(factors))
     gains = np.array([1 / (state.b[:n] + _programme(R, unknowns)[1][:n]) for R in left])
     return np.sqrt(np.diag(jackknife(gains)))

@@ -30,7 +30,7 @@ def tls(problem: Problem) -> Solution:
     """
     r, joints = problem.total_rows.sum(), range(len(problem.joints))
     weights = 1 / np.array([_own_sigma_W(problem, j) for j in joints])
-    units = [triangle(*(total_rows_of(problem, unit[j], j, weights[j]) for j in joints)) for unit in problem.blocks]
+    units = [triangle(*(total_rows_of(problem, unit[j], j, weights[j]) for j in joints)) for unit in problem.units]
     W_tot = triangle(*units)  # eq. (33): the same singular values and right singular vectors as all rows
     _, s, Vt = np.linalg.svd(W_tot)  # eq. (35)
     chi = _scaled(Vt[-1])  # V_c solves the closest compatible system, eqs. (34) and (36)

@@ -63,14 +63,14 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         norms[norms == 0] = 1.0
         back = np.linalg.pinv(triangle(A[:, :-1] / norms)) / norms[:, None]
         blocks = []
-        for block in problem.blocks:
+        for block in problem.units:
             # the projected currents of a unit are its regressor's rows with the coefficients of all units
             A_u = np.concatenate([_rows(problem, j, block[j], coefficients[j]) * scale[j] for j in range(n)])
             e_u = (residuals(block, state) * (scale * gains)[:, None]).reshape(-1)
             white = A_u[:, :-1] @ back
             blocks.append((white.T @ white, -(white.T @ e_u)))
         return np.hstack(
-            [one_step(blocks) @ back.T, np.zeros((len(problem.blocks), n))]
+            [one_step(blocks) @ back.T, np.zeros((len(problem.units), n))]
         )  # delays are those of all units
 
     return replace(solution, replicates=replicates)

@@ -16,6 +16,7 @@ from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
 from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
 from gtau.estimation.regression.motion_limits import within_limits
+from gtau.estimation.regression.repeated_runs import Place, edges_in_step, find_places
 from gtau.estimation.regression.system import System, assemble_system
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -59,7 +60,17 @@ class Dataset:
     @cached_property
     def temperatures(self) -> Temperatures | None:
         """How far joints were from their mean temperatures, where these are logged."""
-        return temperatures_of(self.prepared)
+        return temperatures_of(self.prepared, self.edges)
+
+    @cached_property
+    def places(self) -> tuple[Place, ...]:
+        """Where each run stands among those that repeat its motion."""
+        return find_places(self.prepared)
+
+    @cached_property
+    def edges(self) -> tuple[np.ndarray, ...]:
+        """Where the stretches of each run begin and end, as shares of its samples, (STRETCHES + 1,)."""
+        return edges_in_step(self.prepared, self.places)
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -86,6 +97,7 @@ class Dataset:
             self.priors,
             None if self.temperatures is None else self.temperatures.of_stretches,
             tuple(dict.fromkeys(b for b, _ in self.runs[0].wrenches if b != self.robot.floating)),
+            [each.group for each in self.places],
         )
 
     def reduced(
@@ -108,10 +120,18 @@ class Dataset:
             advance(0)
             decimator = self.preparation.at(each.run.rate).decimator
             load, weights = None if loads is None else loads[k], None if weigh is None else weigh[k]
-            factors.append(reduce_run(self.model, self.base.standard, each, decimator, load, weights, advance))
+            factors.append(
+                reduce_run(self.model, self.base.standard, each, decimator, load, weights, advance, edges=self.edges[k])
+            )
             begun += len(each)
         advance(0)
-        return replace(self, factors=tuple(factors))
+        return self.with_factors(factors)
+
+    def with_factors(self, factors: Sequence[Factors]) -> Dataset:
+        """Take other factors of the same runs, cut at the same rows."""
+        other = replace(self, factors=tuple(factors))
+        other.__dict__.update({name: self.__dict__[name] for name in ("places", "edges") if name in self.__dict__})
+        return other
 
 
 def robot_notes(robot: Robot, loaded: bool) -> list[Note]:

@@ -15,7 +15,7 @@ import numpy as np
 from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS, STRETCHES, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
-from gtau.estimation.regression.stretches import stretch_of
+from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
 from gtau.signals.channel import Channel, channels_of_model
@@ -92,10 +92,12 @@ def reduce_run(
     weigh: HuberWeights | None = None,
     progress: Callable[[int], None] = lambda samples: None,
     fast: int = FAST_SAMPLES,
+    edges: np.ndarray | None = None,
 ) -> Factors:
     """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
 
     With ``weigh`` of weighted rows; in blocks of ``fast`` samples. ``progress`` gets the samples done at each stretch.
+    ``edges`` (STRETCHES + 1,) of the stretches are shares of its samples, those of :func:`stretch_edges` if left out.
 
     Raises
     ------
@@ -103,7 +105,7 @@ def reduce_run(
         Where the closures refuse a sample.
     """
     regressor, near = idm.columns(columns), singularities(idm)
-    stretches = stretch_of(prepared, decimator.outputs(len(prepared)))
+    stretches = stretch_of(stretch_edges(prepared) if edges is None else edges, decimator.outputs(len(prepared)))
     channels = channels_of_model(idm.robot, prepared.run.sensors)
     c, p = len(channels), len(columns) + EXTRA
     rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)

@@ -28,7 +28,6 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.equations import STRETCHES
-from gtau.estimation.regression.stretches import stretch_edges
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.signals.channel import Channel
 from gtau.signals.preparation import PreparedRun
@@ -106,8 +105,14 @@ class Temperatures:
         return np.array([means.get(joint, 0.0) for joint in of.joints])
 
 
-def temperatures_of(prepared: Sequence[PreparedRun]) -> Temperatures | None:
-    """Find the differences in all runs; None where none has a temperature, GtauError where some have."""
+def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
+    """Find the differences in all runs, whose stretches have ``edges``; None where none has a temperature.
+
+    Raises
+    ------
+    GtauError
+        Where some runs have temperatures and others have none.
+    """
     found = [each.run.temperature for each in prepared]
     logged = [each for each in found if each is not None]
     if not logged:
@@ -117,10 +122,8 @@ def temperatures_of(prepared: Sequence[PreparedRun]) -> Temperatures | None:
         raise GtauError(f"run '{lacking}' has no temperature, but other runs have; log it in all runs, or in none.")
     joints, runs = prepared[0].run.joints, []
     known = [joint for joint in joints if all(joint in each.of_joint for each in logged)]
-    for each, temperature in zip(prepared, logged, strict=True):
-        share = np.interp(
-            np.linspace(0, STRETCHES, STRETCHES * INSTANTS), np.arange(STRETCHES + 1), stretch_edges(each)
-        )
+    for each, temperature, cut in zip(prepared, logged, edges, strict=True):
+        share = np.interp(np.linspace(0, STRETCHES, STRETCHES * INSTANTS), np.arange(STRETCHES + 1), cut)
         time = each.time[0] + share * (each.time[-1] - each.time[0])
         means = [temperature.at(joint, time).reshape(STRETCHES, INSTANTS).mean(axis=1) for joint in known]
         runs.append(np.array(means).reshape(len(known), STRETCHES))

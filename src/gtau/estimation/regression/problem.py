@@ -49,6 +49,8 @@ class Problem:
         variance.
     wrenches : tuple of str
         Bodies on which measured wrenches act; what they add to the motors' torques is in the column ``known``, less.
+    in_step : ndarray, optional
+        (U,) the same number for blocks that the jackknife leaves out together, of runs that repeat a motion.
     """
 
     parameters: tuple[str, ...]
@@ -58,6 +60,7 @@ class Problem:
     slowest: float
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     wrenches: tuple[str, ...] = ()
+    in_step: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not self.known.size:
@@ -81,6 +84,17 @@ class Problem:
     def scaled(self) -> bool:
         """Whether torque sensors, measured wrenches or known parameters say how large gains are, beside payloads."""
         return not self.free.all() or bool(self.wrenches) or len(self.known) > 0
+
+    @property
+    def block_numbers(self) -> np.ndarray:
+        """Number the blocks by the units that the jackknife leaves out, (U,)."""
+        return np.arange(len(self.blocks)) if self.in_step is None else self.in_step
+
+    @cached_property
+    def units(self) -> tuple[np.ndarray, ...]:
+        """Return what the jackknife leaves out in turn, (c, ., n_theta + 4): a block, or all that are in step."""
+        together = [self.blocks[self.block_numbers == number] for number in np.unique(self.block_numbers)]
+        return tuple(each[0] if len(each) == 1 else np.concatenate(each, axis=1) for each in together)
 
     @property
     def gain_rows(self) -> slice:

@@ -28,7 +28,6 @@ def stretch_edges(prepared: PreparedRun | InMemoryRun) -> np.ndarray:
     return np.asarray(np.interp(np.linspace(0.0, along[-1], STRETCHES + 1), along, at / at[-1]))
 
 
-def stretch_of(prepared: PreparedRun | InMemoryRun, outputs: int) -> np.ndarray:
-    """List the number of the stretch of each of ``outputs`` rows, (outputs,)."""
-    edges = np.round(stretch_edges(prepared)[1:-1] * outputs, 6)
-    return np.asarray(np.searchsorted(edges, np.arange(outputs), side="right"))
+def stretch_of(edges: np.ndarray, outputs: int) -> np.ndarray:
+    """List the number of the stretch of each of ``outputs`` rows, (outputs,), from the edges of the stretches."""
+    return np.asarray(np.searchsorted(np.round(edges[1:-1] * outputs, 6), np.arange(outputs), side="right"))

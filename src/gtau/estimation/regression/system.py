@@ -106,6 +106,7 @@ def assemble_system(
     priors: Mapping[str, Prior] | None = None,
     temperatures: Sequence[np.ndarray] | None = None,
     wrenches: Sequence[str] = (),
+    motions: Sequence[int] | None = None,
 ) -> System:
     """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33).
 
@@ -131,6 +132,8 @@ def assemble_system(
         Differences (stretches, n) of the joints' temperatures from their means, for each run.
     wrenches : sequence of str
         Bodies on which measured wrenches act.
+    motions : sequence of int, optional
+        A number for each run, the same for runs that repeat a motion, whose stretches are left out together.
 
     Raises
     ------
@@ -156,6 +159,9 @@ def assemble_system(
     block_positions = np.array(
         [(run, (s + 0.5) / len(each.rows)) for run, each in enumerate(factors) for s in range(len(each.rows))]
     )
+    of_run = np.arange(len(factors)) if motions is None else np.asarray(motions)
+    stretch = np.concatenate([np.arange(len(each.rows)) for each in factors])
+    motion = of_run[block_positions[:, 0].astype(int)]
     priors = priors or {}
     _require_base_wrench(idm, factors)
     problem = Problem(
@@ -166,6 +172,7 @@ def assemble_system(
         slowest,
         known_equations(base, idm.parameter_names, parameters, priors),
         tuple(wrenches),
+        (motion * (stretch.max() + 1) + stretch)[filled],
     )
     if temperatures is None:  # all stretches of a run have the same map: their factors need not be merged again
         problem.__dict__["triangles"] = tuple(triangle(*each) for each in zip(*merged, strict=True))

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import IdentifiedModel
 
+RANKED = (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE, Outcome.WEAK, Outcome.GOOD, Outcome.GIVEN)
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
+@dataclass(frozen=True)
+class Reason:
+    """Why gains are not good, or what was noticed of good ones, and what to do: the same for all ``joints``."""
+
+    outcome: Outcome
+    joints: tuple[str, ...]
+    why: str
+    action: str
+
+
 def headline(result: IdentifiedModel) -> str:
-    """Say what can be believed of the drive gains: how many are known how well, and what is wrong with the others."""
+    """Say what can be believed of the gains: how many are known how well, and which contradict the description."""
     gains = list(result.drive_gains.values())
     if all(gain.verdict.outcome == Outcome.GIVEN for gain in gains):
         return (
@@ -21,22 +33,38 @@ def headline(result: IdentifiedModel) -> str:
             if result.kind == "torque"
             else "The drive gains were given, not identified."
         )
+    accuracy = result.statistics.get("accuracy", 0.0)
     estimated = any(gain.std is not None for gain in gains)
-    sentences = [_good(gains, result.statistics.get("accuracy", 0.0))] if estimated else []
+    sentences = [_good(gains, accuracy)] if estimated else []
     for outcome in (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE):
-        sentences += [_sentence(outcome, *group) for group in _by_reason(gains, outcome)]
-    accuracy = 100 * result.statistics.get("accuracy", 0.0)
+        sentences += _sentence(outcome, [gain for gain in gains if gain.verdict.outcome == outcome])
     weak = [gain for gain in gains if gain.verdict.outcome == Outcome.WEAK]
-    doubted = [gain for gain in weak if (gain.half_width or 0.0) <= accuracy]  # for what is wrong elsewhere
-    sentences += _weak([gain for gain in weak if gain not in doubted], accuracy)
-    sentences += [
-        f"{_subject(members)} {'is' if len(members) == 1 else 'are'} in doubt: {why}; {advice}."
-        for members, why, advice in _by_reason(doubted, Outcome.WEAK)
-    ]
-    remarks = [
-        f"{_subject(members)}: {why}; {advice}." for members, why, advice in _by_reason(gains, Outcome.GOOD) if why
-    ]
-    return " ".join([*sentences, *remarks])
+    doubted = [gain for gain in weak if (gain.half_width or 0.0) <= 100 * accuracy]  # for what is wrong elsewhere
+    sentences += _weak([gain for gain in weak if gain not in doubted], 100 * accuracy)
+    if doubted:
+        sentences.append(f"{_subject(doubted)} {'is' if len(doubted) == 1 else 'are'} in doubt.")
+    return " ".join(sentences)
+
+
+def reasons(result: IdentifiedModel) -> tuple[Reason, ...]:
+    """List why gains are what they are and what to do, the worst first: one row for all joints with the same to do."""
+    groups: dict[tuple[Outcome, str, str], list[Estimate]] = {}
+    for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
+        found = gain.verdict.finding
+        if found is not None:
+            groups.setdefault((gain.verdict.outcome, found.kind, gain.verdict.advice), []).append(gain)
+    ranked = sorted(groups.items(), key=lambda group: RANKED.index(group[0][0]))
+    return tuple(
+        Reason(outcome, tuple(gain.name for gain in members), _why(members), advice)
+        for (outcome, _, advice), members in ranked
+    )
+
+
+def _why(gains: Sequence[Estimate]) -> str:
+    """Give the reason of several gains, where they differ in numbers that of the first, which is the worst."""
+    whys = dict.fromkeys(gain.verdict.why for gain in gains)
+    first = next(iter(whys))
+    return first if len(whys) == 1 else f"{first} ('{gains[0].name}')"
 
 
 def _good(gains: Sequence[Estimate], accuracy: float) -> str:
@@ -54,34 +82,24 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
 
 
 def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
-    """Say how well the weak gains are known, and what makes the worst of them uncertain."""
+    """Say how well the weak gains are known."""
     if not gains:
         return []
-    widths = [(gain.half_width or 0.0, gain) for gain in gains]
     known = [
-        f"'{gain.name}'{'' if k else ' is known'} to +-{percent_text(width, accuracy)} %"
-        for k, (width, gain) in enumerate(widths)
+        f"'{gain.name}'{'' if k else ' is known'} to +-{percent_text(gain.half_width or 0.0, accuracy)} %"
+        for k, gain in enumerate(gains)
     ]
-    listed = known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]
-    worst = max(widths, key=lambda pair: pair[0])[1]
-    return [f"{listed}. Joint '{worst.name}': {worst.verdict.why}; {worst.verdict.advice}."]
+    return [(known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]) + "."]
 
 
-def _sentence(outcome: Outcome, gains: Sequence[Estimate], why: str, advice: str) -> str:
+def _sentence(outcome: Outcome, gains: Sequence[Estimate]) -> list[str]:
+    if not gains:
+        return []
     said = {
         Outcome.CONTRADICTORY: "contradicts the description" if len(gains) == 1 else "contradict the description",
         Outcome.NOT_IDENTIFIABLE: "has no identifiable gain" if len(gains) == 1 else "have no identifiable gains",
     }[outcome]
-    return f"{_subject(gains)} {said}: {why}; {advice}."
-
-
-def _by_reason(gains: Sequence[Estimate], outcome: Outcome) -> list[tuple[list[Estimate], str, str]]:
-    """Collect the gains of an outcome that share why and advice, so that these are said once."""
-    reasons: dict[tuple[str, str], list[Estimate]] = {}
-    for gain in gains:
-        if gain.verdict.outcome == outcome:
-            reasons.setdefault((gain.verdict.why, gain.verdict.advice), []).append(gain)
-    return [(members, why, advice) for (why, advice), members in reasons.items()]
+    return [f"{_subject(gains)} {said}."]
 
 
 def _subject(gains: Sequence[Estimate]) -> str:

@@ -368,6 +368,14 @@ RIPPLE_SHARE = Threshold(
     "0.4 to 0.9 (ripple put in)",
     "tests/estimation/test_position_ripple.py",
 )
+CORRELATED = Threshold(
+    0.3,
+    "correlation of a joint's residuals between runs with different loads that repeat a motion, from which it is said",
+    "-0.05 to 0.1 (noise alone: five-bar); -0.25 to 0.36 (AIRBOT Play)",
+    "0.43 to 0.82 (UR10e pairs, five joints; dVRK); -0.56 (UR10e, wrist 1, where friction may not differ between runs)",
+    "those logs, tests/estimation/test_repeated_motions.py",
+)
+CORRELATED_STD = Threshold(4.0, "the same in standard deviations", NONE, NONE, "a level: one in 15,000 by chance")
 CLOCK_SIZE = Threshold(
     0.9,
     "part of what another gravity explains that another strength of it explains alone: the clock is wrong",

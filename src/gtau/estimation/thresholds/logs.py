@@ -143,6 +143,24 @@ CURRENTS_APART = Threshold(
 )
 
 
+# Whether runs repeat a motion.
+
+REPEATED = Threshold(
+    0.1,
+    "rms difference of the positions of two runs after a shift in time, over the rms of the motion, mean of the joints",
+    "0.0001 (UR10e, two pairs with and without payload), 0.004 and 0.006 (dVRK, the same)",
+    "1.1 to 1.9 (Orthoglide, four motions)",
+    "those logs; runs taken for repeated without need only lose degrees of freedom",
+)
+REPEATED_PART = Threshold(
+    0.7,
+    "part of the longer of two runs in which both have the motion",
+    "0.91 to 1 (the same pairs)",
+    NONE,
+    "a choice: the rest of a run is then cut into at most a third as many stretches again",
+)
+
+
 # What torques and logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU described in docs/zoo.md).
 
 LENGTH_SHARE = Threshold(
