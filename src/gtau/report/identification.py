@@ -53,7 +53,7 @@ def summary_page(result: IdentifiedModel) -> Page:
         section("", masses_table(result.payloads)),
         section("Torque fit", *_fit_words(result)),
         findings_section(notes, NOTES) if notes else None,
-        section("", Text(f"{more} more notes, all {rest}" if more > 0 else f"All {rest}")),
+        section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
     )
 
 
