@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from gtau.estimation.check_logs import check_logs as check
     from gtau.estimation.compare import EstimatorComparison, compare
     from gtau.estimation.identify import identify
-    from gtau.estimation.results.estimate import Estimate, PayloadEstimate, Prediction, TorqueError
+    from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
+    from gtau.estimation.results.payload_body import PayloadBody
+    from gtau.estimation.results.payload_estimate import PayloadEstimate
     from gtau.estimation.results.result import Result
     from gtau.estimation.weigh import weigh
     from gtau.excitation.design import Design
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from gtau.excitation.design_file import read_design
     from gtau.excitation.task import DesignProblem
     from gtau.export.exported import Exported
-    from gtau.export.registry import export_model
+    from gtau.export.registry import export_model, export_payload
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
@@ -52,6 +54,7 @@ __all__ = [
     "InverseDynamics",
     "Part",
     "Payload",
+    "PayloadBody",
     "PayloadEstimate",
     "Prediction",
     "PreparationSettings",
@@ -69,6 +72,7 @@ __all__ = [
     "compare",
     "excite",
     "export_model",
+    "export_payload",
     "identify",
     "load_robot",
     "read_design",
@@ -91,7 +95,8 @@ _HOMES = {
     "InverseDynamics": "model.inverse_dynamics",
     "Part": "signals.samples",
     "Payload": "signals.payload",
-    "PayloadEstimate": "estimation.results.estimate",
+    "PayloadBody": "estimation.results.payload_body",
+    "PayloadEstimate": "estimation.results.payload_estimate",
     "Prediction": "estimation.results.estimate",
     "PreparationSettings": "signals.settings",
     "Prior": "signals.experiment",
@@ -108,6 +113,7 @@ _HOMES = {
     "compare": "estimation.compare",
     "excite": "excitation.design",
     "export_model": "export.registry",
+    "export_payload": "export.registry",
     "identify": "estimation.identify",
     "load_robot": "model.home",
     "read_design": "excitation.design_file",

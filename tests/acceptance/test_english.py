@@ -48,7 +48,7 @@ FOLDERS = (
     ),
     "simulation",
 )
-PAGES = ("benchmarks", "catalog", "equations", "log-check", "robot-file", "scale", "simulation-file")
+PAGES = ("benchmarks", "catalog", "equations", "log-check", "payload", "robot-file", "scale", "simulation-file")
 PLACES = {
     **{f"src/gtau/{folder}": EVERYWHERE + REWRITTEN for folder in FOLDERS},
     **{f"docs/{page}.md": EVERYWHERE + REWRITTEN for page in PAGES},

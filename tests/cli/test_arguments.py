@@ -49,6 +49,7 @@ def calls() -> list[tuple[Callable, dict[str, Any], str]]:
         "base_parameters": {"idm": model},
         "InverseDynamics": {"robot": robot},
         "export_model": {"model": "nowhere.json", "kind": "csv", "out": "out"},
+        "export_payload": {"payload": None, "kind": "ur", "out": "out"},
     }
     functions = {name for name in gtau.__all__ if inspect.isfunction(getattr(gtau, name))}
     assert functions == set(good) - {"InverseDynamics"}

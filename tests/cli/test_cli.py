@@ -238,6 +238,25 @@ def test_payload(here: Path, gains: str) -> None:
     assert f"Weighed with the {gains} drive gains" in table
 
 
+def test_a_payload_for_a_controller(here: Path) -> None:
+    """A five-bar in a plane shows neither cz nor inertias but Izz; the frame is 0.1 m along its x."""
+    arguments = ("payload", "model.json", "weighing.yaml", "--frame", "0.1 0 0 0 0 0", "--to", "ur", "--out", "weighed")
+    found = document(*arguments)
+    (body,) = found["bodies"]
+    values = {key: each["value"] for key, each in body["parameters"].items()}
+    assert values["m"] == pytest.approx(0.8, abs=0.01)
+    assert values["cx"] == pytest.approx(0.1 / 0.8 - 0.1, abs=0.005)
+    assert values["cy"] == pytest.approx(-0.05 / 0.8, abs=0.005)
+    assert [key for key, value in values.items() if value is None] == ["cz", "Ixx", "Iyy", "Ixy", "Ixz", "Iyz"]
+    (script,) = (file for file in found["files"] if file.endswith("lead.script"))
+    (line,) = (each for each in Path(script).read_text().splitlines() if each.startswith("set_target_payload("))
+    assert line.startswith(f"set_target_payload({values['m']!r}, [{values['cx']!r},{values['cy']!r},")
+    assert "the motion does not show cz, Ixx" in found["notes"][1]
+    refused = run("payload", "model.json", "weighing.yaml", "--to", "ur")
+    assert refused.exit_code != 0
+    assert "--to ur writes files; name their folder by --out DIR" in " ".join(refused.stderr.split())
+
+
 def test_wrong_prior_gains_weigh_wrong(here: Path) -> None:
     (here / "wrong.yaml").write_text(WEIGHING.replace("left: 2.5, right: 4.0", "left: 2.25, right: 3.6"))
     weighed = {}

@@ -191,7 +191,7 @@ EXPERIMENTS = [
     ),
     Case(
         "a log for the experiment",
-        "free.csv is a log, not an experiment file; name it under 'runs'",
+        "free.csv does not say of which robot it is; give it (--robot ROBOT)",
         command=("identify", "free.csv"),
     ),
     Case("not UTF-8", "the text is not UTF-8", {"experiment.yaml": b"robot: caf\xe9\n"}),
@@ -402,8 +402,8 @@ MODELS = [
     Case("deep JSON", "model.json is not a JSON file", _model(lambda text: "[" * 100000), VALIDATE),
     Case(
         "of tomorrow",
-        "model.json has the schema 'gtau-model/9', but this version reads 'gtau-model/2'",
-        _model(lambda text: text.replace("gtau-model/2", "gtau-model/9")),
+        "model.json has the schema 'gtau-model/9', but this version reads 'gtau-model/3'",
+        _model(lambda text: text.replace("gtau-model/3", "gtau-model/9")),
         VALIDATE,
     ),
     Case(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import textwrap
+from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,8 +28,15 @@ from gtau.cli.console import (
     refusals,
     show,
 )
+from gtau.cli.drafting import KindOfLogs, Payloads, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
-from gtau.errors import GtauError
+from gtau.errors import GtauError, missing_extra
+
+if TYPE_CHECKING:
+    from gtau.estimation.results.payload_body import PayloadBody
+    from gtau.export.exported import Exported
+
+CONTROLLERS = "ur, franka, kuka, abb, ros"  # the PAYLOAD_KINDS of the registry, which --help need not import
 
 
 class Gains(StrEnum):
@@ -36,7 +47,10 @@ class Gains(StrEnum):
 
 
 def identify(
-    experiment: ExperimentFile,
+    sources: Sources,
+    robot: RobotOfLogs = None,
+    payload: Payloads = None,
+    kind: KindOfLogs = None,
     out: Annotated[
         Path,
         typer.Option("--out", metavar="DIR", help="Folder for report.html, model.json, summary.txt and singularities."),
@@ -84,12 +98,16 @@ def identify(
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
+    Logs in the place of EXPERIMENT.yaml are drafted as by 'gtau init', without a question; the summary lists what was
+    guessed, which --payload, --kind and --robot state, or the draft, DIR/experiment.yaml, once it is corrected.
+
     The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, or the result misses what
     EXPERIMENT.yaml requires of it.
     """
     with refusals(json_):
         refuse_as_folder(out)
         start = perf_counter()
+        experiment, guessed = experiment_of(sources, robot, payload, kind, out)
         with progress_bar() as progress:
             from gtau.estimation.identify import identify as run
             from gtau.estimation.results.model_document import to_document
@@ -106,13 +124,14 @@ def identify(
         from gtau.estimation.results.singularity_distances import write_distances
         from gtau.report.write import write_identification
 
+        result = replace(result, notes=(*guessed, *result.notes))
         written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
         result.save(written[0])
         write_atomically(written[1], result.summary(True) + "\n")
         write_distances(result.distances, written[2])
         with progress_bar() as progress:
             report = write_identification(result, experiment, out, perf_counter() - start, progress)
-        written.insert(0, report)
+        written = [*([experiment] if guessed else []), report, *written]
         if json_:
             print_json(to_document(result))
         else:
@@ -199,41 +218,85 @@ def payload(
     gains: Annotated[
         Gains, typer.Option(metavar="identified|prior", help="The model's gains, or the file's prior_gains.")
     ] = Gains.identified,
-    out: ReportFolder = None,
+    frame: Annotated[
+        str,
+        typer.Option(
+            metavar="LINK|POSE",
+            help="Where centre of mass and inertia are stated: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
+            "(m, rad) from the frame of the body that carries the payload. Default: that frame.",
+            show_default=False,
+        ),
+    ] = "",
+    to: Annotated[
+        str | None,
+        typer.Option("--to", metavar="CONTROLLER", help=f"Also write each payload for a controller: {CONTROLLERS}."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html and the files of --to.")
+    ] = None,
     json_: Json = False,
 ) -> None:
-    """Weigh unknown payloads from loaded runs and a run without payload."""
+    """Weigh unknown payloads from loaded runs and a run without payload.
+
+    States mass, centre of mass and inertia about it, of a body that can exist, with 95 % intervals.
+    """
     with refusals(json_):
         refuse_as_folder(out)
+        if to is not None and out is None:
+            raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
         start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
             from gtau.estimation.weigh import exact_gains, weigh
             from gtau.report.evidence import settings_of
-            from gtau.report.validation import weighing_page, weighing_report
+            from gtau.report.validation import bodies_document, weighing_page, weighing_report
             from gtau.report.write import inputs_of, write_report
             from gtau.signals.experiment import read_experiment
 
             result = Result.load(model)
             found = weigh(result, experiment, gains=gains.value, progress=progress)
-        described, written = read_experiment(experiment), []
+        described, written, notes = read_experiment(experiment), list[Path](), list[str]()
+        file = described.robot if isinstance(described.robot, str) else described.robot.file
+        bodies = []
+        if frame or to or find_spec("clarabel"):  # an extra, without which masses are weighed all the same
+            bodies = [each.in_frame(frame, file) for each in found]
+        else:
+            notes.append(str(missing_extra("what is said of the centre of mass", "clarabel", "consistency")))
         exact = exact_gains(described, gains.value)
         if out is not None:
-            page = weighing_report(result, found, gains.value, described.expected_gains, exact)
+            page = weighing_report(result, found, gains.value, described.expected_gains, exact, bodies)
             inputs = (("model", model), *inputs_of(experiment, described))
             settings = {**settings_of(result), "drive gains": gains.value}
             written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings)]
+            for exported in () if to is None else _exported(bodies, to, out):
+                written += exported.files
+                notes += exported.notes
         if json_:
             print_json(
                 {
                     "payloads": payload_documents(found),
+                    "bodies": bodies_document(bodies),
+                    "files": [str(path) for path in written],
+                    "notes": notes,
                     "gains": gains.value,
                     "gain_uncertainty_included": not exact,
                 }
             )
         else:
-            show(weighing_page(result, found, gains.value, exact), written)
+            show(weighing_page(result, found, gains.value, exact, bodies), written)
+            for each in notes:
+                typer.echo(textwrap.fill(f"- {each}", 80, subsequent_indent="  "))
+
+
+def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
+    """Write payloads for a controller, each weighing to its own files."""
+    from gtau.export.names import identifier
+    from gtau.export.registry import export_payload
+    from gtau.report.check import unique_names
+
+    names = unique_names([identifier(each.name) for each in bodies])
+    return [export_payload(replace(each, name=name), to, out) for each, name in zip(bodies, names, strict=True)]
 
 
 def fleet(

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import METHODS, ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show
+from gtau.cli.console import METHODS, Json, base_choice, print_json, progress_bar, refusals, show
+from gtau.cli.drafting import KindOfLogs, Payloads, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.robots.robot import Robot
     from gtau.signals.discovery import Draft
 
 WIDTH = 80
@@ -44,27 +44,21 @@ def init(
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
     with refusals(json_):
-        from gtau.documents.files import write_atomically
-        from gtau.model.home import load_robot
-        from gtau.signals.discovery import UNSURE, discover, draft_text
+        from gtau.signals.draft_file import UNSURE
+        from gtau.signals.drafting import draft_logs, write_draft
+        from gtau.signals.formats import is_rosbag
 
         if out.exists():
             raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
         ask = not (yes or json_) and _on_terminal()
-        if robot is None and ask:
+        if robot is None and ask and not is_rosbag(logs[0]):
             robot = typer.prompt("Robot (name in the catalog or path of a file; empty if unknown)", default="") or None
         if base is not None and robot is None:
             raise GtauError("--base places a robot; name it too (--robot ROBOT).")
-        known: Robot | None = None if robot is None else load_robot(robot, base=base_choice(base))
-        if known is not None and known.floating:
-            raise GtauError(
-                f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
-                "floats is not drafted; start from docs/experiment-file.md, 'A base that floats'."
-            )
-        draft = discover(logs, known, robot, base_choice(base))
+        draft = draft_logs(logs, robot, base_choice(base))
         if ask:
             draft = _answered(draft)
-        write_atomically(out, draft_text(draft, out.parent))
+        write_draft(draft, out)
         open_ = [UNSURE[key] for key in draft.open]
         if json_:
             print_json(
@@ -87,25 +81,22 @@ def _on_terminal() -> bool:
 
 def _answered(draft: Draft) -> Draft:
     """Ask on the terminal what the logs do not say."""
-    settled = set()
+    from gtau.signals.drafting import with_kind, with_masses
+
     if "rate" in draft.open:
-        draft = replace(draft, rate=typer.prompt("Sampling rate of the logs, Hz", type=float))
-        settled.add("rate")
+        rate = typer.prompt("Sampling rate of the logs, Hz", type=float)
+        draft = replace(draft, rate=rate, open=tuple(key for key in draft.open if key != "rate"))
     if "kind" in draft.open:
         named = ", ".join(list(draft.command.values())[:3])
         kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.kind)
-        draft = replace(draft, kind="torque" if kind.lower().startswith("t") else "current")
-        settled.add("kind")
-    masses = dict(draft.masses)
+        draft = with_kind(draft, "torque" if kind.lower().startswith("t") else "current")
     if draft.kind == "current":
-        settled.add("mass")
+        asked = {}
         for run in draft.logs:
-            known = masses.get(run[0])
-            answer = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known or 0.0, type=float)
-            masses.pop(run[0], None)
-            if answer > 0:
-                masses[run[0]] = answer
-    return replace(draft, masses=masses, open=tuple(key for key in draft.open if key not in settled))
+            known = draft.masses.get(run[0], 0.0)
+            asked[run[0]] = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known, type=float)
+        draft = with_masses(draft, {log: max(mass, 0.0) for log, mass in asked.items()})
+    return draft
 
 
 def _page(draft: Draft, out: Path, open_: list[str]) -> str:
@@ -132,7 +123,10 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
 
 
 def check(
-    experiment: ExperimentFile,
+    sources: Sources,
+    robot: RobotOfLogs = None,
+    payload: Payloads = None,
+    kind: KindOfLogs = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder for report.html, figures of the logs and singularities."),
@@ -155,12 +149,14 @@ def check(
 ) -> None:
     """Check the logs before identifying: errors, warnings, and what was repaired.
 
+    Logs in the place of EXPERIMENT.yaml are drafted without a question, to DIR or else 'result'.
     The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
     """
     with refusals(json_):
         refuse_as_folder(out)
         refuse_as_folder(figure)
         start = perf_counter()
+        experiment, guessed = experiment_of(sources, robot, payload, kind, Path("result") if out is None else out)
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
             from gtau.estimation.grades import EXIT_CODES
@@ -168,9 +164,10 @@ def check(
             from gtau.report.write import inputs_of, write_report
 
             checked = check_logs(experiment, method=method, progress=progress)
-        page, written = check_page(checked), list[Path]()
+        checked = replace(checked, notes=(*checked.notes, *guessed))
+        page, written = check_page(checked), [experiment] if guessed else []
         if out is not None:
-            written = [write_report(page, folder_of(out), perf_counter() - start, inputs_of(experiment))]
+            written.append(write_report(page, folder_of(out), perf_counter() - start, inputs_of(experiment)))
             written += write_check(checked, out)
         if figure is not None:
             written += write_preparation(checked, folder_of(figure))

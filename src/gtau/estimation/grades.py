@@ -36,6 +36,7 @@ GRADES: Mapping[Kind, Grade] = {
     Kind.GEOMETRY: Grade.WARNING,
     Kind.REPAIR: Grade.INFORMATION,
     Kind.WEIGHING: Grade.INFORMATION,
+    Kind.DRAFT: Grade.INFORMATION,
     Kind.READING: Grade.INFORMATION,
     Kind.REST: Grade.INFORMATION,
     Kind.ROBOT: Grade.INFORMATION,

@@ -18,7 +18,7 @@ from gtau.estimation.experiment_runs import require_same, subject_of
 from gtau.estimation.gate import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.results.estimate import PayloadEstimate
+from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.results.payload_estimates import payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.threads import single_threaded_blas

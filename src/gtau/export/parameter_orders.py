@@ -1,7 +1,7 @@
 """Parameters of bodies in the orders of other programs, with their names, and back.
 
 All are given in the frame of the link as gtau places it; a program that places the body's frame elsewhere wants them
-moved with :meth:`gtau.export.rigid_body.RigidBody.seen_from`. Products of inertia are entries of the inertia tensor
+moved with :meth:`gtau.robots.rigid_body.RigidBody.seen_from`. Products of inertia are entries of the inertia tensor
 (``xy = -int x y dm``) in all five.
 """
 
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.export.rigid_body import RigidBody, inertial_parameters, rigid_body
 from gtau.robots.parameter import Parameter
+from gtau.robots.rigid_body import RigidBody, inertial_parameters, rigid_body
 from gtau.robots.robot import INERTIAL
 
 _ENTRIES = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}

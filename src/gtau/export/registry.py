@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 
 from gtau.documents.arguments import PATH, TEXT, takes
 from gtau.errors import GtauError
+from gtau.estimation.results.payload_body import PayloadBody
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported
 from gtau.robots.floating import refuse_floating
@@ -26,6 +28,15 @@ KINDS = {
 
 OF_FLOATING = ("yaml", "csv")
 """Kinds that hold parameters alone, whether the base floats or not."""
+
+PAYLOAD_KINDS = {
+    "ur": "URScript line, set_target_payload",
+    "franka": "JSON of an end effector, and of setLoad",
+    "kuka": "KRL record, LOAD_DATA",
+    "abb": "RAPID module with a loaddata",
+    "ros": "geometry_msgs/Inertia as YAML",
+}
+"""Kinds of files for a weighed payload."""
 
 INTO = ("urdf", "mjcf")
 """Kinds that can be put back into the robot's own file."""
@@ -57,10 +68,7 @@ def export_model(model: Result | str | Path, kind: str, out: str | Path, into: s
     GtauError
         Where the model lacks what the kind needs, or the files cannot be written.
     """
-    if kind not in KINDS:
-        close = get_close_matches(kind, KINDS, n=1)
-        hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(KINDS)}."
-        raise GtauError(f"there is no export to '{kind}'; {hint}")
+    _refuse_unknown(kind, KINDS)
     result = model if isinstance(model, Result) else Result.load(model)
     if kind not in OF_FLOATING:
         refuse_floating(result.robot, f"export to '{kind}' is")
@@ -69,3 +77,37 @@ def export_model(model: Result | str | Path, kind: str, out: str | Path, into: s
     if kind not in INTO:
         raise GtauError(f"--into puts a model back into a URDF or MJCF file, not into '{kind}'; leave it out.")
     return import_module(f"gtau.export.{kind}_into").export(result, Path(into), Path(out))
+
+
+@takes(payload=("what PayloadEstimate.in_frame returns", (PayloadBody,)), kind=TEXT, out=PATH)
+def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported:
+    """Write a weighed payload in the form that a controller takes.
+
+    Parameters
+    ----------
+    payload : PayloadBody
+        From :meth:`gtau.PayloadEstimate.in_frame`, in the frame that the controller expects.
+    kind : str
+        One of ``gtau.export.registry.PAYLOAD_KINDS``.
+    out : path
+        Folder of the files.
+
+    Returns
+    -------
+    Exported
+        Files written, and notes on the frame and on what the motion does not show.
+
+    Raises
+    ------
+    GtauError
+        Where the mass is not identifiable, or the files cannot be written.
+    """
+    _refuse_unknown(kind, PAYLOAD_KINDS)
+    return import_module("gtau.export.payload").write_payload(payload, kind, Path(out))
+
+
+def _refuse_unknown(kind: str, kinds: Mapping[str, str]) -> None:
+    if kind not in kinds:
+        close = get_close_matches(kind, kinds, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(kinds)}."
+        raise GtauError(f"there is no export to '{kind}'; {hint}")

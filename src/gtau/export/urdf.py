@@ -23,8 +23,8 @@ from gtau.export.consistent import (
 )
 from gtau.export.exported import Exported, written
 from gtau.export.names import identifier
-from gtau.export.rigid_body import RigidBody, rigid_body
 from gtau.robots.geometry import compose, pose_of, turn
+from gtau.robots.rigid_body import RigidBody, rigid_body
 from gtau.robots.robot import (
     DAMPING,
     GROUND,

@@ -13,8 +13,8 @@ from gtau.export.consistent import consistent_model, difference_note, difference
 from gtau.export.exported import Exported
 from gtau.export.input_file import InputFile, input_file
 from gtau.export.names import identifier
-from gtau.export.rigid_body import rigid_body
 from gtau.export.urdf import drives_text, inertial_element, notes
+from gtau.robots.rigid_body import rigid_body
 from gtau.robots.robot import GROUND
 
 

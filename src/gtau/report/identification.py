@@ -32,6 +32,7 @@ from gtau.report.parameters import (
 from gtau.report.requirements import missed, requirements_section
 from gtau.report.torques import determination, fit_table, residuals_section, torques_section
 from gtau.robots.parameter import Parameter
+from gtau.signals.notes import Kind as NoteKind
 
 NOTES = 5  # that the short page shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
@@ -42,7 +43,7 @@ OF_TORQUES = " (the logs hold torques, whose gain is 1)"
 
 def summary_page(result: IdentifiedModel) -> Page:
     """Show what can be believed, drive gains, payloads, fit and the notes that matter most, on one screen."""
-    notes = findings(result)
+    notes = [each for each in findings(result) if each.kind != NoteKind.DRAFT]
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
     return page(
@@ -53,8 +54,18 @@ def summary_page(result: IdentifiedModel) -> Page:
         section("", masses_table(result.payloads)),
         section("Torque fit", *_fit_words(result)),
         findings_section(notes, NOTES) if notes else None,
-        section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
+        _draft_section(result),
+        section("", Text(f"{more} more notes, all {rest}" if more > 0 else f"All {rest}")),
     )
+
+
+def _draft_section(result: IdentifiedModel) -> Section | None:
+    """List all that a drafted experiment file takes for granted."""
+    guessed = [each for each in result.notes if each.kind == NoteKind.DRAFT]
+    if not guessed:
+        return None
+    said = tuple("; ".join(filter(None, (each.what, each.action))) for each in guessed)
+    return section("Taken from the logs", Text(f"Correct what is wrong in {guessed[0].source}:", said))
 
 
 def full_page(result: IdentifiedModel) -> Page:

@@ -9,15 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from gtau.documents.files import write_atomically
-from gtau.estimation.results.estimate import PayloadEstimate
 from gtau.estimation.results.model_document import torque_error
+from gtau.estimation.results.payload_body import PayloadBody
+from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, largest, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
 from gtau.report.identification import motion_section
 from gtau.report.logs import logs_section
-from gtau.report.page import Chart, Drawing, Page, Text, page, section
+from gtau.report.page import Chart, Column, Drawing, Kind, Page, Section, Text, page, section, table
 from gtau.report.torques import (
     REVERSALS,
     errors_table,
@@ -122,7 +123,13 @@ def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> 
 # Payloads
 
 
-def weighing_page(result: Result, payloads: Sequence[PayloadEstimate], gains: str, exact: Sequence[str] = ()) -> Page:
+def weighing_page(
+    result: Result,
+    payloads: Sequence[PayloadEstimate],
+    gains: str,
+    exact: Sequence[str] = (),
+    bodies: Sequence[PayloadBody] = (),
+) -> Page:
     """Show what payloads weigh with the ``gains`` (identified or prior), of which those of joints ``exact`` are."""
     said = [f"Weighed with the {gains} drive gains."]
     if exact:
@@ -135,6 +142,7 @@ def weighing_page(result: Result, payloads: Sequence[PayloadEstimate], gains: st
         f"Payloads of {result.robot.name}",
         section("Verdict", Text(masses_words(payloads, bool(exact)), tuple(said), "neutral"), id="verdict"),
         masses_section(payloads),
+        bodies_section(bodies),
         payloads_section(payloads, "Inertial parameters"),
     )
 
@@ -145,11 +153,44 @@ def weighing_report(
     gains: str,
     prior: Mapping[str, float],
     exact: Sequence[str] = (),
+    bodies: Sequence[PayloadBody] = (),
 ) -> Page:
     """Add the drive gains and the robot to the page."""
-    short = weighing_page(result, payloads, gains, exact)
+    short = weighing_page(result, payloads, gains, exact, bodies)
     more = (gains_section(result, prior), section("Robot", Drawing(result.robot), id="robot"))
     return replace(short, sections=(*short.sections, *more))
+
+
+def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:
+    """Tabulate mass, centre of mass and inertia about it, in the frame asked for; None without payloads."""
+    columns = (Column("quantity", Kind.NAME), Column("value", Kind.SPREAD, 4), Column("unit"))
+    parts = []
+    for each in bodies:
+        rows = [
+            (key, (found.value, found.half_interval()), found.unit)
+            for key, found in each.parameters.items()
+            if found.value is not None
+        ]
+        lost = f"The motion does not show {', '.join(each.unseen)}." if each.unseen else ""
+        what = Text(f"In {each.frame}; inertia about the centre of mass, +- half a 95 % interval. {lost}".strip())
+        parts.append(section(f"Payload '{each.name}' of run {each.run}", what, table(columns, rows) if rows else None))
+    return section("For a controller", *parts, id="controller") if parts else None
+
+
+def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:
+    """Describe bodies as JSON: null where the motion does not show a quantity."""
+    return [
+        {
+            "name": each.name,
+            "run": each.run,
+            "frame": each.frame,
+            "parameters": {
+                key: {"value": found.value, "interval": found.interval(), "unit": found.unit}
+                for key, found in each.parameters.items()
+            },
+        }
+        for each in bodies
+    ]
 
 
 def masses_words(payloads: Sequence[PayloadEstimate], exact: bool) -> str:

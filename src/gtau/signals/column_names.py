@@ -88,6 +88,8 @@ def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
             break
     if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
         words = ["timestamp"]  # of a topic of a bag
+    elif not label and (found := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare)):  # LeRobot's positions
+        label, stem, words = found[2], f"{found[1]}#]", ["position"]
     elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
         *topic, label, field = bare.split("/")
         stem = "/".join([*topic, "#", field])

@@ -1,8 +1,7 @@
-"""A draft of an experiment file: what logs hold, and the text of the file."""
+"""A draft of an experiment file: what logs hold; :mod:`gtau.signals.draft_file` writes it."""
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.column_names import base_like, is_pose, is_temperature, mass_in_name, wrench_like
 from gtau.signals.log_contents import Group, LogContents
+from gtau.signals.log_file import find_columns
 
 LARGEST_CURRENT = 100.0  # A; commands of no known kind that reach further are taken for torques, to be checked
 TURNS = 20.0  # rad or m; joints that are said to move further are logged in deg or mm
@@ -30,7 +29,9 @@ class Draft:
     payloads by log come from the names of the files. ``sensors`` are columns of torque sensors by joint, such by their
     names, ``torques`` those that may be. ``others`` are columns that might be meant instead. Columns
     of ``temperature`` are by joint, or one for all; those of a ``pose``, of the ``motion`` of a base and of
-    ``wrenches`` are only listed. ``base`` says how the robot's base is placed.
+    ``wrenches`` are only listed. ``base`` says how the robot's base is placed. Payloads of
+    logs that are ``stated`` do not come from their names. ``urdf`` is the text of the robot's file where a bag holds
+    it, ``moving`` its joints that the log has, where it lacks others. ``episodes`` are those of logs with several.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -53,6 +54,10 @@ class Draft:
     motion: tuple[str, ...] = ()
     wrenches: tuple[str, ...] = ()
     base: Any = None
+    stated: frozenset[Path] = frozenset()
+    urdf: str | None = None
+    moving: tuple[str, ...] = ()
+    episodes: Mapping[Path, tuple[int, ...]] = field(default_factory=dict)
 
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
@@ -115,6 +120,11 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     apart = command_log.path == position_log.path or command_log.rows != position_log.rows
     if command_log is not position_log and command_log.time and apart:
         command_time = command_log.time
+    if unstamped := [each for each in (*time[:1], *command_time[:1]) if each.endswith("/received")]:
+        reasons["received"] = " and ".join(unstamped)
+        unsure.append("received")
+    elif time and time[0].endswith("/header/stamp"):
+        reasons["time"] += "; stamps of measurement, not those of receipt"
     clocks = position_log.other_clocks()
     if clocks:
         reasons["time"] += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
@@ -127,7 +137,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     if sensors or kind != "current":
         torques = {}
     unsure += ["torques"] if torques else []
-    masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].stem)) is not None}
+    masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
     weighed = ["mass", *["weighed"] * (kind == "torque")] if masses else []
     used = {positions.listed, commands.listed, *(each.listed for each in command_log.groups if each.kind == "sensor")}
     used |= {
@@ -153,6 +163,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         wrenches=wrenches,
         base=base,
         masses=masses,
+        episodes={run[0]: tuple(of) for run in runs if (of := find_columns(run[0]).episodes)},
         others=tuple(
             listed
             for listed, group in alike.items()
@@ -248,152 +259,3 @@ def _temperature(names: Sequence[str], joints: Mapping[str, str]) -> Mapping[str
     if len(found) == len(joints):
         return dict(zip(joints, found, strict=True))
     return found[0] if len(found) == 1 else None
-
-
-CHECK = "CHECK: "
-WIDTH = 90  # characters of columns on one line
-UNSURE = {
-    "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
-    "joints": "confirm that the columns are in the order of the joints",
-    "unit": "confirm the unit of the positions (units: {position: ...})",
-    "rate": "write the sampling rate, which the log does not hold (time: {rate: HZ})",
-    "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
-    "mass": "confirm the masses of the payloads, from the names of the files: the scale of all drive gains",
-    "weighed": "confirm that these are torques: if they are currents, or computed from them by nominal constants, "
-    "write 'current:', and the weighed payload gives their factors, the drive gains",
-    "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
-    "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
-    "clock": "confirm the time column, as others grow, too",
-    "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
-    "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
-    "(docs/experiment-file.md, 'A base that floats')",
-    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a base that "
-    "floats under 'base:' (docs/experiment-file.md, 'Wrenches on bodies')",
-    "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
-}
-"""Questions to the user, by the open points of the draft."""
-
-
-def draft_text(draft: Draft, folder: Path) -> str:
-    """Write the experiment file of a draft for ``folder``, each finding with its reason.
-
-    What is only guessed is marked with ``CHECK``.
-    """
-    why = draft.reasons
-    lines = [
-        f"# Drafted by 'gtau init' from {_count(len(draft.logs))}. Edit the lines marked CHECK, then run gtau check.",
-        "",
-        _line(f"robot: {_flow(_robot(draft, folder))}", _of(draft, "robot", "")),
-        "",
-        "signals:",
-    ]
-    if draft.time:
-        time: Any = draft.time[0] if len(draft.time) == 1 else list(draft.time)
-        if draft.command_time:
-            other = draft.command_time[0] if len(draft.command_time) == 1 else list(draft.command_time)
-            time = {"position": time, "command": other}
-        lines.append(_line(f"  time: {_flow(time)}", CHECK * ("clock" in draft.open) + why.get("time", "")))
-    else:
-        rate = 1000.0 if draft.rate is None else draft.rate
-        found = CHECK * ("velocities" in draft.open) + why.get("time", "")
-        lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", found)))
-    matched = why.get("position", "")
-    lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
-    found = why.get("velocity", "")
-    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference", "weighed") if key in draft.open), "")
-    lines += _by_joint(draft.kind, draft.command, doubt)
-    if draft.temperature is not None:
-        lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
-    if draft.pose:
-        lines.append(
-            f"  # A pose tests the robot's geometry; if {_first(draft.pose)} hold one, describe it under 'pose:'."
-        )
-    if draft.motion:
-        lines += [
-            f"  # {CHECK}{_first(draft.motion)} look like the motion of a base. If it moved, write",
-            "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here",
-            "  # (docs/experiment-file.md, 'A base that floats').",
-        ]
-    if draft.wrenches:
-        lines += [
-            f"  # {CHECK}{_first(draft.wrenches)} look like forces and moments. Describe those that act",
-            "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'",
-            "  # (docs/experiment-file.md, 'Wrenches on bodies').",
-        ]
-    if draft.sensors:
-        lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")
-    if draft.torques:
-        lines.append(
-            f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
-        )
-        lines.append("  # gains; if these are such, remove the '#':")
-        lines += [f"  #{line[1:]}" for line in _by_joint("joint_torque", draft.torques, "")]
-    if draft.others:
-        lines.append(f"  # Not used: columns {'; '.join(draft.others)}.")
-    if found:
-        lines.append(f"  # {found[0].upper()}{found[1:]}.")
-    lines += ["", *_units(draft), "runs:"]
-    for run in draft.logs:
-        paths = [_relative(path, folder) for path in run]
-        lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
-        if (mass := draft.masses.get(run[0])) is not None:
-            payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
-            lines.append(_line(f"    payload: {_flow(payload)}", f"{CHECK}kg, from the name of the file"))
-    if draft.kind == "current" and not draft.masses and not draft.sensors:
-        lines += [
-            "# Drive gains need the mass (kg) of the payload of one run or more, and a run with another one or none:",
-            "#   payload: {name: steel, mass: 1.2, mass_std: 0.001}",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _first(columns: Sequence[str]) -> str:
-    return ", ".join(columns[:8]) + (", ..." if len(columns) > 8 else "")
-
-
-def _robot(draft: Draft, folder: Path) -> Any:
-    if draft.robot is None:
-        return "NAME-OR-FILE"
-    path = Path(draft.robot)
-    file = _relative(path, folder) if path.exists() else draft.robot
-    return file if draft.base is None else {"file": file, "base": draft.base}
-
-
-def _units(draft: Draft) -> list[str]:
-    if not draft.units:
-        reason = draft.reasons.get("unit", "")
-        return [f"# SI units ({reason}). For others, for example: units: {{position: deg, current: mA}}", ""]
-    lines = ["units:"]
-    for key, unit in draft.units.items():
-        comment = draft.reasons.get("unit", "") if key == "position" else ""
-        lines.append(_line(f"  {key}: {unit}", CHECK * (key == "position" and "unit" in draft.open) + comment))
-    return [*lines, ""]
-
-
-def _of(draft: Draft, key: str, otherwise: str) -> str:
-    return CHECK + UNSURE[key] if key in draft.open else otherwise
-
-
-def _line(text: str, comment: str) -> str:
-    return f"{text}  # {comment}" if comment else text
-
-
-def _by_joint(key: str, columns: Mapping[str, str], comment: str) -> list[str]:
-    """Write columns in braces, or on lines of their own where that would be too long."""
-    flow = _flow(columns)
-    if len(flow) < WIDTH:
-        return [_line(f"  {key}: {flow}", comment)]
-    return [_line(f"  {key}:", comment), *(f"    {_flow({joint: name})[1:-1]}" for joint, name in columns.items())]
-
-
-def _flow(value: Any) -> str:
-    plain = dict(value) if isinstance(value, Mapping) else value
-    return yaml_text(plain, flow=True, width=float("inf")).removesuffix("...\n").strip()
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()
-
-
-def _count(logs: int) -> str:
-    return f"{logs} log{'s' * (logs != 1)}"

@@ -18,6 +18,10 @@ from gtau.signals.log_file import find_columns, read_log
 
 ROWS = 200_000  # of a log that are looked at
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
+# Between commands and positions, rms, in standard deviations of the position; below, commands are of positions.
+# Positions that lag by 20 to 120 ms on sines of up to 0.9 Hz: 0.02 to 0.14, references of a quadruped 0.23; currents
+# and torques of eight measured logs 1.2 to 1270.
+FOLLOWED = 0.3
 ADDED = 50  # samples over which velocities are added up
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
 COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, those preferred first
@@ -73,7 +77,7 @@ class LogContents:
             main = next((each for each in of_kind if each != but), None)
             wanted = [each for each in wanted if _topic(each.name, topics) == main] or wanted[:1]
             groups = [each for each in groups if _topic(each.first, topics) == main]
-        values = _values(path, [each.name for each in wanted])
+        values = _values(path, [each.name for each in wanted], table)
         time = _time_columns(wanted, values)
         return cls(path, table, values, time, tuple(_classified(groups, values, path)), {})
 
@@ -180,14 +184,16 @@ def _topic(name: str, topics: Sequence[str]) -> str:
     return next((topic for topic in topics if name.startswith(f"{topic}/")), "")
 
 
-def _values(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+def _values(path: Path, names: Sequence[str], table: Table) -> dict[str, np.ndarray]:
+    """Read the first rows, of several episodes those of the first."""
     log = read_log(path, names)
+    rows = next(iter(table.episodes.values()), range(ROWS))
     parts, count = [], 0
-    for values, _ in log.blocks(range(ROWS)):
+    for values, _ in log.blocks(rows[:ROWS]):
         parts.append(values)
         count += len(values)
-    table = np.vstack(parts) if parts else np.empty((0, len(log.names)))
-    return {name: table[:, k] for k, name in enumerate(log.names)}
+    whole = np.vstack(parts) if parts else np.empty((0, len(log.names)))
+    return {name: whole[:, k] for k, name in enumerate(log.names)}
 
 
 def _grouped(names: Sequence[ColumnName]) -> list[Group]:
@@ -227,8 +233,21 @@ def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path:
             each = replace(each, kind=of_file)
         if each.kind == "command" and positions is not None and _derivative(positions, each, values) > DERIVATIVE:
             each = replace(each, kind="velocity")
+        elif each.kind == "command" and positions is not None and _follows(positions, each, values) < FOLLOWED:
+            each = replace(each, kind="position", reference=True)
         found.append(each)
     return found
+
+
+def _follows(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
+    """Compute the median distance of positions from other columns, rms, over the positions' standard deviation."""
+    found = []
+    for label, column in positions.columns.items():
+        if label in others.columns and column in values and others.columns[label] in values:
+            q, other = values[column], values[others.columns[label]]
+            if (spread := float(np.nanstd(q))) > 0 and len(q) == len(other):
+                found.append(float(np.sqrt(np.nanmean((q - other) ** 2))) / spread)
+    return float(np.median(found)) if found else np.inf
 
 
 def _derivative(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
@@ -252,7 +271,7 @@ def correlation(position: np.ndarray, other: np.ndarray) -> float:
 
 def _numbered(path: Path, table: Table, joints: int) -> LogContents:
     """Group a log without header: time grows, velocities are derivatives of columns as many to the left as joints."""
-    values = _values(path, table.columns)
+    values = _values(path, table.columns, table)
     names = list(table.columns)
     time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()
     rest = names[len(time) :]

@@ -20,7 +20,9 @@ from pydantic import (
 
 from gtau.documents.files import matching
 from gtau.documents.validation import Keys, Positive
+from gtau.errors import GtauError
 from gtau.signals.formats import is_log_folder
+from gtau.signals.log_file import find_columns
 from gtau.signals.payload import Payload
 from gtau.signals.samples import Part
 
@@ -61,7 +63,8 @@ class LoggedRun(Keys):
 
     In a file the logs may be patterns (``free_*.csv``): a run for each match, of two patterns the first match of one
     with the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2. Of a log the first rows
-    may be left out (``skip``), and what lies before ``from`` or after ``to``, in s from the first row that is left.
+    may be left out (``skip``), and what lies before ``from`` or after ``to``, in s from the first row that is left. Of
+    a log of several episodes a run is one ``episode``.
     """
 
     log: Annotated[
@@ -73,6 +76,7 @@ class LoggedRun(Keys):
     skip: Annotated[int, Field(ge=0)] = 0
     begin: Annotated[FiniteFloat, Field(ge=0, alias="from")] = 0.0
     to: Positive | None = None
+    episode: Annotated[int, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
     def _forwards(self) -> LoggedRun:
@@ -83,12 +87,22 @@ class LoggedRun(Keys):
     @property
     def part(self) -> Part:
         """The part of the log that is used."""
-        return Part(self.skip, self.begin, np.inf if self.to is None else self.to)
+        end = np.inf if self.to is None else self.to
+        if self.episode is None:
+            return Part(self.skip, self.begin, end)
+        episodes = find_columns(self.log[0]).episodes
+        if self.episode not in episodes:
+            there = f"{min(episodes)} to {max(episodes)}" if episodes else "not several ('episode_index')"
+            raise GtauError(f"{self.log[0]} has no episode {self.episode}; its episodes are {there}.")
+        rows = episodes[self.episode]
+        return Part(rows.start + self.skip, self.begin, end, rows.stop, self.episode)
 
     def overlaps(self, other: LoggedRun) -> bool:
         """Decide whether the same rows are in both."""
-        mine, theirs = self.part, other.part
-        return self.log == other.log and mine.begin < theirs.end and theirs.begin < mine.end
+        if self.log != other.log or (None not in (self.episode, other.episode) and self.episode != other.episode):
+            return False
+        ends = (np.inf if each.to is None else each.to for each in (self, other))
+        return all(begin < end for begin, end in zip((other.begin, self.begin), ends, strict=True))
 
     @field_validator("log")
     @classmethod

@@ -25,6 +25,7 @@ class Kind(StrEnum):
     UNIT = "unit"  # of commands or payloads, doubtful
     SINGULARITY = "singularity"
     REPAIR = "repair"
+    DRAFT = "draft"  # what a drafted experiment file takes for granted
     READING = "reading"  # how the log was read: its clock, its layout
     REST = "joint at rest"
     ROBOT = "robot description"

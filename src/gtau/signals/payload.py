@@ -17,6 +17,8 @@ from gtau.robots.robot import INERTIAL
 from gtau.signals.columns import document_of
 
 FIRST_MOMENTS = ("mx", "my", "mz")
+PAYLOAD_KINDS = ("m", *FIRST_MOMENTS, *INERTIAL[:6])
+"""Kinds in the order in which they are shown: what people ask for first."""
 
 
 class Payload(Keys):

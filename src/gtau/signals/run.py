@@ -152,7 +152,7 @@ def read_run(
     logged = find_logs(paths, signals, units)
     uniform = check(logged.source, logged.blocks(part.rows, progress=progress), settings, part)
     return Run(
-        name=paths[0].stem + part.label,
+        name=(paths[0].name if paths[0].is_dir() else paths[0].stem) + part.label,
         joints=signals.joints,
         time=uniform.time,
         position=uniform.position,

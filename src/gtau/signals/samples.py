@@ -68,23 +68,29 @@ class Samples:
 
 @dataclass(frozen=True)
 class Part:
-    """The part of a log that is used: without its first ``skip`` rows, and between two times in s from the next."""
+    """The part of a log that is used: without its first ``skip`` rows, and between two times in s from the next.
+
+    Where it is an ``episode``, the log's rows end at ``stop``.
+    """
 
     skip: int = 0
     begin: float = 0.0
     end: float = np.inf
+    stop: int = sys.maxsize
+    episode: int | None = None
 
     @property
     def rows(self) -> range:
         """Rows to read."""
-        return range(self.skip, sys.maxsize)
+        return range(self.skip, self.stop)
 
     @property
     def label(self) -> str:
         """Suffix that distinguishes the names of runs from one log."""
+        episode = "" if self.episode is None else f" episode {self.episode}"
         if self.begin == 0 and self.end == np.inf:
-            return ""
-        return f" from {self.begin:g} s" + ("" if self.end == np.inf else f" to {self.end:g} s")
+            return episode
+        return f"{episode} from {self.begin:g} s" + ("" if self.end == np.inf else f" to {self.end:g} s")
 
     def of(self, blocks: Iterable[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
         """Yield rows of the part, in blocks whose last column is the time, and the number of the first in each."""

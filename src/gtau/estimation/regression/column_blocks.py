@@ -73,9 +73,14 @@ def known_values(payload: Payload) -> dict[str, float]:
 
 
 def carried_payload(idm: InverseDynamics, base: BaseParameters, run: int, payload: Payload) -> CarriedPayload:
-    """Express the parameters of a ``payload`` on the robot's tool in base columns (eq. 18)."""
+    """Express the parameters of a ``payload`` on the robot's tool in base columns (eq. 18).
+
+    Of parameters that act alike first moments are kept rather than inertias, and masses last, so that a parameter is
+    called ``m`` only where it is the mass by itself.
+    """
     values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
-    free = [kind for kind in INERTIAL if kind not in values and kind not in center]
+    order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
+    free = [kind for kind in order if kind not in values and kind not in center]
     of_tool = {
         kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool).name)] for kind in INERTIAL
     }

@@ -141,26 +141,6 @@ class FrictionCurve:
         return (*self.parameters.values(), *(each for each in (self.width, self.speed) if each is not None))
 
 
-@dataclass(frozen=True, repr=False)
-class PayloadEstimate:
-    """Inertial parameters of the payload of a run, by kind, in the frame of the body that carries it."""
-
-    name: str
-    run: str
-    parameters: Mapping[str, Estimate]
-    known: frozenset[str]
-    verdict: Verdict = GOOD
-
-    def __repr__(self) -> str:
-        return (
-            f"PayloadEstimate({self.name!r} of run {self.run!r}: mass {self.parameters.get('m', 'not identifiable')})"
-        )
-
-    def _repr_html_(self) -> str:
-        html: str = display.views().html(self)
-        return html
-
-
 @dataclass(frozen=True)
 class SensorEstimate:
     """The torque sensor of a joint: its offset and friction by name, its delay (s), and its residual.

@@ -16,12 +16,12 @@ from gtau.estimation.results.estimate import (
     Estimate,
     FrictionCurve,
     Named,
-    PayloadEstimate,
     ReferenceTemperatures,
     Requirement,
     SensorEstimate,
     TorqueError,
 )
+from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics

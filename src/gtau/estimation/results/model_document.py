@@ -14,10 +14,10 @@ from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
     FrictionCurve,
-    PayloadEstimate,
     TorqueError,
 )
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.robots.parameter import parameter_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot

@@ -35,7 +35,6 @@ from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
     FrictionCurve,
-    PayloadEstimate,
     ReferenceTemperatures,
     Requirement,
     SensorEstimate,
@@ -43,6 +42,7 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
+from gtau.estimation.results.payload_estimate import PayloadEstimate
 from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.native import parse_native

@@ -9,17 +9,19 @@ import numpy as np
 
 from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
-from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import (
     Estimate,
-    PayloadEstimate,
 )
+from gtau.estimation.results.payload_body import Weighed
+from gtau.estimation.results.payload_estimate import PayloadEstimate
+from gtau.robots.geometry import longest_placement
 from gtau.robots.robot import INERTIAL
 from gtau.robots.units import unit_of
-from gtau.signals.payload import FIRST_MOMENTS
+from gtau.signals.payload import FIRST_MOMENTS, PAYLOAD_KINDS
 
 
 def payload_estimates(
@@ -43,7 +45,7 @@ def payload_estimates(
         known = known_values(each.payload)
         label = {kind: name for name, kind in each.unknown.items()}
         estimates = {}
-        for kind in INERTIAL:
+        for kind in PAYLOAD_KINDS:
             unit = unit_of(kind, robot, robot.tool)
             if kind in known:
                 deviation = each.payload.mass_std or None if kind == "m" else None
@@ -59,8 +61,38 @@ def payload_estimates(
             moments = zip(FIRST_MOMENTS, each.payload.center, strict=True)
             estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
         name, run = each.payload.name, dataset.runs[each.run].name
-        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD)))
+        weighed = None if "m" in known else _weighed(dataset, system.problem, each, theta, covariance, free)
+        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD), weighed))
     return tuple(payloads)
+
+
+def _weighed(
+    dataset: Dataset,
+    problem: Problem,
+    carried: CarriedPayload,
+    theta: np.ndarray,
+    covariance: np.ndarray,
+    freedoms: Mapping[str, float],
+) -> Weighed:
+    """Collect the sums of parameters that were found, and what is stated of the others."""
+    found = [k for k, name in enumerate(carried.unknown) if name in problem.parameters]
+    places = [problem.parameters.index(list(carried.unknown)[k]) for k in found]
+    sums = np.zeros((len(found), len(INERTIAL)))
+    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[found]
+    unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
+    stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
+    center = zip(FIRST_MOMENTS, carried.payload.center or (), strict=False)
+    stated += [(unit[kind] - at * unit["m"], 0.0) for kind, at in center]
+    return Weighed(
+        dataset.robot.tool,
+        sums,
+        theta[places],
+        covariance[np.ix_(places, places)],
+        np.reshape([row for row, _ in stated], (len(stated), len(INERTIAL))),
+        np.array([value for _, value in stated]),
+        min((freedoms[name] for name in carried.unknown if name in freedoms), default=None),
+        longest_placement(dataset.robot),
+    )
 
 
 def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:

@@ -39,3 +39,8 @@ def open_table(path: Path) -> Table:
 def is_log_folder(path: Path) -> bool:
     """Decide whether a folder is one log: a rosbag2, or Parquet files."""
     return (path / "metadata.yaml").is_file() or any(path.glob("*.parquet"))
+
+
+def is_rosbag(path: Path) -> bool:
+    """Decide by its name whether a path is a bag."""
+    return (path / "metadata.yaml").is_file() or READERS.get(path.suffix.lower()) is open_rosbag

@@ -1,4 +1,8 @@
-"""Parquet files, folders of them, and Feather files (Arrow IPC), by Polars."""
+"""Parquet files, folders of them, and Feather files (Arrow IPC), by Polars.
+
+A column of lists of numbers, such as ``observation.state`` of LeRobot, gives columns ``observation.state[1]`` and so
+on; rows of another ``episode_index`` are another episode.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,13 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.formats.table import Table
+from gtau.signals.formats.table import WIDEST, Table
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl
+
+EPISODE = "episode_index"
 
 
 def open_parquet(path: Path) -> Table:
@@ -47,6 +53,8 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
     try:
         schema = scan(parts[0]).collect_schema()
         lengths = [scan(part).select(pl.len()).collect().item() for part in parts]
+        columns = _columns(schema, scan(parts[0]))
+        episodes = _episodes([scan(part) for part in parts], schema)
     except pl.exceptions.PolarsError as error:
         raise refused(error) from None
 
@@ -57,13 +65,49 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
             for start in range(begin, end, sizes().rows):
                 stop = min(start + sizes().rows, end)
                 try:
-                    frame = scan(part).select(names).slice(start, stop - start).collect()
+                    frame = scan(part).select([columns[name] for name in names]).slice(start, stop - start).collect()
                 except pl.exceptions.PolarsError as error:
                     raise refused(error) from None
                 yield frame, (first + stop) / sum(lengths)
             first += length
 
-    return Table(tuple(schema), frames, unusable=_unusable(schema))
+    return Table(tuple(columns), frames, unusable=_unusable(schema), episodes=episodes)
+
+
+def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:
+    """Name the columns, and what selects them: one for each item of a column of lists, as many as the first row has."""
+    import polars as pl
+
+    found: dict[str, pl.Expr] = {}
+    for name, kind in schema.items():
+        width = 0
+        if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric():
+            lists = pl.col(name).cast(pl.List(kind.inner))
+            first = table.select(lists.list.len()).head(1).collect()
+            width = int(first.item() or 0) if len(first) else 0
+        if 0 < width <= WIDEST:
+            items = {f"{name}[{k + 1}]": lists.list.get(k, null_on_oob=True) for k in range(width)}
+            found |= {item: value.alias(item) for item, value in items.items()}
+        else:
+            found[name] = pl.col(name)
+    return found
+
+
+def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) -> dict[int, range]:
+    """Find the rows of each episode, where there are several."""
+    import polars as pl
+
+    if EPISODE not in schema or not schema[EPISODE].is_integer():
+        return {}
+    numbers = pl.concat([part.select(EPISODE).collect() for part in parts])[EPISODE]
+    if numbers.n_unique() < 2:
+        return {}
+    runs = numbers.rle().struct.unnest()
+    if runs["value"].n_unique() < len(runs):
+        return {}
+    ends = runs["len"].cum_sum()
+    of = zip(runs["value"], ends - runs["len"], ends, strict=True)
+    return {int(number): range(start, stop) for number, start, stop in of if number is not None}
 
 
 def _unusable(schema: Mapping[str, pl.DataType]) -> dict[str, str]:

@@ -23,6 +23,30 @@ if TYPE_CHECKING:
 Getter = Callable[[Any], float]
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+STRING = "std_msgs/msg/String"
+
+
+def _reader(path: Path) -> Any:
+    """Open a bag; messages without a definition of their own are those that ROS 2 brings."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise missing_extra(f"reading {path} (a ROS bag)", "rosbags", "ros") from None
+    return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+
+
+def robot_description(path: Path) -> str | None:
+    """Find the URDF that a bag holds in a topic ``robot_description``, a text; raises GtauError."""
+    with readable(path, "a ROS bag"), _reader(path) as bag:
+        for each in bag.connections:
+            if each.topic.split("/")[-1] != "robot_description" or each.msgtype != STRING:
+                continue
+            for _, _, raw in bag.messages(connections=[each]):
+                text = bag.deserialize(raw, each.msgtype).data
+                if "<robot" in text:
+                    return str(text)
+    return None
 
 
 def open_rosbag(path: Path) -> Table:
@@ -33,18 +57,9 @@ def open_rosbag(path: Path) -> Table:
     GtauError
         The package rosbags is not installed, or the bag is damaged.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise missing_extra(f"reading {path} (a ROS bag)", "rosbags", "ros") from None
-
-    def reader() -> Any:  # messages without a definition of their own: those that ROS 2 brings
-        return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-
     columns: dict[str, tuple[str, Callable[[Any, int], float]]] = {}  # topic, and its value in a message
     counts: dict[str, int] = {}
-    with readable(path, "a ROS bag"), reader() as bag:
+    with readable(path, "a ROS bag"), _reader(path) as bag:
         for connection in bag.connections:
             first = next(bag.messages(connections=[connection]), None)
             if first is None:
@@ -72,7 +87,7 @@ def open_rosbag(path: Path) -> Table:
         getters = [columns[name][1] for name in names]
         values = np.empty((min(sizes().rows, count), len(names)))
         filled = 0
-        with readable(path, "a ROS bag"), reader() as bag:
+        with readable(path, "a ROS bag"), _reader(path) as bag:
             connections = [each for each in bag.connections if each.topic == topics[0]]
             for row, (connection, received, raw) in enumerate(bag.messages(connections=connections)):
                 if row < rows.start:

@@ -1,0 +1,148 @@
+"""Payloads as controllers take them: URScript, Franka's JSON, KRL, RAPID, and a ROS message.
+
+Every format holds the same body: mass in kg, centre of mass, inertia about it, at the frame in which it was asked for.
+Numbers keep all their digits.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from gtau.errors import GtauError
+from gtau.estimation.results.payload_body import PayloadBody
+from gtau.export.exported import Exported, written
+from gtau.export.names import identifier
+from gtau.robots.geometry import angles_of
+from gtau.robots.rigid_body import RigidBody
+
+MILLI = 1e3  # mm in a m
+
+
+def write_payload(payload: PayloadBody, kind: str, out: Path) -> Exported:
+    """Write the files of one of ``WRITERS`` into ``out``.
+
+    Raises
+    ------
+    GtauError
+        Where the mass is not identifiable.
+    """
+    if payload.rigid is None:
+        raise GtauError(
+            f"the mass of payload '{payload.name}' is not identifiable, and {kind} needs one; give its 'center' in the "
+            "experiment file, or weigh it along another motion."
+        )
+    name = identifier(payload.name)
+    writer, expected = WRITERS[kind]
+    notes = [f"in {payload.frame}; {expected}"]
+    if payload.unseen:
+        notes.append(
+            f"the motion does not show {', '.join(payload.unseen)} of '{payload.name}': they are those of a compact "
+            "body, not measured"
+        )
+    head = f"payload '{payload.name}' in {payload.frame}, weighed by gtau"
+    return Exported(written(out, writer(name, payload.rigid, " ".join(head.split()))), tuple(notes))
+
+
+def _ur(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
+    """Write a line of URScript.
+
+    Script manual, ``set_target_payload(m, cog, inertia, transition_time)``: kg, m from the tool flange, and
+    ``[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]`` in kg m2 about the centre of gravity, in axes of the flange.
+    https://www.universal-robots.com/manuals/EN/HTML/SW10_6/Content/prod-scriptmanual/G5/set_target_payload.htm
+    """
+    entries = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    line = f"set_target_payload({_number(body.mass)}, [{_listed(body.center)}], [{_listed(entries)}])"
+    return {f"{name}.script": f"# {head}\n{line}\n"}
+
+
+def _franka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
+    """Write the configuration of an end effector, and the request of a load.
+
+    ``endeffector-config.json`` of the Franka Operating System ("End effector commissioning"): ``centerOfMass`` (3),
+    ``inertia`` (9) and ``transformation`` (16) by columns. https://download.franka.de/ride-cli-doc-v1.1.1/
+    Load: ``franka::Robot::setLoad(load_mass, F_x_Cload, load_inertia)``, by columns, about the centre of mass, as the
+    fields of franka_msgs/srv/SetLoad. https://docs.ros.org/en/humble/p/franka_msgs/srv/SetLoad.html
+    """
+    center, by_columns = body.center.tolist(), body.inertia.flatten(order="F").tolist()
+    effector = {
+        "id": name.replace("_", "-"),
+        "name": name,
+        "mass": body.mass,
+        "centerOfMass": center,
+        "inertia": by_columns,
+        "transformation": np.eye(4).flatten(order="F").tolist(),
+    }
+    load = {"mass": body.mass, "center_of_mass": center, "load_inertia": by_columns}
+    texts = {f"{name}_endeffector-config.json": effector, f"{name}_set_load.json": load}
+    return {file: json.dumps(content, indent=1) + "\n" for file, content in texts.items()}
+
+
+def _kuka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
+    """Write a line of ``$config.dat``.
+
+    KRL structure LOAD: ``M`` kg; ``CM`` the centre of mass (X, Y, Z, mm) and the orientation of the principal axes of
+    inertia (A, B, C, degrees about Z, Y', X'') relative to the flange; ``J`` the principal moments, kg m2.
+    https://infosys.beckhoff.com/content/1033/tf5120/13081587595.html (KRC_WriteLoadData)
+    """
+    moments, axes = body.principal
+    roll, pitch, yaw = np.degrees(angles_of(axes))
+    frame = _fields("XYZABC", [*(MILLI * body.center), yaw, pitch, roll])
+    line = f"LOAD_DATA[1]={{M {_number(body.mass)},CM {{{frame}}},J {{{_fields('XYZ', moments)}}}}}"
+    return {f"{name}.dat": f"; {head}\n{line}\n"}
+
+
+def _abb(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
+    """Write a module with a ``loaddata``.
+
+    RAPID reference, data type loaddata: ``mass`` kg, ``cog`` mm, ``aom`` the orientation of the axes of moment as a
+    quaternion (scalar first), ``ix``, ``iy``, ``iz`` kg m2 about these axes through the centre of gravity.
+    https://developercenter.robotstudio.com/api/robotstudio/api/ABB.Robotics.RobotStudio.Stations.RsLoadData.html
+    """
+    from scipy.spatial.transform import Rotation
+
+    moments, axes = body.principal
+    x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
+    record = f"[{_number(body.mass)},[{_listed(MILLI * body.center)}],[{_listed([w, x, y, z])}],{_listed(moments)}]"
+    name = name[:27]  # RAPID's names have 32 characters at most
+    return {f"{name}.mod": f"MODULE {name}_load\n  ! {head}\n  PERS loaddata {name}:={record};\nENDMODULE\n"}
+
+
+def _ros(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
+    """Write a geometry_msgs/Inertia: kg, m, and entries of the tensor about the centre of mass in kg m2.
+
+    https://docs.ros.org/en/humble/p/geometry_msgs/msg/Inertia.html
+    """
+    entries = dict(zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), body.inertia[np.triu_indices(3)], strict=True))
+    message = {"m": body.mass, "com": dict(zip("xyz", map(float, body.center), strict=True))}
+    message |= {key: float(value) for key, value in entries.items()}
+    return {f"{name}.yaml": f"# {head}\n{yaml.safe_dump(message, sort_keys=False)}"}
+
+
+WRITERS: Mapping[str, tuple[Callable[[str, RigidBody, str], Mapping[str, str]], str]] = {
+    "ur": (_ur, "the controller takes it in the frame of the tool flange"),
+    "franka": (_franka, "Franka takes it in the frame of the flange; 'transformation' is left to be set"),
+    "kuka": (_kuka, "KUKA takes it in the frame of the flange; write the number of your tool in LOAD_DATA"),
+    "abb": (
+        _abb,
+        "ABB takes it in the wrist frame as the load of a tool, and in the tool frame as a payload",
+    ),
+    "ros": (_ros, "geometry_msgs/InertiaStamped names it as header.frame_id"),
+}
+"""How each kind is written, and in which frame it is expected."""
+
+
+def _number(value: float) -> str:
+    return str(np.format_float_positional(value, trim="0"))  # all digits; not every controller reads exponents
+
+
+def _listed(values: np.ndarray | list[float]) -> str:
+    return ",".join(map(_number, values))
+
+
+def _fields(names: str, values: np.ndarray | list[float]) -> str:
+    return ",".join(f"{name} {_number(value)}" for name, value in zip(names, values, strict=True))

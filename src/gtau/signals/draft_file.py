@@ -1,0 +1,216 @@
+"""The text of a drafted experiment file, and notes on everything in it that is only a guess."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gtau.documents.yaml_document import yaml_text
+from gtau.signals.discovery import Draft
+from gtau.signals.notes import Kind, Note
+
+CHECK = "CHECK: "
+WIDTH = 90  # characters of columns on one line
+UNSURE = {
+    "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
+    "joints": "confirm that the columns are in the order of the joints",
+    "unit": "confirm the unit of the positions (units: {position: ...})",
+    "rate": "write the sampling rate, which the log does not hold (time: {rate: HZ})",
+    "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
+    "mass": "confirm the masses of the payloads, from the names of the files: the scale of all drive gains",
+    "weighed": "confirm that these are torques: if they are currents, or computed from them by nominal constants, "
+    "write 'current:', and the weighed payload gives their factors, the drive gains",
+    "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
+    "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
+    "clock": "confirm the time column, as others grow, too",
+    "received": "messages without stamps of measurement have those of receipt, with the jitter of the middleware",
+    "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
+    "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
+    "(docs/experiment-file.md, 'A base that floats')",
+    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a base that "
+    "floats under 'base:' (docs/experiment-file.md, 'Wrenches on bodies')",
+    "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
+}
+"""Questions to the user, by the open points of the draft."""
+
+
+def draft_text(draft: Draft, folder: Path) -> str:
+    """Write the experiment file of a draft for ``folder``, each finding with its reason.
+
+    What is only guessed is marked with ``CHECK``.
+    """
+    why = draft.reasons
+    lines = [
+        f"# Drafted by gtau from {_count(len(draft.logs))}. Edit the lines marked CHECK, then run gtau check.",
+        "",
+        _line(f"robot: {_flow(_robot(draft, folder))}", _of(draft, "robot", "")),
+        "",
+        "signals:",
+    ]
+    if draft.time:
+        time: Any = draft.time[0] if len(draft.time) == 1 else list(draft.time)
+        if draft.command_time:
+            other = draft.command_time[0] if len(draft.command_time) == 1 else list(draft.command_time)
+            time = {"position": time, "command": other}
+        doubtful = not {"clock", "received"}.isdisjoint(draft.open)
+        lines.append(_line(f"  time: {_flow(time)}", CHECK * doubtful + why.get("time", "")))
+    else:
+        rate = 1000.0 if draft.rate is None else draft.rate
+        found = CHECK * ("velocities" in draft.open) + why.get("time", "")
+        lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", found)))
+    matched = why.get("position", "")
+    lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
+    found = why.get("velocity", "")
+    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference", "weighed") if key in draft.open), "")
+    lines += _by_joint(draft.kind, draft.command, doubt)
+    if draft.temperature is not None:
+        lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
+    if draft.pose:
+        lines.append(
+            f"  # A pose tests the robot's geometry; if {_first(draft.pose)} hold one, describe it under 'pose:'."
+        )
+    if draft.motion:
+        lines += [
+            f"  # {CHECK}{_first(draft.motion)} look like the motion of a base. If it moved, write",
+            "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here",
+            "  # (docs/experiment-file.md, 'A base that floats').",
+        ]
+    if draft.wrenches:
+        lines += [
+            f"  # {CHECK}{_first(draft.wrenches)} look like forces and moments. Describe those that act",
+            "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'",
+            "  # (docs/experiment-file.md, 'Wrenches on bodies').",
+        ]
+    if draft.sensors:
+        lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")
+    if draft.torques:
+        lines.append(
+            f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
+        )
+        lines.append("  # gains; if these are such, remove the '#':")
+        lines += [f"  #{line[1:]}" for line in _by_joint("joint_torque", draft.torques, "")]
+    if draft.others:
+        lines.append(f"  # Not used: columns {'; '.join(draft.others)}.")
+    if found:
+        lines.append(f"  # {found[0].upper()}{found[1:]}.")
+    lines += ["", *_units(draft), "runs:"]
+    for run in draft.logs:
+        paths = [_relative(path, folder) for path in run]
+        for episode in draft.episodes.get(run[0], (None,)):
+            lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
+            lines += [] if episode is None else [f"    episode: {episode}"]
+            if (mass := draft.masses.get(run[0])) is not None:
+                payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
+                doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the name of the file"
+                lines.append(_line(f"    payload: {_flow(payload)}", doubt))
+    if draft.kind == "current" and not draft.masses and not draft.sensors:
+        lines += [
+            "# Drive gains need the mass (kg) of the payload of one run or more, and a run with another one or none:",
+            "#   payload: {name: steel, mass: 1.2, mass_std: 0.001}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
+    """Note all that a draft took from the logs and that may be wrong, with what to change in its ``file``."""
+    commands, columns = list(draft.command.values()), _pairs(draft.position)
+    first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
+    taken = {
+        "joints": f"columns were given to the joints in their order: {columns}",
+        "unit": f"positions are taken in {draft.units.get('position')}: {draft.reasons.get('unit')}",
+        "velocities": f"the sampling rate is taken as {draft.rate or 0:g} Hz",
+        "kind": f"{first} are taken as {draft.kind}s",
+        "motor": f"{first} are taken as currents",
+        "clock": f"the time is {' and '.join(draft.time)}, and other columns grow, too",
+        "received": f"time is {draft.reasons.get('received', '')}, the stamps of receipt",
+        "torques": f"{_first(tuple(draft.torques.values()))} are not used",
+        "base": f"{_first(draft.motion)} are not used, as the base is taken as fixed",
+        "wrenches": f"{_first(draft.wrenches)} are not used, as if nothing touched the robot",
+        "reference": f"{first} are references and not measured",
+    }
+    other = "torque" if draft.kind == "current" else "current"
+    advice = UNSURE | {"kind": f"if they are {other}s, state it (--kind {other})"}
+    if draft.kind == "torque":
+        advice["kind"] = "if they are currents, or computed from them by nominal constants, state it (--kind current)"
+    doubted = draft.open if "weighed" not in draft.open else ("kind", *(key for key in draft.open if key != "kind"))
+    found = [(taken[key], advice[key]) for key in doubted if key in taken]
+    named = [run[0] for run in draft.logs if run[0] not in draft.stated]
+    loads = [f"{path.name} {draft.masses[path]:g} kg" for path in named if path in draft.masses]
+    if loads:
+        found.append((f"payloads are taken from the names of the files: {', '.join(loads)}", STATE))
+    if empty := [path.name for path in named if path not in draft.masses]:
+        found.append((f"without a mass in the name, nothing is taken to be carried in {', '.join(empty)}", STATE))
+    for log, episodes in draft.episodes.items():
+        what = f"each of the {len(episodes)} episodes in {log.name} is a run"
+        found.append((what, "remove those of the 'runs' that are not to be used"))
+    if draft.urdf is not None:
+        found.append(("the robot is the one that the bag describes (/robot_description)", "for another give --robot"))
+    if draft.moving:
+        found.append((f"joints that are not in the log are held at home; {', '.join(draft.moving)} move", ""))
+    if draft.time and draft.time[0].endswith("/header/stamp"):
+        found.append((f"time is {draft.time[0]}, stamps of measurement, not those of receipt", ""))
+    return tuple(Note(Kind.DRAFT, what, action, source=str(file)) for what, action in found)
+
+
+STATE = "if that is wrong, state it (--payload LOG=KG, 0 for none)"
+
+
+def _pairs(columns: Mapping[str, str]) -> str:
+    return ", ".join(f"{joint}: {column}" for joint, column in columns.items())
+
+
+def _first(columns: Sequence[str]) -> str:
+    return ", ".join(columns[:8]) + (", ..." if len(columns) > 8 else "")
+
+
+def _robot(draft: Draft, folder: Path) -> Any:
+    if draft.robot is None:
+        return "NAME-OR-FILE"
+    path = Path(draft.robot)
+    file = _relative(path, folder) if draft.urdf is None and path.exists() else draft.robot
+    more = {"base": draft.base} if draft.base is not None else {}
+    if draft.moving:
+        more["joints"] = list(draft.moving)
+    return {"file": file} | more if more else file
+
+
+def _units(draft: Draft) -> list[str]:
+    if not draft.units:
+        reason = draft.reasons.get("unit", "")
+        return [f"# SI units ({reason}). For others, for example: units: {{position: deg, current: mA}}", ""]
+    lines = ["units:"]
+    for key, unit in draft.units.items():
+        comment = draft.reasons.get("unit", "") if key == "position" else ""
+        lines.append(_line(f"  {key}: {unit}", CHECK * (key == "position" and "unit" in draft.open) + comment))
+    return [*lines, ""]
+
+
+def _of(draft: Draft, key: str, otherwise: str) -> str:
+    return CHECK + UNSURE[key] if key in draft.open else otherwise
+
+
+def _line(text: str, comment: str) -> str:
+    return f"{text}  # {comment}" if comment else text
+
+
+def _by_joint(key: str, columns: Mapping[str, str], comment: str) -> list[str]:
+    """Write columns in braces, or on lines of their own where that would be too long."""
+    flow = _flow(columns)
+    if len(flow) < WIDTH:
+        return [_line(f"  {key}: {flow}", comment)]
+    return [_line(f"  {key}:", comment), *(f"    {_flow({joint: name})[1:-1]}" for joint, name in columns.items())]
+
+
+def _flow(value: Any) -> str:
+    plain = dict(value) if isinstance(value, Mapping) else value
+    return yaml_text(plain, flow=True, width=float("inf")).removesuffix("...\n").strip()
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def _count(logs: int) -> str:
+    return f"{logs} log{'s' * (logs != 1)}"

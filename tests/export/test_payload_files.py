@@ -1,0 +1,149 @@
+"""Payloads for controllers, read back by parsers of the formats that know nothing of gtau."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+import gtau
+from gtau.cli.identification import CONTROLLERS, _exported
+from gtau.errors import GtauError
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.payload_body import QUANTITIES, UNITS, PayloadBody
+from gtau.export.payload import WRITERS
+from gtau.export.registry import PAYLOAD_KINDS
+from gtau.robots.rigid_body import RigidBody
+
+TURN = Rotation.from_euler("ZYX", [0.7, -0.4, 0.2]).as_matrix()
+TENSOR = TURN @ np.diag([0.004, 0.011, 0.013]) @ TURN.T
+BODY = RigidBody(2.5537, np.array([0.0123, -0.0456, 0.0789]), (TENSOR + TENSOR.T) / 2)
+Read = tuple[float, np.ndarray, np.ndarray]
+
+
+def payload(rigid: RigidBody | None = BODY, unseen: tuple[str, ...] = ()) -> PayloadBody:
+    estimates = {
+        key: Estimate(key, None if key in unseen or rigid is None else 1.0, None, unit)
+        for key, unit in zip(QUANTITIES, UNITS, strict=True)
+    }
+    return PayloadBody("gripper-2", "loaded.csv", "tool0", estimates, rigid)
+
+
+def urscript(folder: Path) -> Read:
+    """The call is a Python call as well."""
+    (line,) = [each for each in (folder / "gripper_2.script").read_text().splitlines() if not each.startswith("#")]
+    call = ast.parse(line, mode="eval").body
+    assert isinstance(call, ast.Call)
+    assert isinstance(call.func, ast.Name)
+    assert call.func.id == "set_target_payload"
+    m, center, (xx, yy, zz, xy, xz, yz) = (ast.literal_eval(each) for each in call.args)
+    return m, np.array(center), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def franka(folder: Path) -> Read:
+    effector = json.loads((folder / "gripper_2_endeffector-config.json").read_text())
+    load = json.loads((folder / "gripper_2_set_load.json").read_text())
+    assert set(load) == {"mass", "center_of_mass", "load_inertia"}
+    assert effector["transformation"] == np.eye(4).flatten().tolist()
+    assert effector["id"] == "gripper-2"
+    keys = (("mass", "mass"), ("centerOfMass", "center_of_mass"), ("inertia", "load_inertia"))
+    assert all(effector[one] == load[other] for one, other in keys)
+    return load["mass"], np.array(load["center_of_mass"]), np.reshape(load["load_inertia"], (3, 3), order="F")
+
+
+def krl(folder: Path) -> Read:
+    """A structure of KRL: names and numbers or structures, between braces."""
+    (line,) = [each for each in (folder / "gripper_2.dat").read_text().splitlines() if not each.startswith(";")]
+    text = line.removeprefix("LOAD_DATA[1]=")
+    fields = eval(re.sub(r"([A-Z]+) (?=[{\d-])", r'"\1":', text))
+    at, J = fields["CM"], fields["J"]
+    turn = Rotation.from_euler("ZYX", [at["A"], at["B"], at["C"]], degrees=True).as_matrix()
+    tensor = turn @ np.diag([J[axis] for axis in "XYZ"]) @ turn.T
+    return fields["M"], np.array([at[axis] for axis in "XYZ"]) / 1000, tensor
+
+
+def rapid(folder: Path) -> Read:
+    text = (folder / "gripper_2.mod").read_text()
+    assert re.fullmatch(r"MODULE \w+\n  ! .*\n  PERS loaddata gripper_2:=\[.*\];\nENDMODULE\n", text)
+    m, center, (w, x, y, z), ix, iy, iz = json.loads(text[text.index("=") + 1 : text.index(";")])
+    turn = Rotation.from_quat([x, y, z, w]).as_matrix()
+    return m, np.array(center) / 1000, turn @ np.diag([ix, iy, iz]) @ turn.T
+
+
+def message(folder: Path) -> Read:
+    read = yaml.safe_load((folder / "gripper_2.yaml").read_text())
+    assert list(read) == ["m", "com", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"]  # geometry_msgs/Inertia
+    xx, xy, xz, yy, yz, zz = (read[f"i{key}"] for key in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    return read["m"], np.array(list(read["com"].values())), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+READERS: dict[str, Callable[[Path], Read]] = {
+    "ur": urscript,
+    "franka": franka,
+    "kuka": krl,
+    "abb": rapid,
+    "ros": message,
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_what_is_written_is_read_back(kind: str, tmp_path: Path) -> None:
+    done = gtau.export_payload(payload(), kind, tmp_path)
+    assert all(file.is_file() for file in done.files)
+    mass, center, inertia = READERS[kind](tmp_path)
+    assert mass == BODY.mass
+    if kind in ("ur", "franka", "ros"):
+        assert center.tolist() == BODY.center.tolist()
+        assert inertia.tolist() == BODY.inertia.tolist()
+    else:  # mm and degrees, and principal axes: to the last digits of a double
+        assert center == pytest.approx(BODY.center, rel=1e-14)
+        assert inertia == pytest.approx(BODY.inertia, rel=1e-12, abs=1e-15)
+    assert "tool0" in done.notes[0]
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_what_is_not_measured_is_said(kind: str, tmp_path: Path) -> None:
+    done = gtau.export_payload(payload(unseen=("Ixx", "Ixy")), kind, tmp_path)
+    assert "the motion does not show Ixx, Ixy of 'gripper-2'" in done.notes[1]
+
+
+def test_every_kind_is_listed_written_and_spelled() -> None:
+    assert list(PAYLOAD_KINDS) == list(WRITERS) == list(READERS) == CONTROLLERS.split(", ")
+
+
+def test_a_payload_weighed_twice_has_two_files(tmp_path: Path) -> None:
+    heavier = RigidBody(3.0, BODY.center, BODY.inertia)
+    done = _exported([payload(), payload(heavier)], "ur", tmp_path)
+    first, second = (each.files[0].read_text() for each in done)
+    assert "(2.5537, [" in first
+    assert "(3.0, [" in second
+
+
+def test_numbers_have_no_exponents(tmp_path: Path) -> None:
+    small = RigidBody(2.0, np.array([1e-9, 0.0, -2.5e-7]), np.diag([1e-5, 2e-5, 2e-5]))
+    for kind in ("ur", "kuka", "abb"):
+        (file,) = gtau.export_payload(payload(small), kind, tmp_path).files
+        assert not re.search(r"\de[-+]\d", file.read_text())
+    _, center, inertia = urscript(tmp_path)
+    assert center.tolist() == small.center.tolist()
+    assert inertia.tolist() == small.inertia.tolist()
+
+
+@pytest.mark.parametrize(
+    ("kind", "rigid", "sentence"),
+    [
+        ("fanuc", BODY, "no export to 'fanuc'; choose from ur, franka, kuka, abb, ros"),
+        ("frank", BODY, "did you mean 'franka'"),
+        ("ur", None, "the mass of payload 'gripper-2' is not identifiable, and ur needs one"),
+    ],
+)
+def test_refusals(kind: str, rigid: RigidBody | None, sentence: str, tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match=sentence):
+        gtau.export_payload(payload(rigid), kind, tmp_path)
