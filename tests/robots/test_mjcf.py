@@ -260,6 +260,10 @@ def test_bad_mjcf(text: str, sentence: str, tmp_path: Path) -> None:
         ('<worldbody><body quat="{} 0 0 0"/></worldbody>', "quat of <body>"),
         ('<worldbody><body><joint axis="{} 0 1"/></body></worldbody>', "axis of <joint>"),
         ('<equality><connect body1="a" anchor="{} 0 0"/></equality>', "anchor of <connect>"),
+        ('<worldbody><body><joint stiffness="{}"/></body></worldbody>', "stiffness of <joint>"),
+        ('<worldbody><body><inertial pos="0 0 0" mass="{}"/></body></worldbody>', "mass of <inertial>"),
+        ('<tendon><spatial springlength="{}"/></tendon>', "springlength of <spatial>"),
+        ('<actuator><general biasprm="0 {} 0"/></actuator>', "biasprm of <general>"),
         ('<keyframe><key name="home" qpos="{}"/></keyframe>', "qpos of <key>"),
     ],
 )

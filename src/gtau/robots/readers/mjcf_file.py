@@ -69,7 +69,9 @@ def _check_copies(roots: Iterable[Element]) -> None:
 
 
 GEOMETRY = ("pos", "quat", "axis", "axisangle", "euler", "xyaxes", "zaxis", "anchor", "relpose", "ref", "springref")
-NUMBERS = (*GEOMETRY, "range", "qpos", "gravity", "polycoef", "coef", "gear")
+FORCES = ("stiffness", "damping", "frictionloss", "armature", "springlength", "biasprm", "gainprm", "viscosity")
+MASSES = ("mass", "diaginertia", "fullinertia")
+NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "range", "qpos", "gravity", "polycoef", "coef", "gear")
 
 
 def _check_numbers(roots: Iterable[Element]) -> None:
