@@ -17,6 +17,7 @@ from gtau.estimation.diagnostics.sentences import advice
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
+from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
@@ -26,6 +27,7 @@ from gtau.robots.floating import float_base
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.robot import STANDARD_GRAVITY as G
 from gtau.robots.robot import Joint, Limits, Mdh, Robot
+from gtau.signals.experiment import read_experiment
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
@@ -89,6 +91,19 @@ def test_an_arm_on_a_wall_is_named() -> None:
     assert len(sure) == 1  # the tilts that would explain a part of it are not counted again
     good = identify(replace(robot, gravity=true), logged(robot, true, currents=False))
     assert {each.verdict.outcome for each in good.drive_gains.values()} == {Outcome.GIVEN}
+
+
+def test_another_gravity_that_turns_all_gains_is_named_before_their_signs(shared: Path) -> None:
+    """A planar arm that is declared on its side."""
+    folder = shared / "idle_and_bursts" / "arm_idle"
+    experiment = read_experiment(folder / "experiment.yaml")
+    robot = replace(load_robot(folder / "arm.yaml"), gravity=(G, 0.0, 0.0))
+    result = identify(robot, read_runs(experiment, experiment.runs))
+    for gain in result.drive_gains.values():
+        assert (gain.value or 0.0) < 0
+        assert gain.verdict.finding is not None
+        (cause,) = gain.verdict.finding.causes
+        np.testing.assert_allclose(cause.values["gravity"], (0.0, 0.0, -G), atol=1e-9)
 
 
 def test_what_to_write_is_what_helps(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def _other_gravity(values: Values) -> Sentence:
         where = "world"
         file += ", in axes of the logged poses, or turn the poses so that their z axis points up"
     else:
-        rpy = f"{atan2(-y, -z) if round(hypot(y, z), 3) else 0.0:.4g}, {asin(x / hypot(x, y, z)):.4g}, 0"
+        rpy = f"{atan2(-y, -z) if round(hypot(y, z), 3) else 0.0:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
         file += f", or 'base: {{{{rpy: [{rpy}]}}}}' beside its 'file' in the experiment file"
     return (
         f"gravity along {_direction(values['gravity'])}{also and ' or ' + also} of the {where}, which leaves "

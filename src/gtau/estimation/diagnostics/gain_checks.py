@@ -61,7 +61,9 @@ def estimated_gains(
     random_halves = halves * stds / (np.sqrt(np.diag(uncertainty.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
     yield from examined.swapped
-    if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[problem.free[: len(gains)]] < 0):
+    free = problem.free[: len(gains)]
+    turned = any(np.all(each.moves[: len(gains)][free] < -1) for each in examined.refuted)  # by another gravity
+    if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[free] < 0) and not turned:
         yield Finding(F.ALL_NEGATIVE, motors(fit))
     if not solution.settled:
         yield Finding(F.UNSETTLED, motors(fit))

@@ -111,7 +111,8 @@ def _refuted(values: Values) -> Sentence:
     explains = " would explain {share:.0f%} of the residual variance"
     if "move" in values:
         large = abs(values["move"]) > MOVED
-        explains += " and move this gain by " + (f"more than {100 * MOVED:.0f} %" if large else "{move:+.2g%}")
+        turned = "reverse the sign of this gain" if values["move"] < -1 else "move this gain by {move:+.2g%}"
+        explains += " and " + (f"move this gain by more than {100 * MOVED:.0f} %" if large else turned)
     return "{cause}" + size + explains, "{to_do}"
 
 
