@@ -55,7 +55,7 @@ def summary_page(result: IdentifiedModel) -> Page:
         section("Torque fit", *_fit_words(result)),
         findings_section(notes, NOTES) if notes else None,
         _draft_section(result),
-        section("", Text(f"{more} more notes, all {rest}" if more > 0 else f"All {rest}")),
+        section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
     )
 
 
