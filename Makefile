@@ -6,6 +6,9 @@ PYTHONS := python3.13 python3.12 python3.11 python3.14 python3
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))
 
+# Where bytecode is not kept, each of the many processes that tests start compiles the package again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test slow lint clean
 
 demo: $(READY)

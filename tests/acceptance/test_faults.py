@@ -173,6 +173,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, set[F]]] = {
 LIKE_ANOTHER = {
     "gravity upside down", "positions in the wrong order", "a sign flipped in one run", "all signs flipped",
     "an unloaded run declared loaded", "a robot that warms up in a run",
+    "a robot that warms up from run to run", "swapped channels",
 }  # fmt: skip
 
 

@@ -160,6 +160,7 @@ def test_with_torques_they_are_least_squares(method: str, clean: list[Run]) -> N
     assert [gain.std for gain in ours.drive_gains.values()] == [None, None]
 
 
+@pytest.mark.slow
 def test_noisy_encoders_spoil_maximum_likelihood_but_not_these(clean: list[Run]) -> None:
     """Positions noisy by 0.4 mrad, behind a filter of 100 Hz: eight times, errors against their own scatter."""
     base = base_parameters(five_bar())
