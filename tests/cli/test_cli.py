@@ -109,7 +109,7 @@ def test_the_model_file_has_the_keys_that_are_promised(here: Path) -> None:
     printed = document("identify", "experiment.yaml", "--out", "out")
     written = json.loads((here / "out" / "model.json").read_text())
     assert printed == written
-    assert written["schema"] == "gtau-model/2"
+    assert written["schema"] == "gtau-model/3"
     assert written["robot"] == "five-bar"
     assert written["method"] == "ml"
     assert [gain["joint"] for gain in written["drive_gains"]] == list(JOINTS)
@@ -451,7 +451,7 @@ def test_figures_of_validation(here: Path) -> None:
     (here / "again" / "check.csv").symlink_to(here / "free.csv")
     (here / "two.yaml").write_text(EXPERIMENT + "  - {log: again/check.csv}\n")
     stdout = run("validate", "model.json", "two.yaml", "--out", "figures").stdout
-    names = ["report.html", "torques_check-2.png", "torques_check.png"]
+    names = ["report.html", *(f"torques_check{k}.{kind}" for k in ("-2", "") for kind in ("parquet", "png"))]
     assert sorted(path.name for path in (here / "figures").iterdir()) == names
     assert all(f"written: figures/{name}" in stdout for name in names)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
@@ -54,6 +55,7 @@ def completed(
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
+QUIET = "ignore:resource_tracker"  # warning option of the process that cleans up what killed workers leave
 LIMITS = {"GTAU_THREADS": "1", "POLARS_MAX_THREADS": "1"}
 """Environment of a worker process: one thread each, as there are as many processes as cores."""
 
@@ -137,10 +139,12 @@ def shielded_from_terminal() -> Iterator[None]:
     from loky.backend.resource_tracker import ensure_running as ensure_loky_running
 
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    sys.warnoptions.append(QUIET)
     try:
         ensure_running()  # now: where it begins, it unblocks SIGINT
         ensure_loky_running()
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         yield
     finally:
+        sys.warnoptions.remove(QUIET)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
