@@ -54,6 +54,7 @@ def experiment(model: InverseDynamics, rng: np.random.Generator) -> tuple[list[R
     return runs, gains
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "seeds"),
     [

@@ -173,7 +173,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, set[F]]] = {
 LIKE_ANOTHER = {
     "gravity upside down", "positions in the wrong order", "a sign flipped in one run", "all signs flipped",
     "an unloaded run declared loaded", "a robot that warms up in a run",
-    "a robot that warms up from run to run", "swapped channels",
+    "a robot that warms up from run to run", "swapped channels", "a loaded run declared unloaded",
 }  # fmt: skip
 
 
@@ -213,6 +213,7 @@ def longer(names: Sequence[str], factor: float) -> Robot:
     return replace(ROBOT, joints=tuple(joints))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names",
     [
@@ -249,6 +250,7 @@ def heavier(run: Run, name: str, factor: float) -> Run:
     return replace(run, payload=Payload(name=name, mass=factor * run.payload.mass))
 
 
+@pytest.mark.slow
 def test_a_wrong_mass_is_not_noticed_with_one_payload(runs: list[Run]) -> None:
     """All gains scale with it, which docs/trust.md says."""
     result = identify(ROBOT, [heavier(run, "1.983 kg", 1.2) for run in runs])
@@ -275,6 +277,7 @@ def steel(parameters: dict[str, float]) -> list[Run]:
     return [free, replace(loaded, payload=Payload(name="steel", mass=STEEL["m"], parameters=parameters))]
 
 
+@pytest.mark.slow
 def test_a_wrong_parameter_of_the_payload_is_found_and_named() -> None:
     five_bar, kinds = load_robot("five-bar"), [kind for kind in STEEL if kind != "m"]
     right = identify(five_bar, steel({kind: STEEL[kind] for kind in kinds}))
@@ -317,6 +320,7 @@ def per_ampere(factor: float) -> dict[str, float]:
     return {joint: factor * gain for joint, gain in DRIVE_GAINS.items()}
 
 
+@pytest.mark.slow
 def test_milliamperes_read_as_amperes_contradict_the_prior_gains(runs: list[Run]) -> None:
     milli = [replace(run, command=1e3 * run.command) for run in runs]
     result = identify(ROBOT, milli, prior_gains=per_ampere(1.05))

@@ -111,6 +111,7 @@ def outcomes(robot: str, made: Callable[[InverseDynamics, bool], Log], folder: P
             assert run.output.rstrip().endswith("."), run.output
 
 
+@pytest.mark.slow
 def test_poor_logs_of_a_five_bar_end_in_a_result_or_a_sentence(tmp_path: Path) -> None:
     for made in (rest_in_the_second_half, coarse, offset):
         outcomes("five-bar", made, tmp_path)

@@ -143,6 +143,7 @@ def test_ur10e_payload_has_ten_parameters(ur10e: Result) -> None:
     assert set(payload.parameters) == {"xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m"}
 
 
+@pytest.mark.slow
 def test_ur10e_by_total_least_squares(folder: Path, ur10e: Result) -> None:
     """The two smallest singular values are close, but only the gain that the data hardly fix suffers from it."""
     result = identify(folder / "ur10e.yaml", method="tls")
@@ -155,6 +156,7 @@ def test_ur10e_by_total_least_squares(folder: Path, ur10e: Result) -> None:
         assert abs(gain.value - ur10e.drive_gains[joint].value) < 2 * gain.std
 
 
+@pytest.mark.slow
 def test_ur10e_consistent_parameters_predict_no_worse(folder: Path, shared: Path) -> None:
     """What the constraints cost on the runs themselves was fitted noise: on another run the errors do not grow."""
     result = identify(folder / "ur10e.yaml", consistent=True)

@@ -100,6 +100,7 @@ def folder(log: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_identify_takes_the_log_as_it_is(folder: Path) -> None:
     result = identify(folder / "torque.yaml")
     errors = {error.joint: error.relative for error in result.residuals}

@@ -173,6 +173,7 @@ def test_runs_of_half_a_second_give_no_gain(here: Path, rows: int) -> None:
     assert result.exit_code == (0 if any(gain["outcome"] == "weak" for gain in gains) else 3)
 
 
+@pytest.mark.slow
 def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
     """Without a word of a method; a fleet, which compares gains, says that there are none."""
     declared = EXPERIMENT.replace("current:", "torque:").replace(bad_input.PRIOR, "")

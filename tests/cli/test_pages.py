@@ -117,6 +117,7 @@ def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
     assert [gain["value"] for gain in priors["drive_gains"]] == pytest.approx(plant.gains, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (text,) = blocks(DOCS / "simulation-file.md", "yaml")
     monkeypatch.chdir(tmp_path)
@@ -131,6 +132,7 @@ def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
     assert "control" not in Path("simulated/experiment.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_what_is_designed_is_simulated_and_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = DOCS / "excitation.md"
     _, design, simulation = blocks(page, "yaml")

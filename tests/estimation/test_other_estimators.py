@@ -163,6 +163,7 @@ def test_the_bias_that_weak_instruments_leave_counts_in_the_comparison() -> None
     assert np.all(difference.std[fit.system.problem.gain_rows] > np.abs(bias_now * fit.gains))
 
 
+@pytest.mark.slow
 def test_one_chirp_of_all_joints_is_no_contradiction_of_2sls(shared: Path, tmp_path: Path) -> None:
     """Gains from loaded less unloaded currents, joint by joint: 0.94, 1.60, 1.47, 0.91 and 0.98."""
     folder = shared / "airbot_play"

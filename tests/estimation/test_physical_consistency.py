@@ -231,6 +231,7 @@ def test_incomplete_priors_are_refused(tmp_path: Path) -> None:
 # Measured and simulated logs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["orthoglide", "ur10e"])
 def test_the_loss_on_the_shared_logs_is_small(name: str, shared: Path, tmp_path: Path) -> None:
     experiment = tmp_path / "experiment.yaml"

@@ -64,6 +64,7 @@ def test_ripple_shifts_gains_by_what_is_found(runs: list[Run]) -> None:
     assert stack < 0.9
 
 
+@pytest.mark.slow
 def test_a_result_says_it_and_has_it_in_its_deviations(runs: list[Run]) -> None:
     result = identify(ROBOT, rippled(runs, 0))
     (note,) = [note for note in result.notes if note.finding == F.RIPPLE]

@@ -253,6 +253,7 @@ def test_refusals(clean: list[Run]) -> None:
 # An independent plant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "decimation"), [*(pytest.param(m, None, marks=pytest.mark.slow) for m in ("iv", "didim")), ("didim", 4)]
 )

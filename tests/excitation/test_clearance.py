@@ -106,6 +106,7 @@ def test_neighbours_may_touch(tmp_path: Path) -> None:
     assert task.limits.clearance.pairs == (("ground", "arm"), ("ground", "forearm"))
 
 
+@pytest.mark.slow
 def test_a_design_keeps_its_distance(tmp_path: Path) -> None:
     """Without shapes the forearm swings into the post; with them every sample of a run, approach included, is clear."""
     free, _ = read_design(written(tmp_path, "velocity: {turret: 2}"))

@@ -185,6 +185,7 @@ def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_
     assert (tmp_path / "0.png").read_bytes() == (tmp_path / "1.png").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("two_estimators")
 def test_the_examples_of_the_readme_run_in_the_demo(
     made: tuple[Path, dict[str, Any], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -228,6 +228,7 @@ def peak_mib(folder: Path, parts: int) -> float:
     return float(done.stderr.split()[-1]) / 1024
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux says in a file how much memory a program held")
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     short, long = (peak_mib(tmp_path / str(parts), parts) for parts in (1, 8))
