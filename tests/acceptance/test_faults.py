@@ -192,6 +192,7 @@ def test_a_fault_is_noticed(name: str, runs: list[Run]) -> None:
     assert kinds & set(found_kinds(result)), sentences(result)
 
 
+@pytest.mark.slow
 def test_one_reversed_current_is_a_negative_gain_and_said(
     runs: list[Run],
 ) -> None:
@@ -422,6 +423,7 @@ def test_one_current_without_sign_that_rests_at_zero_is_named(runs: list[Run], t
         logged(tmp_path / "unsigned.csv", replace(runs[0], command=command))
 
 
+@pytest.mark.slow
 def test_clipped_currents_are_masked_and_said(runs: list[Run], tmp_path: Path) -> None:
     clipped = [logged(tmp_path / f"run_{k}.csv", limited(run, 0.85)) for k, run in enumerate(runs)]
     masked = [int((~run.valid).sum()) for run in clipped]

@@ -43,6 +43,7 @@ def logs(rate: float, slowest: float, seconds: float, noise: float) -> list[Run]
     return runs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate", "slowest", "seconds", "noise"),
     [

@@ -131,6 +131,7 @@ def test_the_model_file_has_the_keys_that_are_promised(here: Path) -> None:
     assert payload["parameters"]["mx"]["rel_std"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["2sls", "tls", "wls", "ols"])
 def test_every_method(here: Path, method: str) -> None:
     if method == "tls":
@@ -608,6 +609,7 @@ gtau.model.home.load_robot = swallow
     assert json.loads(stdout) == {"error": sentence}
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_is_a_result_that_says_so(here: Path) -> None:
     (here / "design.yaml").write_text(DESIGN)
     process = start(here, "excite", "design.yaml", "--out", "plan", "--starts", "1000")

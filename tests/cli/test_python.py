@@ -122,6 +122,7 @@ class _LikePandas:
         return self._frame[name].to_numpy()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("two_estimators")
 def test_compare_takes_a_robot_with_runs_and_priors_are_mappings(folder: Path) -> None:
     signals = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}

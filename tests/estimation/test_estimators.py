@@ -233,6 +233,7 @@ def test_2sls_is_a_start_near_the_answer(rng: np.random.Generator) -> None:
 # Standard deviations
 
 
+@pytest.mark.slow
 @least_squares
 def test_deviations_against_monte_carlo(method: str, rng: np.random.Generator) -> None:
     rows = exact_rows(rng)

@@ -66,6 +66,7 @@ def test_runs_in_scale_are_good(healthy: Result) -> None:
         assert abs(gain.value - truth) < 3 * gain.std
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("which", "factor"), [(0, 1.02), (1, 1.02), (3, 0.98)])
 def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run], healthy: Result) -> None:
     """Not taken for ripple, which it looks like: a torque that lifts is a function of the position."""

@@ -119,6 +119,7 @@ def test_what_to_write_is_what_helps(tmp_path: Path) -> None:
     np.testing.assert_allclose(turned.gravity, true, atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "true", "currents", "also"),
     [

@@ -32,6 +32,7 @@ def reasons(result: Result) -> dict[str, str]:
     return {joint: gain.verdict.why for joint, gain in result.drive_gains.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lead", "named"), [(0.1, "100 ms too early"), (-0.1, "100 ms too late")])
 def test_a_delay_of_100_ms_is_named_as_one(lead: float, named: str) -> None:
     result = identify(ROBOT, logs(lead, lead))

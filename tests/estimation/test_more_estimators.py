@@ -98,6 +98,7 @@ def test_one_step_leaves_a_unit_of_least_squares_out_exactly(rng: np.random.Gene
 # Huber
 
 
+@pytest.mark.slow
 def test_outliers_move_maximum_likelihood_and_not_huber(rng: np.random.Generator) -> None:
     spoilt = []
     for run in logs(Plant(noise=0.005)):

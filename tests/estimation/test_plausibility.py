@@ -40,6 +40,7 @@ def test_the_right_rate_raises_no_doubt(folder: Path) -> None:
     assert {each.verdict.outcome.value for each in identify(path).drive_gains.values()} == {"good"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "high"), [(2.0, True), (1.4, True), (0.6, False)])
 def test_a_wrong_rate_is_named(folder: Path, factor: float, high: bool) -> None:
     path = _with(folder, "wrong", "time: t", f"time: {{rate: {factor * _rate(folder):g}}}")
@@ -51,6 +52,7 @@ def test_a_wrong_rate_is_named(folder: Path, factor: float, high: bool) -> None:
         assert clock.values["rate"] == pytest.approx(factor * _rate(folder), rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gravity", ["[0, 0, 9.81]", "[6.9, 0, -6.9]"])
 def test_gravity_of_another_direction_is_no_clock(folder: Path, gravity: str) -> None:
     robot = (CATALOG / "five-bar.yaml").read_text()

@@ -354,6 +354,7 @@ def test_every_command_takes_a_sensor_column(tmp_path: Path) -> None:
     assert "The scale of all gains rests on the torque sensor of" in page
 
 
+@pytest.mark.slow
 def test_other_estimators_with_a_sensor() -> None:
     plant = arm().with_sensors("2")
     runs = [plant.run(1), plant.run(2)]

@@ -139,6 +139,7 @@ def deviations(result: Result, other: Result) -> np.ndarray:
     return np.array([(mine[name].value - each.value) / each.std for name, each in theirs.items()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "didim"])
 def test_on_clean_positions_they_are_maximum_likelihood(method: str) -> None:
     runs = logs(Plant(noise=0.02))

@@ -67,6 +67,7 @@ def test_right_columns_are_good(runs: list[Run]) -> None:
     assert np.all(left[~np.eye(4, dtype=bool)] > 0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [(1, 0, 2, 3), (0, 1, 3, 2)])
 def test_swapped_columns_are_named(columns: tuple[int, ...], runs: list[Run]) -> None:
     """Joints 1 and 2 turn about parallel axes: with swapped columns the gain of 2 was called good, at 2.3 for 4."""

@@ -136,6 +136,7 @@ def test_the_paper_s_deviations_rest_on_all_rows(runs: list[Run]) -> None:
 # Delays
 
 
+@pytest.mark.slow
 def test_a_delay_that_noise_hides_is_not_identifiable_and_has_no_deviation(result: Result) -> None:
     assert {each.verdict.outcome for each in result.delays.values()} == {Outcome.GOOD}
     plant, known = Plant(noise=0.02), Payload(name="steel", mass=STEEL["m"])
@@ -285,6 +286,7 @@ def test_a_light_payload_is_weak_or_with_more_noise_refused() -> None:
         identify(FIVE_BAR, pair(0.2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "good"), [(0.005, True), (0.05, False), (0.2, False)])
 def test_deviations_and_not_singular_values_condemn_total_least_squares(noise: float, good: bool) -> None:
     """The ratio of the two smallest singular values is 2.7 with the right gains, and 3.4 and 3.6 with absurd ones."""

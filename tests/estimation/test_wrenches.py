@@ -41,6 +41,7 @@ def test_gains_from_the_wrench_on_a_foot(wrench: str, standing: Truth, tmp_path:
     assert [result.drive_gains[joint].verdict.outcome for joint in "23"] == [Outcome.GOOD] * 2
 
 
+@pytest.mark.slow
 def test_a_force_sensor_between_flange_and_tool_gives_the_scale(tmp_path: Path) -> None:
     """Neither mass nor place of the tool is known: its wrench is measured, with and without the tool."""
     bare, carrying = simulated(4, moving=False), simulated(5, moving=False, tool=True)
@@ -97,6 +98,7 @@ def check(result: Result, z: np.ndarray, count: int) -> None:
     assert np.abs(z).max() < 4.5
 
 
+@pytest.mark.slow
 def test_a_foot_left_out_shows(leaning: Truth, tmp_path: Path) -> None:
     result = identify(experiment(tmp_path, HELD, leaning))
     (verdict,) = {gain.verdict for gain in result.drive_gains.values()}
@@ -129,6 +131,7 @@ def test_refusals(wrench: str, options: dict, sentence: str, standing: Truth, tm
     assert sentence in str(refused.value)
 
 
+@pytest.mark.slow
 def test_the_calibration_of_the_sensor_is_in_every_interval(standing: Truth, tmp_path: Path) -> None:
     """Gains rest on the wrench alone: what it is uncertain by, they are too."""
     with_wrench = f"{BASE}\n  wrenches: [{AT_SOLE}]"

@@ -62,6 +62,7 @@ def found(tmp_path_factory) -> Design:
     return design(task, starts=2)
 
 
+@pytest.mark.slow
 def test_all_limits_hold_on_a_grid_ten_times_finer(found: Design) -> None:
     every = check(found.task, found.x, 10)
     assert {load.what: load.excess for load in every if load.excess > 1} == {}
@@ -179,6 +180,7 @@ def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
     assert "no motion within the limits was found" in str(refusal.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [1, 30, 60, 90])
 def test_a_stopped_design_is_the_best_so_far_and_within_the_limits(tmp_path: Path, asked: int) -> None:
     task, _ = read_design(write(tmp_path, DESIGN))

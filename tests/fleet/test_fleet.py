@@ -137,6 +137,7 @@ def test_going_on_after_an_interruption(cells: Path, tmp_path: Path) -> None:
     assert [report.seconds > 0 for report in reports] == [False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["log", "experiment", "method", "robot"])
 def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change: str) -> None:
     for name in ("free.csv", "loaded.csv"):

@@ -39,7 +39,7 @@ SECTIONS = {
     "identify": "verdict gains payloads torques residuals parameters friction correlation singular-values robot "
     "logs alternatives notes provenance",
     "validate": "verdict torques gains robot logs provenance",
-    "payload": "verdict masses payloads gains robot provenance",
+    "payload": "verdict masses controller payloads gains robot provenance",
     "compare": "verdict estimators gains provenance",
     "check": "verdict notes logs joints robot motion preparation provenance",
     "fleet": "verdict joints outliers chart gains provenance",

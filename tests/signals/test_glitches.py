@@ -196,6 +196,7 @@ def test_real_logs_have_none(shared: Path) -> None:
     assert [note for run in runs for note in glitches(run)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", ["0", "999"])
 def test_check_shows_them_and_the_gains_stay(value: str, tmp_path: Path) -> None:
     plant = Plant(noise=0.01)

@@ -210,6 +210,7 @@ def described(name: str, seed: int, duration: float, share: float = 0.9, payload
     return {"robot": name, "parameters": chi, "drives": drives, "runs": runs}, chi, gains
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["five-bar", pytest.param("delta", marks=pytest.mark.slow)])
 def test_identification_finds_what_was_simulated(name, tmp_path):
     """Gains within 0.2 %, and the base parameters within their uncertainty; six seconds a run are little."""
