@@ -86,9 +86,8 @@ def experiment_of(
         )
     if "rate" in draft.open:
         raise GtauError(
-            f"{sources[0]} has neither times nor velocities, from which its rate could be found; draft "
-            "a file by 'gtau init', write the "
-            "rate there (time: {rate: HZ}), and give that file."
+            f"{sources[0]} has neither times nor velocities, from which its rate could be found; draft a file by "
+            "'gtau init', write the rate there (time: {rate: HZ}), and give that file."
         )
     file = folder / "experiment.yaml"
     write_draft(draft, file)

@@ -21,7 +21,7 @@ from gtau.estimation.regression.equations import STRETCHES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE
 from gtau.signals.preparation import InMemoryRun
 
-OF_LOAD = (F.LOAD_FRICTION, F.SATURATION, F.GAIN_CHANGE)  # what acts otherwise with another load
+OF_LOAD = (F.LOAD_FRICTION, F.SATURATION, F.GAIN_CHANGE)  # effects that depend on the load
 
 
 @dataclass(frozen=True, eq=False)

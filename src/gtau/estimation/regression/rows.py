@@ -113,7 +113,7 @@ def stream_rows(
 class Torques:
     """Torques of a model and commands at every sample of a stretch of a run, all behind the same low-pass.
 
-    ``time`` (K,) in s; ``torques`` (n, K) of the model, friction and what acts from outside included; ``friction``
+    ``time`` (K,) in s; ``torques`` (n, K) of the model, with friction and measured wrenches; ``friction``
     (n, K) alone; ``commands``
     (3, n, K), as in :class:`Rows`.
     """

@@ -1,4 +1,4 @@
-"""What is known of a payload: estimates of its parameters, and the body in the frame that a controller wants."""
+"""Estimates of a payload: its parameters, and its mass properties in the frame that a controller wants."""
 
 from __future__ import annotations
 
