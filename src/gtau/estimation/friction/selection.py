@@ -209,6 +209,17 @@ def spread_of_shape(group: Group, trial: Trial, s: int, kind: str) -> float:
     return float(np.sqrt((blocks - 1) / blocks * ((best - best.mean()) ** 2).sum() + step**2 / 12))
 
 
+def moved_by_shape(group: Group, trial: Trial, s: int, kind: str, spread: float) -> np.ndarray:
+    """Compute by how much the parameters (k,) move where the logarithm of a width or speed does by ``spread``."""
+    options = _with(group, trial, s, kind)
+    grid = np.log(group.sites[s].widths if kind == "width" else group.sites[s].speeds)
+    here = getattr(trial.structures[s], kind)
+    low, high = max(here - 1, 0), min(here + 1, len(grid) - 1)
+    below, above = (dict(zip(options[k].names, options[k].x, strict=True)) for k in (low, high))
+    moved = np.array([above.get(name, 0.0) - below.get(name, 0.0) for name in trial.names])
+    return moved * spread / (grid[high] - grid[low])
+
+
 def _lowest(grid: np.ndarray, errors: np.ndarray) -> float:
     """Find the minimum of the parabola through the least error and its neighbours."""
     k = int(np.argmin(errors))
