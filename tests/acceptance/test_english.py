@@ -49,12 +49,12 @@ FOLDERS = (
     "simulation",
 )
 PAGES = (
-    "do/log-check",
     "do/payload",
-    "do/scale",
     "evidence/benchmarks",
     "lookup/catalog",
     "lookup/equations",
+    "lookup/fleets",
+    "lookup/log-checks",
     "lookup/robot-file",
     "lookup/simulation-file",
 )

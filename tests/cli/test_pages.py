@@ -70,7 +70,7 @@ def test_a_page_names_every_key(page: str, models: list[type[BaseModel]]) -> Non
     [
         ("lookup/experiment-file.md", Experiment),
         ("lookup/simulation-file.md", Simulation),
-        ("do/excitation.md", DesignFile),
+        ("lookup/design-file.md", DesignFile),
     ],
 )
 def test_what_an_example_has_as_a_comment_is_a_key_at_its_place(page: str, which: type[BaseModel]) -> None:
@@ -138,7 +138,7 @@ def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.slow
 def test_what_is_designed_is_simulated_and_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = DOCS / "do/excitation.md"
+    page = DOCS / "lookup/design-file.md"
     _, design, simulation = blocks(page, "yaml")
     (commands,) = blocks(page, "sh")
     monkeypatch.chdir(tmp_path)
