@@ -177,14 +177,17 @@ def test_runs_of_half_a_second_give_no_gain(here: Path, rows: int) -> None:
 
 @pytest.mark.slow
 def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
-    """Without a word of a method: currents taken for torques have a scale of N m/A, and without a mass none is tested."""
+    """Without a word of a method: currents taken for torques have a scale, and without a mass none is tested."""
     declared = EXPERIMENT.replace("current:", "torque:").replace(bad_input.PRIOR, "")
     (here / "torques.yaml").write_text(declared)
     shown = " ".join(run("identify", "torques.yaml", "--out", "scaled").stdout.split())
-    assert "The arm reports 0.4" in shown and "of the torque at 'left'" in shown
+    assert "The arm reports 0.4" in shown
+    assert "of the torque at 'left'" in shown
     scale = yaml.safe_load((here / "scaled" / "torque_scale.yaml").read_text())["torque_scale"]
     assert {joint: each["state"] for joint, each in scale.items()} == {"left": "wrong", "right": "wrong"}
-    assert all(each["interval"][0] < true < each["interval"][1] for each, true in zip(scale.values(), GAINS, strict=True))
+    assert all(
+        each["interval"][0] < true < each["interval"][1] for each, true in zip(scale.values(), GAINS, strict=True)
+    )
     (here / "torques.yaml").write_text(declared.replace("{name: steel, mass: 1.2}", "{name: steel}"))
     found = document("identify", "torques.yaml", "--out", "torques")
     assert (found["method"], found["kind"]) == ("wls", "torque")

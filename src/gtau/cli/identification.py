@@ -56,15 +56,15 @@ def identify(
         typer.Option(
             "--out",
             metavar="DIR",
-            help="Folder for report.html, model.json, summary.txt, singularities, torque scale.",
+            help="Folder for report.html, model.json, summary.txt, singularities and torque scale.",
         ),
     ] = Path("result"),
     method: Annotated[
         str | None,
         typer.Option(
             metavar=METHODS,
-            help="Estimator; docs/trust.md says when to choose which. Default: ml; tls with --as-paper; wls where "
-            "logs hold torques and nothing tests their scale.",
+            help="Estimator; docs/lookup/verdicts.md says when to choose which. Default: ml; tls with --as-paper; wls "
+            "where logs hold torques and nothing tests their scale.",
             show_default=False,
         ),
     ] = None,

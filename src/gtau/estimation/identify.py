@@ -64,9 +64,10 @@ def identify(
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     method : str, optional
-        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/trust.md says what each is, and when to choose
-        it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold torques
-        and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of torques.
+        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md says what each is, and when
+        to choose it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold
+        torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
+        torques.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N/A, of torques the factor that makes them true; the experiment file's if left out.
     ratio : float, optional

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gtau.estimation.thresholds import NONE, Threshold
+from gtau.estimation.thresholds import Threshold
 
 ALIKE = Threshold(
     0.05,
