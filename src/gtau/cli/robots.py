@@ -204,7 +204,7 @@ def tutorial(
     out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the logs.", show_default=False)],
     json_: Json = False,
 ) -> None:
-    """Copy the logs of the ten-minute tutorial (docs/tutorial.md) to a folder, and say how to go on."""
+    """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and say how to go on."""
     with refusals(json_):
         from gtau.demo.tutorial import write_tutorial
 
