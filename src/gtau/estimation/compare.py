@@ -127,7 +127,8 @@ def compare(
         return Row(estimator.name, values, std, residuals, seconds, outcome, half_widths=halves)
 
     with single_threaded_blas():
-        dataset = reduce_runs(robot, taken_runs, progress=progress, priors=known)
+        of_file = subject.prior_inertias
+        dataset = reduce_runs(robot, taken_runs, progress=progress, priors=known, prior_inertias=of_file)
         require_identifiable(choose_estimator("ml", taken_runs), None, dataset, dataset.system(Friction()))
         rows = []
         for k, estimator in enumerate(ESTIMATORS.values()):
