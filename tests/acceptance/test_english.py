@@ -47,6 +47,7 @@ FOLDERS = (
         "signals",
     ),
     "simulation",
+    "watch",
 )
 PAGES = ("benchmarks", "catalog", "equations", "log-check", "payload", "robot-file", "scale", "simulation-file")
 PLACES = {
