@@ -113,7 +113,7 @@ def test_their_representations_are_short(tmp_path: Path) -> None:
 def test_the_blocks_of_the_page_on_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_tutorial(tmp_path)
     monkeypatch.chdir(tmp_path)
-    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "do" / "python.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     place: dict[str, Any] = {}
     for block in blocks:
