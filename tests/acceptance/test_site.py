@@ -27,12 +27,17 @@ def test_a_page_made_from_the_code_is_current(name: str) -> None:
     assert made.PAGE.read_text(encoding="utf-8") == made.page(), f"run python docs/{name}.py"
 
 
-@pytest.mark.parametrize("shelf", ["start", "do", "lookup", "evidence"])
-def test_an_index_lists_every_page_of_its_shelf(shelf: str) -> None:
-    index = (DOCS / shelf / "index.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("folder", ["start", "do", "do/robots", "lookup", "evidence"])
+def test_an_index_lists_every_page_of_its_folder(folder: str) -> None:
+    index = (DOCS / folder / "index.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"\]\(([\w-]+\.md)", index))
-    assert listed == {page.name for page in (DOCS / shelf).glob("*.md")} - {"index.md"}
-    assert f"({shelf}/index.md)" in (DOCS / "index.md").read_text(encoding="utf-8")
+    assert listed == {page.name for page in (DOCS / folder).glob("*.md")} - {"index.md"}
+    above = (DOCS / folder).parent / "index.md"
+    assert f"({Path(folder).name}/index.md)" in above.read_text(encoding="utf-8")
+
+
+def test_every_page_is_on_a_shelf() -> None:
+    assert [page.name for page in DOCS.glob("*.md")] == ["index.md"]
 
 
 def test_the_reference_lists_every_public_name() -> None:
