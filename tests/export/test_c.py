@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from c_compiler import FLAGS, GCC, needs_gcc
 from models_to_export import model_of, preslid, sprung
 from propelling_models import LOGGED, held, propelling, states
 from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
@@ -25,10 +26,6 @@ from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import Drive, hardware, simulate
 from gtau.simulation.controllers import Reference, computed_torque
 from gtau.simulation.plant import Plant, PlantState
-
-GCC = shutil.which("gcc")
-needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed (Debian: apt install gcc)")
-FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 
 
 class Compiled:
@@ -242,7 +239,7 @@ def test_names_become_valid_identifiers(name: str, tmp_path: Path) -> None:
     robot = Robot(name, (Joint("a*/b/* %d", "ground", "revolute", Mdh(r=0.3)),))
     export(model_of(robot), tmp_path)
     sources = sorted(tmp_path.glob("*.c"))
-    assert len(sources) == 3
+    assert len(sources) == 4
     made = subprocess.run(
         [GCC, *FLAGS, "-O0", "-I", tmp_path, "-o", tmp_path / "all", *sources, "-lm"], capture_output=True, text=True
     )
