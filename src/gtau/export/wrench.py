@@ -26,10 +26,10 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 
-# Of the largest singular value of the whitened J^T. A direction counts as seen down to 0.003 of it: the least of a
-# UR10e with residuals of 2 to 0.3 N m is 0.024 in a regular pose, and 0.003 with its wrist 0.9 degrees from straight,
-# where a moment is known to +-80 N m and nobody has a use for it.
-DAMPING = 1e-4
+# Of the largest singular value of J^T, lengths over the robot's. Directions down to 0.01 of it are seen: on a UR10e 0.06
+# is the least in a regular pose, and 0.01 is the wrist 3 degrees from straight where all torques are alike. Those lost
+# on its measured logs (8 % of all) would be known to +-140 N at best.
+DAMPING = 3e-4
 SEEN = 0.999  # of a component's own share in its estimate; the others' is then below sqrt(SEEN (1 - SEEN)) = 3 %
 BEYOND = 4.0  # standard deviations, as in the table of torques
 
@@ -138,10 +138,12 @@ def wrench_along_log(
     length = characteristic_length(result.robot)
     scale = np.repeat([0.0 if force_only else 1.0 / length, 1.0], 3)  # of unknowns: forces, and moments over a length
     at_frame = _to_body(placement) * scale
+    turning = [result.robot.joint(joint).kind == "revolute" for joint in prediction.joints]
+    rows = np.where(turning, length, 1.0)  # torques over a length are forces too
     parts, first = [], 0
     for J_t, covariance in _along(result, run, residual):
         part = slice(first, first + len(J_t))
-        parts.append(_solve(J_t @ at_frame, covariance, external[part]))
+        parts.append(_solve(J_t @ at_frame / rows[:, None], covariance / np.outer(rows, rows), external[part] / rows))
         first = part.stop
     value, std, own, directions = (np.concatenate(each) for each in zip(*parts, strict=True))
     seen = (own >= SEEN) & (scale > 0)
@@ -189,7 +191,10 @@ def _dense(model: InverseDynamics, columns: Regressor, motion: Motion) -> np.nda
 
 
 def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Solve ``A w = torque`` (N, n) by damped weighted least squares.
+    """Solve ``A w = torque`` (N, n) by damped weighted least squares, all in N.
+
+    Damping is that of all torques being as uncertain as the worst, so that it depends on the pose: a direction is
+    damped at most as its singular value of A asks for.
 
     Returns
     -------
@@ -199,7 +204,9 @@ def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[n
     """
     root = np.linalg.cholesky(covariance)
     U, s, V_t = np.linalg.svd(np.linalg.solve(root, A), full_matrices=False)
-    damped = s**2 + (DAMPING * s[:, :1]) ** 2
+    largest = np.linalg.norm(A, 2, axis=(1, 2))
+    worst = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).max(axis=1))
+    damped = s**2 + (DAMPING * largest / worst)[:, None] ** 2
     inverse = np.divide(s, damped, out=np.zeros_like(s), where=damped > 0)
     whitened = np.linalg.solve(root, torque[:, :, None])[:, :, 0]
     along = np.einsum("ikj,ik->ij", U, whitened)
