@@ -69,7 +69,7 @@ def rows(result: Result, run: Run) -> Iterator[str]:
         cells = []
         near = [(run.time > onset - 0.2) & (run.time < onset + LENGTH) for onset in onsets]
         whole = [(k, onset) for k, onset in enumerate(onsets) if np.isfinite(free[near[k], k % 3]).all()]
-        for force, each in zip(FORCES, found, strict=True):
+        for each in found:
             delays = [delay(run.time, each[:, k % 3], onset, threshold[:, k % 3]) for k, onset in whole]
             seen = [d for d in delays if np.isfinite(d)]
             cells += [f"{100 * len(seen) / len(delays):.0f}", f"{1e3 * np.median(seen):.0f}" if seen else "-"]

@@ -18,7 +18,7 @@ from gtau.report.parameters import PAPER
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 
-PAGE = Path(__file__).parents[2] / "docs" / "measured.md"
+PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "measured.md"
 CONTROLLER = (11.976, 11.976, 9.839, 10.763, 10.76, 10.76)  # N m/A
 
 

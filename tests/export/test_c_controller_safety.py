@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from c_compiler import FLAGS, SANITIZERS, sanitizing
+from c_code import FLAGS, SANITIZERS, sanitizing
 from models_to_export import model_of
 from robots_for_tests import ROBOTS, home
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from c_compiler import FLAGS, GCC, SANITIZERS, needs_gcc, sanitizing
+from c_code import FLAGS, GCC, SANITIZERS, needs_gcc, sanitizing
 from engines import Pinocchio
 from models_to_export import model_of, preslid
 from robots_for_tests import ROBOTS, home, random_samples, trajectory

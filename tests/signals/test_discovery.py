@@ -407,7 +407,7 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
     assert "--base is '0,0,x': unknown name 'x'" in CliRunner().invoke(app, [*init, "--base", "0,0,x"]).output
     assert "90 rad is more than a turn; write deg(...)" in CliRunner().invoke(app, [*init, "--base", "0,90,0"]).output
     floating = CliRunner().invoke(app, [*init, "--base", "floating"]).output
-    assert "is not drafted; start from docs/experiment-file.md, 'A base that floats'." in floating
+    assert "is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'." in floating
     assert "name it too" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output
 
 

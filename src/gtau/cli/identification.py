@@ -59,8 +59,8 @@ def identify(
         str | None,
         typer.Option(
             metavar=METHODS,
-            help="Estimator; docs/trust.md says when to choose which. Default: ml; tls with --as-paper; wls where the "
-            "logs hold torques.",
+            help="Estimator; docs/lookup/verdicts.md says when to choose which. Default: ml; tls with --as-paper; wls "
+            "where the logs hold torques.",
             show_default=False,
         ),
     ] = None,

@@ -54,9 +54,9 @@ def identify(
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     method : str, optional
-        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/trust.md says what each is, and when to choose
-        it. If left out, least squares with given gains ("wls") where logs hold torques, else maximum likelihood ("ml"),
-        or the paper's total least squares ("tls") with ``as_paper``.
+        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md says what each is, and when
+        to choose it. If left out, least squares with given gains ("wls") where logs hold torques, else maximum
+        likelihood ("ml"), or the paper's total least squares ("tls") with ``as_paper``.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N/A; the experiment file's if left out.
     ratio : float, optional

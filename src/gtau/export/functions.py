@@ -149,7 +149,8 @@ class _Friction:
         forces, speeds = (ca.densify(ca.vertcat(*each)) for each in law.forces(ca, self._values, self.yd, load))
         scales = law.scales(ca, forces, speeds)
         if law.states:
-            forces = ca.densify(ca.vertcat(*law.forces(ca, self._values, self.yd, load, self.z)[0]))
+            z = law.directions(ca, self.yd, self.z)
+            forces = ca.densify(ca.vertcat(*law.forces(ca, self._values, self.yd, load, z)[0]))
         return forces, scales
 
     def _on_motors(self, forces: ca.SX, scales: ca.SX) -> ca.SX:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from gtau.documents.arguments import takes
+from gtau.documents.arguments import NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.prediction import loaded_parameters, suited
 from gtau.estimation.results.result import Result
@@ -25,7 +25,7 @@ from gtau.robots.floating import refuse_floating
 from gtau.signals.run import Run
 
 
-@takes(result=("a result", (Result,)), run=("a run (gtau.read_run)", (Run,)))
+@takes(result=("a result", (Result,)), run=("a run (gtau.read_run)", (Run,)), bandwidth=NUMBER)
 def momentum_observer(result: Result, run: Run, bandwidth: float) -> np.ndarray:
     """Estimate external torques along a run from the samples up to each: what the exported C observer would say there.
 

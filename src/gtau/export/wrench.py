@@ -26,9 +26,9 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 
-# Of the largest singular value of J^T, lengths over the robot's. Directions down to 0.01 of it are seen: on a UR10e 0.06
-# is the least in a regular pose, and 0.01 is the wrist 3 degrees from straight where all torques are alike. Those lost
-# on its measured logs (8 % of all) would be known to +-140 N at best.
+# Of the largest singular value of J^T, lengths over the robot's. Directions down to 0.01 of it are seen: on a UR10e
+# 0.06 is the least in a regular pose, and 0.01 is the wrist 3 degrees from straight where all torques are alike. Those
+# lost on its measured logs (8 % of all) would be known to +-140 N at best.
 DAMPING = 3e-4
 SEEN = 0.999  # of a component's own share in its estimate; the others' is then below sqrt(SEEN (1 - SEEN)) = 3 %
 BEYOND = 4.0  # standard deviations, as in the table of torques

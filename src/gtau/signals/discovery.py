@@ -87,7 +87,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
             listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
             raise GtauError(
                 f"{paths[0]}: no columns of {what} are recognised among {listed}; write the experiment file by hand "
-                "(docs/experiment-file.md), or rename the columns, such as q1 and current1."
+                "(docs/lookup/experiment-file.md), or rename the columns, such as q1 and current1."
             )
     assert positions is not None and commands is not None  # noqa: PT018 (refused above)
     reasons, unsure, units = dict(position_log.reasons), [], {}

@@ -28,9 +28,9 @@ UNSURE = {
     "received": "messages without stamps of measurement have those of receipt, with the jitter of the middleware",
     "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
     "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
-    "(docs/experiment-file.md, 'A base that floats')",
+    "(docs/lookup/experiment-file.md, 'A base that floats')",
     "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a base that "
-    "floats under 'base:' (docs/experiment-file.md, 'Wrenches on bodies')",
+    "floats under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
 """Questions to the user, by the open points of the draft."""
@@ -75,13 +75,13 @@ def draft_text(draft: Draft, folder: Path) -> str:
         lines += [
             f"  # {CHECK}{_first(draft.motion)} look like the motion of a base. If it moved, write",
             "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here",
-            "  # (docs/experiment-file.md, 'A base that floats').",
+            "  # (docs/lookup/experiment-file.md, 'A base that floats').",
         ]
     if draft.wrenches:
         lines += [
             f"  # {CHECK}{_first(draft.wrenches)} look like forces and moments. Describe those that act",
             "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'",
-            "  # (docs/experiment-file.md, 'Wrenches on bodies').",
+            "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies').",
         ]
     if draft.sensors:
         lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")

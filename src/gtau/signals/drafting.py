@@ -58,7 +58,7 @@ def draft_logs(
     if known is not None and known.floating:
         raise GtauError(
             f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
-            "floats is not drafted; start from docs/experiment-file.md, 'A base that floats'."
+            "floats is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'."
         )
     found = discover(logs, known, URDF if urdf is not None else robot, base)
     found = replace(found, urdf=urdf, moving=moving)
