@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from gtau.signals.settings import PreparationSettings
     from gtau.simulation.experiment_files import simulate_experiment as simulate
     from gtau.simulation.simulation_file import Simulation
+    from gtau.watch.watch import Watch
 
 __version__ = "0.1.0"
 __all__ = [
@@ -68,6 +69,7 @@ __all__ = [
     "Simulation",
     "TorqueError",
     "Units",
+    "Watch",
     "base_parameters",
     "check",
     "compare",
@@ -110,6 +112,7 @@ _HOMES = {
     "Simulation": "simulation.simulation_file",
     "TorqueError": "estimation.results.estimate",
     "Units": "signals.columns",
+    "Watch": "watch.watch",
     "base_parameters": "model.base_parameters",
     "check": "estimation.check_logs",
     "compare": "estimation.compare",

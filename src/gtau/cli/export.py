@@ -97,8 +97,9 @@ def use(
     with refusals(json_):
         from dataclasses import asdict
 
+        from gtau.estimation.experiment_runs import carrying, read_log
         from gtau.estimation.results.result import Result
-        from gtau.export.along_log import carrying, read_log, summary_text, torques_along_log, write_table
+        from gtau.export.along_log import summary_text, torques_along_log, write_table
 
         if force_only and frame is None:
             raise GtauError("--force-only says what acts at a frame; give it by --frame LINK, or leave it out.")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from gtau.export.observer import momentum_observer
 from gtau.export.wrench import WrenchAlongLog, wrench_along_log
 from gtau.robots.robot import Placement
 from gtau.robots.units import torque_unit
-from gtau.signals.payload import Payload
-from gtau.signals.run import Run, read_run
+from gtau.signals.run import Run
 
 if TYPE_CHECKING:
     import polars as pl
@@ -58,50 +57,6 @@ class TorquesAlongLog:
     table: pl.DataFrame
     joints: tuple[External, ...]
     wrench: WrenchAlongLog | None = None
-
-
-def read_log(result: Result, log: str | Path, experiment: str | Path | None = None) -> Run:
-    """Read a log to be used with a model.
-
-    Parameters
-    ----------
-    result : Result
-        Of the robot.
-    log : path
-        The log.
-    experiment : path, optional
-        Experiment file whose ``signals`` and ``units`` name the columns; left out, they are ``t``, and for each joint
-        ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
-
-    Raises
-    ------
-    GtauError
-        Where the log or the experiment file cannot be read, or the columns are not there.
-    """
-    if experiment is not None:
-        from gtau.signals.experiment import read_experiment
-
-        described = read_experiment(experiment)
-        return read_run(log, described.signals, None, described.units)
-    command, letter = ("current", "v") if result.kind == "current" else ("torque", "tau")
-    joints = result.robot.actuated
-    signals: Mapping[str, Any] = {
-        "time": "t",
-        "position": {joint: f"q{joint}" for joint in joints},
-        command: {joint: f"{letter}{joint}" for joint in joints},
-    }
-    try:
-        return read_run(log, signals)
-    except GtauError as error:
-        raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
-
-
-def carrying(result: Result, run: Run, payload: str) -> Run:
-    """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
-    known = [name for name in dict.fromkeys(each.name for each in result.payloads) if "m" in result.payload(name)]
-    if payload not in known:
-        raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
-    return replace(run, payload=Payload(name=payload))
 
 
 def torques_along_log(
