@@ -2,7 +2,7 @@
 
     python benchmarks/calibration.py arm five-bar --seeds 3 --clean 20
     python benchmarks/calibration.py delta ur10e --resume --clean 8
-    python benchmarks/calibration.py real --resume --page docs/coverage.md
+    python benchmarks/calibration.py real --resume --page docs/evidence/coverage.md
 
 Each experiment has two runs without and two with a payload, friction that differs by 2 % from run to run, and current
 noise of 0.3 %; robots and their motions are those of realism/plants.py, departures those of realism/departures.py.

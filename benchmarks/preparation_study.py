@@ -1,7 +1,7 @@
 """Simulate logs with one departure at a time and compare the errors of the gains with those of the best fixed choice.
 
     python benchmarks/preparation_study.py [--robots arm five-bar] [--rates 20 100] [--kinds "12 bits"] [--seeds 5]
-                                           [--update docs/zoo.md]
+                                           [--update docs/evidence/zoo.md]
 
 Two robots whose gains are known are moved free and with a known payload: a two-joint arm from point to point with
 rests, a five-bar along five sines. Positions and currents at the sampled instants are computed once for a rate; every

@@ -1,6 +1,6 @@
 """Identify every shared log with default settings and print what comes out beside what is published.
 
-    python benchmarks/zoo.py [--only NAME ...] [--update docs/zoo.md]
+    python benchmarks/zoo.py [--only NAME ...] [--update docs/evidence/zoo.md]
 
 The logs lie beside the checkout (``../shared/data``, or ``--data``); each folder has a README with source, columns and
 references. Nothing is set by hand: where logs cannot give what is asked, the row shows the sentence that a user gets.

@@ -1,4 +1,4 @@
-"""Write ``equations.md``: where each numbered equation of the paper stands in the code.
+"""Write ``lookup/equations.md``: where each numbered equation of the paper stands in the code.
 
 The table is made of the citations "eq. (15)" or "eqs. 29 to 33" in docstrings and comments.
 """
@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-TABLE = ROOT / "docs" / "equations.md"
+TABLE = ROOT / "docs" / "lookup" / "equations.md"
 CITATION = re.compile(r"\beqs?\.\s*(\(?\d+\)?(?:\s*(?:,\s*and|,|and|to|-)\s*\(?\d+\)?)*)")
 EQUATIONS = {
     1: "inverse dynamic model of the virtual tree, linear in its standard parameters",

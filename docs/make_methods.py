@@ -1,4 +1,4 @@
-"""Write the tables of hypotheses and of methods in ``trust.md``.
+"""Write the tables of hypotheses and of methods in ``lookup/verdicts.md``.
 
 What a hypothesis adds is the docstring of its candidates. What an estimator is, and when to choose it, are the first
 sentence of the docstring of its module, and those that say when to choose it.
@@ -13,7 +13,7 @@ from pathlib import Path
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.estimators.registry import PLACES
 
-PAGE = Path(__file__).parent / "trust.md"
+PAGE = Path(__file__).parent / "lookup" / "verdicts.md"
 OF_HYPOTHESES = "<!-- made by python docs/make_methods.py from the docstrings of the hypotheses -->"
 BEGIN = "<!-- made by python docs/make_methods.py from the docstrings of the estimators -->"
 HEAD = "| method | what it is | when to choose it |"

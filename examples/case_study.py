@@ -1,4 +1,4 @@
-"""The page ``docs/case-study.md``: section 5 of the paper beside a simulated Orthoglide.
+"""The page ``docs/evidence/case-study.md``: section 5 of the paper beside a simulated Orthoglide.
 
     python examples/case_study.py docs
 
@@ -101,11 +101,11 @@ trajectories) is ours.
 This page is made by `python examples/case_study.py docs`. `gtau demo --out demo` identifies the same robot from shorter
 logs, and weighs with it.
 
-![The robot at home](images/case-study-robot.png)
+![The robot at home](../images/case-study-robot.png)
 
 ## Exciting trajectories (Fig. 4)
 
-![Positions, velocities and accelerations](images/case-study-trajectory.png)
+![Positions, velocities and accelerations](../images/case-study-trajectory.png)
 
 Four runs of 20 s identify the robot, two without and two with a payload of 1.983 kg; half of them are sums of sines,
 half moves from point to point within the limits of the joints.
@@ -165,13 +165,13 @@ class Study:
 
 
 def main(docs: Path, duration: float = DURATION, progress: Progress = silent) -> None:
-    """Run the case study and write ``case-study.md`` to the folder ``docs``, and its images."""
+    """Run the case study and write ``evidence/case-study.md`` to the folder ``docs``, and its images."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         make_experiment(folder, duration, progress)
         study = run(folder, progress)
         write_figures(study, folder, duration, folder_of(docs / "images"))
-    write_atomically(docs / "case-study.md", page(study))
+    write_atomically(folder_of(docs / "evidence") / "case-study.md", page(study))
 
 
 def run(folder: Path, progress: Progress) -> Study:
@@ -219,10 +219,10 @@ def page(study: Study) -> str:
             INTRODUCTION,
             "## Gains and essential parameters (Table 3)\n",
             _table(("parameter", "unit", "paper", "σ %", "true", "found", "σ %"), _table_3(study.result)),
-            "\n![Drive gains](images/case-study-gains.png)\n",
+            "\n![Drive gains](../images/case-study-gains.png)\n",
             TABLE_3_NOTES,
             "## Torques on a run that was not used (Fig. 5)\n",
-            "![Measured and predicted torques](images/case-study-torques.png)\n",
+            "![Measured and predicted torques](../images/case-study-torques.png)\n",
             _table(
                 ("joint", "signal rms, N", "error rms, N", "error, %"),
                 [
@@ -238,11 +238,11 @@ def page(study: Study) -> str:
                     ("identified (case 2)", "1.14 ± 0.02", _with_std(study.weighings["identified"])),
                 ],
             ),
-            "\n![Masses weighed](images/case-study-payload.png)\n",
+            "\n![Masses weighed](../images/case-study-payload.png)\n",
             PAYLOAD_NOTES,
             "## Control (Table 4, Figs. 6 to 8)\n",
             "Five control laws with the same linear part (100 rad/s) carry 1.983 kg along two trajectories, twice.\n",
-            "![Test trajectories](images/case-study-test-trajectories.png)\n",
+            "![Test trajectories](../images/case-study-test-trajectories.png)\n",
             *(part for trajectory in TABLE_4 for part in _table_4(study.comparison, trajectory)),
             TABLE_4_NOTES,
         ]
@@ -280,7 +280,7 @@ def _table_4(comparison: ControlComparison, trajectory: str) -> list[str]:
         f"### {trajectory.replace('_', ' ').capitalize()}\n",
         "Tracking errors in micrometres, paper / simulated.\n",
         _table(("strategy", *joints), rows),
-        f"\n![Tracking errors](images/case-study-tracking-{trajectory.replace('_', '-')}.png)\n",
+        f"\n![Tracking errors](../images/case-study-tracking-{trajectory.replace('_', '-')}.png)\n",
     ]
 
 

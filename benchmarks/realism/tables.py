@@ -1,4 +1,4 @@
-"""The tables of docs/coverage.md from the store of experiments."""
+"""The tables of docs/evidence/coverage.md from the store of experiments."""
 
 from __future__ import annotations
 

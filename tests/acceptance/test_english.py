@@ -47,14 +47,24 @@ FOLDERS = (
         "signals",
     ),
     "simulation",
+    "watch",
 )
-PAGES = ("benchmarks", "catalog", "equations", "log-check", "payload", "robot-file", "scale", "simulation-file")
+PAGES = (
+    "do/payload",
+    "evidence/benchmarks",
+    "lookup/catalog",
+    "lookup/equations",
+    "lookup/fleets",
+    "lookup/log-checks",
+    "lookup/robot-file",
+    "lookup/simulation-file",
+)
 PLACES = {
     **{f"src/gtau/{folder}": EVERYWHERE + REWRITTEN for folder in FOLDERS},
     **{f"docs/{page}.md": EVERYWHERE + REWRITTEN for page in PAGES},
     "examples": EVERYWHERE,
-    "docs/experiment-file.md": EVERYWHERE,
-    "docs/case-study.md": EVERYWHERE,
+    "docs/lookup/experiment-file.md": EVERYWHERE,
+    "docs/evidence/case-study.md": EVERYWHERE,
 }
 
 

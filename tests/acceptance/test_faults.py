@@ -253,7 +253,7 @@ def heavier(run: Run, name: str, factor: float) -> Run:
 
 @pytest.mark.slow
 def test_a_wrong_mass_is_not_noticed_with_one_payload(runs: list[Run]) -> None:
-    """All gains scale with it, which docs/trust.md says."""
+    """All gains scale with it, which docs/lookup/verdicts.md says."""
     result = identify(ROBOT, [heavier(run, "1.983 kg", 1.2) for run in runs])
     np.testing.assert_allclose(errors(result), 20.0, atol=0.6)
     assert worst([gain.verdict for gain in result.drive_gains.values()]) == Outcome.GOOD

@@ -16,9 +16,10 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.excitation.design_file import DesignFile
+from gtau.robots.readers.read import catalog_names, read_robot
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.data_sheets import Drive
-from gtau.signals.experiment import Experiment, Prior
+from gtau.signals.experiment import Experiment, Prior, read_experiment
 from gtau.signals.payload import Payload
 from gtau.simulation.simulation_file import (
     Fourier,
@@ -50,9 +51,9 @@ def run(*arguments: str) -> str:
 @pytest.mark.parametrize(
     ("page", "models"),
     [
-        ("experiment-file.md", [Experiment, Signals, SampleRate, Units, Payload, Prior, Drive]),
+        ("lookup/experiment-file.md", [Experiment, Signals, SampleRate, Units, Payload, Prior, Drive]),
         (
-            "simulation-file.md",
+            "lookup/simulation-file.md",
             [Simulation, JointHardware, RandomMotion, Points, Fourier, MotionEntry, SimulatedRun, Friction],
         ),
     ],
@@ -67,7 +68,11 @@ def test_a_page_names_every_key(page: str, models: list[type[BaseModel]]) -> Non
 
 @pytest.mark.parametrize(
     ("page", "which"),
-    [("experiment-file.md", Experiment), ("simulation-file.md", Simulation), ("excitation.md", DesignFile)],
+    [
+        ("lookup/experiment-file.md", Experiment),
+        ("lookup/simulation-file.md", Simulation),
+        ("lookup/design-file.md", DesignFile),
+    ],
 )
 def test_what_an_example_has_as_a_comment_is_a_key_at_its_place(page: str, which: type[BaseModel]) -> None:
     """Each ``# key: value`` is one that the file may have there: uncommented, the file has no unknown key."""
@@ -82,6 +87,28 @@ def test_what_an_example_has_as_a_comment_is_a_key_at_its_place(page: str, which
             except ValidationError as error:
                 unknown = [each["loc"] for each in error.errors() if each["type"] == "extra_forbidden"]
                 assert not unknown, (line, unknown)
+
+
+def test_recipes_have_experiments_whose_keys_and_joints_are_right(tmp_path: Path) -> None:
+    """Each is read; where its robot is one of the catalog, its joints are those with motors."""
+    found, in_catalog = 0, catalog_names()
+    for page in sorted((DOCS / "do").glob("**/*.md")):
+        for text in blocks(page, "yaml"):
+            entries = yaml.safe_load(text)
+            if not {"robot", "signals", "runs"} <= set(entries):
+                continue
+            (tmp_path / "experiment.yaml").write_text(text)
+            robot = entries["robot"]["file"] if isinstance(entries["robot"], dict) else entries["robot"]
+            logs = [each["log"] for key in ("runs", "validation") for each in entries.get(key, [])]
+            for file in [robot, *np.hstack(logs)]:  # files of the reader's own
+                if file not in in_catalog:
+                    (tmp_path / file).touch()
+            experiment = read_experiment(tmp_path / "experiment.yaml")
+            found += 1
+            if robot in in_catalog and experiment.signals.preset is None:
+                actuated = read_robot(robot).actuated
+                assert set(experiment.signals.position) == set(actuated), page.name
+    assert found >= 15
 
 
 def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +130,7 @@ def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
     log("loaded", 3, STEEL)
     log("unknown", 4, LEAD)
     log("check", 5)
-    text, *_ = blocks(DOCS / "experiment-file.md", "yaml")
+    text, *_ = blocks(DOCS / "lookup/experiment-file.md", "yaml")
     monkeypatch.chdir(tmp_path)
     Path("experiment.yaml").write_text(text)
     found = json.loads(run("identify", "experiment.yaml", "--out", "result", "--json"))
@@ -119,7 +146,7 @@ def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.slow
 def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (text,) = blocks(DOCS / "simulation-file.md", "yaml")
+    (text,) = blocks(DOCS / "lookup/simulation-file.md", "yaml")
     monkeypatch.chdir(tmp_path)
     Path("simulation.yaml").write_text(text)
     run("simulate", "simulation.yaml", "--out", "simulated")
@@ -134,7 +161,7 @@ def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.slow
 def test_what_is_designed_is_simulated_and_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = DOCS / "excitation.md"
+    page = DOCS / "lookup/design-file.md"
     _, design, simulation = blocks(page, "yaml")
     (commands,) = blocks(page, "sh")
     monkeypatch.chdir(tmp_path)
@@ -155,7 +182,7 @@ def test_what_is_designed_is_simulated_and_identified(tmp_path: Path, monkeypatc
 
 def keys(heading: str) -> set[str]:
     """The keys in the first table under a heading of the page on results."""
-    text = (DOCS / "results.md").read_text(encoding="utf-8")
+    text = (DOCS / "lookup/results.md").read_text(encoding="utf-8")
     section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
     rows = re.search(r"(^\|.*\n)+", section, re.MULTILINE)
     assert rows is not None
@@ -168,7 +195,7 @@ def documented(heading: str, document: dict) -> None:
 
 def named(heading: str, key: str, document: dict) -> None:
     """Every key of a part of a document stands in the line of the page that describes the part."""
-    text = (DOCS / "results.md").read_text(encoding="utf-8")
+    text = (DOCS / "lookup/results.md").read_text(encoding="utf-8")
     section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
     line = re.search(rf"^\| `{key}` \|.*$", section, re.MULTILINE)
     assert line is not None

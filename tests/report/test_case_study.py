@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-PAGE = Path(__file__).parents[2] / "docs" / "case-study.md"
+PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "case-study.md"
 
 
 @pytest.mark.slow
@@ -18,7 +18,7 @@ def test_the_page_of_the_docs_is_what_the_script_writes(tmp_path: Path) -> None:
     import case_study
 
     case_study.main(tmp_path, duration=5.0)
-    made, kept = ((folder / "case-study.md").read_text(encoding="utf-8") for folder in (tmp_path, PAGE.parent))
+    made, kept = (path.read_text(encoding="utf-8") for path in (tmp_path / "evidence" / PAGE.name, PAGE))
     text = [re.sub(r"^\|.*\n", "", page, flags=re.MULTILINE) for page in (made, kept)]
     assert text[0] == text[1]
     pictures = set(re.findall(r"images/([\w-]+\.png)", kept))

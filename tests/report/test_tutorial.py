@@ -18,7 +18,7 @@ from gtau.signals.log_file import read_log
 from gtau.simulation.simulation_file import read_simulation
 
 SOURCE = Path(str(files("gtau.demo") / "tutorial_logs"))
-PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
+PAGE = Path(__file__).parents[2] / "docs" / "start" / "tutorial.md"
 
 
 def gtau(*arguments: str) -> str:

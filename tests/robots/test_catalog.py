@@ -119,7 +119,9 @@ def test_counts_by_the_rank_of_torques(name: str, rng: np.random.Generator) -> N
 
 
 def test_counts_in_the_docs() -> None:
-    table = re.findall(r"^\| \[([\w-]+)\]\(#[\w-]+\) \|(.*)\|$", (DOCS / "catalog.md").read_text(), flags=re.MULTILINE)
+    table = re.findall(
+        r"^\| \[([\w-]+)\]\(#[\w-]+\) \|(.*)\|$", (DOCS / "lookup" / "catalog.md").read_text(), flags=re.MULTILINE
+    )
     found = {name: tuple(int(n) for n in re.findall(r"\d+", cells)) for name, cells in table}
     assert found == COUNTS
 
@@ -128,4 +130,4 @@ def test_counts_in_the_docs() -> None:
 def test_every_robot_has_its_picture(name: str) -> None:
     picture = DOCS / "images" / f"robot-{name}.png"
     assert picture.is_file()
-    assert f"images/{picture.name}" in (DOCS / "catalog.md").read_text()
+    assert f"images/{picture.name}" in (DOCS / "lookup" / "catalog.md").read_text()

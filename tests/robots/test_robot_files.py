@@ -167,7 +167,7 @@ def test_load_robot_refuses(name: str, sentence: str) -> None:
 
 
 def test_example_of_the_docs(tmp_path: Path) -> None:
-    docs = Path(__file__).parents[2] / "docs" / "robot-file.md"
+    docs = Path(__file__).parents[2] / "docs" / "lookup" / "robot-file.md"
     robot = read(docs.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0], tmp_path)
     assert robot.actuated == ("left", "right")
     assert_closed_at_home(robot)

@@ -204,7 +204,7 @@ def tutorial(
     out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the logs.", show_default=False)],
     json_: Json = False,
 ) -> None:
-    """Copy the logs of the ten-minute tutorial (docs/tutorial.md) to a folder, and say how to go on."""
+    """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and say how to go on."""
     with refusals(json_):
         from gtau.demo.tutorial import write_tutorial
 
@@ -237,7 +237,7 @@ def simulate(
 
             written = simulate_experiment(simulation, out, progress)
         described = read_simulation(simulation)
-        light = massless(load_robot(described.robot), described.parameters)
+        light = massless(load_robot(described.robot), described.parameters) if described.model is None else ()
         if json_:
             print_json({"files": [str(path) for path in written], "massless": light})
         else:

@@ -212,7 +212,8 @@ class Robot:
     file names it, see :attr:`tool`. ``notes`` say what a reader found odd in the robot's file or decided for the user,
     a sentence each. Without ``home_given`` the joints' and platforms' homes are only where the search for one begins.
     ``floating`` names the link that is a floating base, see :mod:`gtau.robots.floating`, and ``constants`` are the
-    numbers that the robot's file names.
+    numbers that the robot's file names. ``inertias`` are the inertial parameters of bodies, and the rotor inertias,
+    that the file states, by name, SI units: estimates are compared with them.
     """
 
     name: str
@@ -228,6 +229,7 @@ class Robot:
     home_given: bool = field(default=True, compare=False)
     springs: tuple[Spring, ...] = ()
     constants: tuple[tuple[str, float], ...] = field(default=(), compare=False)
+    inertias: tuple[tuple[str, float], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         _check(self)

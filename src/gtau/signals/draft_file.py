@@ -20,17 +20,15 @@ UNSURE = {
     "rate": "write the sampling rate, which the log does not hold (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
     "mass": "confirm the masses of the payloads, from the names of the files: the scale of all drive gains",
-    "weighed": "confirm that these are torques: if they are currents, or computed from them by nominal constants, "
-    "write 'current:', and the weighed payload gives their factors, the drive gains",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
     "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
     "clock": "confirm the time column, as others grow, too",
     "received": "messages without stamps of measurement have those of receipt, with the jitter of the middleware",
     "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
     "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
-    "(docs/experiment-file.md, 'A base that floats')",
+    "(docs/lookup/experiment-file.md, 'A base that floats')",
     "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a base that "
-    "floats under 'base:' (docs/experiment-file.md, 'Wrenches on bodies')",
+    "floats under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
 """Questions to the user, by the open points of the draft."""
@@ -63,7 +61,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     matched = why.get("position", "")
     lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
     found = why.get("velocity", "")
-    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference", "weighed") if key in draft.open), "")
+    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference") if key in draft.open), "")
     lines += _by_joint(draft.kind, draft.command, doubt)
     if draft.temperature is not None:
         lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
@@ -75,13 +73,13 @@ def draft_text(draft: Draft, folder: Path) -> str:
         lines += [
             f"  # {CHECK}{_first(draft.motion)} look like the motion of a base. If it moved, write",
             "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here",
-            "  # (docs/experiment-file.md, 'A base that floats').",
+            "  # (docs/lookup/experiment-file.md, 'A base that floats').",
         ]
     if draft.wrenches:
         lines += [
             f"  # {CHECK}{_first(draft.wrenches)} look like forces and moments. Describe those that act",
             "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'",
-            "  # (docs/experiment-file.md, 'Wrenches on bodies').",
+            "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies').",
         ]
     if draft.sensors:
         lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")
@@ -132,10 +130,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
     }
     other = "torque" if draft.kind == "current" else "current"
     advice = UNSURE | {"kind": f"if they are {other}s, state it (--kind {other})"}
-    if draft.kind == "torque":
-        advice["kind"] = "if they are currents, or computed from them by nominal constants, state it (--kind current)"
-    doubted = draft.open if "weighed" not in draft.open else ("kind", *(key for key in draft.open if key != "kind"))
-    found = [(taken[key], advice[key]) for key in doubted if key in taken]
+    found = [(taken[key], advice[key]) for key in draft.open if key in taken]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
     loads = [f"{path.name} {draft.masses[path]:g} kg" for path in named if path in draft.masses]
     if loads:

@@ -58,7 +58,7 @@ def draft_logs(
     if known is not None and known.floating:
         raise GtauError(
             f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
-            "floats is not drafted; start from docs/experiment-file.md, 'A base that floats'."
+            "floats is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'."
         )
     found = discover(logs, known, URDF if urdf is not None else robot, base)
     found = replace(found, urdf=urdf, moving=moving)
@@ -68,7 +68,7 @@ def draft_logs(
 
 def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
     """Return the draft with commands of a kind that is known."""
-    settled = {"kind", "motor", *(["weighed"] if kind == "current" else [])}
+    settled = {"kind", "motor"}
     units = {key: unit for key, unit in draft.units.items() if key in ("time", "position", kind)}
     return replace(draft, kind=kind, units=units, open=tuple(key for key in draft.open if key not in settled))
 

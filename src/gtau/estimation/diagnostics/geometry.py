@@ -3,7 +3,7 @@
 Poses computed from the joints' positions are compared with logged ones; a wrong length leaves residuals that depend on
 the pose. Each constant of the geometry is fitted by itself, and the one that explains most is taken; then further ones
 beside it, as long as they explain most of what is left. Torques hardly show a wrong length: a platform 26 mm too large
-leaves the torque errors of the UPV robot (docs/zoo.md) as they are.
+leaves the torque errors of the UPV robot (docs/evidence/zoo.md) as they are.
 """
 
 from __future__ import annotations

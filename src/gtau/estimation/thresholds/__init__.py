@@ -2,8 +2,8 @@
 
 Each is a number with what it bounds (``statistic``), the range measured where nothing is wrong (``healthy``), that
 measured with a fault (``faulty``), and the data or tests behind both (``evidence``). "UR10e pairs" are the two pairs of
-real runs described in docs/measured.md; "Orthoglide" the independent simulator's logs described there; "clean" the 50
-simulated experiments of tests/acceptance/test_false_alarms.py; "faults" those of tests/acceptance/test_faults.py.
+real runs described in docs/evidence/measured.md; "Orthoglide" the independent simulator's logs described there; "clean"
+the 50 simulated experiments of tests/acceptance/test_false_alarms.py; "faults" those of test_faults.py there.
 
 All checks together may raise a false alarm in one healthy experiment of a hundred. An experiment with n joints and p
 parameters is held against 4 n + 15 alternatives of its description at 6 standard deviations and 5 % of the residuals
@@ -11,7 +11,7 @@ parameters is held against 4 n + 15 alternatives of its description at 6 standar
 at 10 (1e-12), n residuals at 25 % of the current (six times the largest of a healthy robot), p signs at 4 (3e-4 each,
 and only of parameters near zero), p differences from instrumental variables at 4 that must also exceed the parameter's
 own standard deviation (none did), likeness of legs at 1e-3, and one autocorrelation at 1.8 (none of 320 experiments).
-benchmarks/false_alarms.py counts what they do together; docs/coverage.md has the result.
+benchmarks/false_alarms.py counts what they do together; docs/evidence/coverage.md has the result.
 """
 
 from __future__ import annotations

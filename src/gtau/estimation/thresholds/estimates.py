@@ -53,7 +53,7 @@ MISFIT_GIVEN = Threshold(
     "share of a joint's torque that is unexplained, gains given",
     "up to 0.14 (TX40)",
     "0.98 (a log filtered wrongly)",
-    "docs/measured.md; issue reports of a Franka Panda log",
+    "docs/evidence/measured.md; issue reports of a Franka Panda log",
 )
 BASE_MISFIT = Threshold(
     0.15,

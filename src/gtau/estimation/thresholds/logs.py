@@ -161,7 +161,7 @@ REPEATED_PART = Threshold(
 )
 
 
-# What torques and logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU described in docs/zoo.md).
+# What torques and logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU, docs/evidence/zoo.md).
 
 LENGTH_SHARE = Threshold(
     0.1, "the same, of another length", "below 0.05 (clean)", "0.24 to 0.96 (bars 2 % off)", "faults"
@@ -174,7 +174,7 @@ LENGTH_TRIED = Threshold(
     "length over the longest of the robot, below which it is not tried",
     "0.042 and more (17 robots of the catalog and of the shared data): all are tried",
     NONE,
-    "these robots; docs/catalog.md",
+    "these robots; docs/lookup/catalog.md",
 )
 LENGTH_ALIKE = Threshold(
     0.8,

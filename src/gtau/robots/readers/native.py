@@ -1,4 +1,4 @@
-"""Robot files: a `Robot` from YAML. The format is explained in ``docs/robot-file.md``."""
+"""Robot files: a `Robot` from YAML. The format is explained in ``docs/lookup/robot-file.md``."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ def read_native(path: str | Path) -> Robot:
     Parameters
     ----------
     path : str or Path
-        See ``docs/robot-file.md`` for the format; SI units, angles in rad.
+        See ``docs/lookup/robot-file.md`` for the format; SI units, angles in rad.
 
     Returns
     -------

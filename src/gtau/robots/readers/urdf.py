@@ -1,6 +1,6 @@
 """URDF files of serial arms and trees: their geometry and limits.
 
-Masses and inertias in the file are left aside: they are what is to be identified.
+Masses and inertias in the file are what is to be identified: they are kept beside the robot, to compare with.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
+from gtau.robots.readers.inertias import urdf_inertias
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.urdf_base import without_motors_of_base
 from gtau.robots.readers.xml_document import (
@@ -73,6 +74,7 @@ class UrdfTree:
     notes: tuple[str, ...]
     root: Element
     carried: Mapping[str, str]
+    inertias: tuple[tuple[str, float], ...]
 
 
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
@@ -108,7 +110,14 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
             "(base: floating) if it moved",
         )
     try:
-        robot = Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=notes)
+        robot = Robot(
+            tree.name,
+            tree.joints,
+            couplings=tree.couplings,
+            source=path.name,
+            notes=notes,
+            inertias=tree.inertias,
+        )
         return without_motors_of_base(robot, tree.root, tree.carried)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
@@ -142,7 +151,8 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         carried = _carried(ordered)
         notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
         notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried)
+        inertias = urdf_inertias(root, frames)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried, inertias)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
