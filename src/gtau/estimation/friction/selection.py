@@ -38,7 +38,8 @@ class Structure:
 
     def has(self, kind: str) -> bool:
         """Whether it has something of a kind."""
-        return getattr(self, kind) not in (None, False)
+        value = getattr(self, kind)
+        return value is not None and value is not False  # the first of the widths has the number 0
 
     def columns(self, site: Site) -> dict[str, dict[str, float]]:
         """Combine the site's columns to those of its parameters, of which all but some are not negative.
