@@ -27,7 +27,7 @@ EXPLAINED = 0.5  # of the squared change: an explanation of less is none
 class Explanation:
     """A hypothesis fitted to a change: ``size`` and ``std`` in ``unit``, and what it leaves of the change.
 
-    ``kind`` is gain, load, friction, zero, delay, clock or contact, ``quantity`` what is stated of it, such as ``fs`` of
+    ``kind`` is gain, load, friction, zero, delay, clock or contact, ``quantity`` what is stated of it, as ``fs`` of
     friction; ``misfit`` the squared standard deviations that are left, with what its parameters cost.
     """
 
