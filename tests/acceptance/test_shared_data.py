@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.experiment_runs import read_log
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.estimation.weigh import weigh
 from gtau.report.parameters import PAPER
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
+from gtau.watch.watch import Watch
 
 PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "measured.md"
 CONTROLLER = (11.976, 11.976, 9.839, 10.763, 10.76, 10.76)  # N m/A
@@ -144,6 +146,21 @@ def test_ur10e_payload_has_ten_parameters(ur10e: Result) -> None:
 
 
 @pytest.mark.slow
+def test_ur10e_watched_over_its_weeks_raises_no_alarm_until_it_is_loaded(
+    folder: Path, ur10e: Result, shared: Path
+) -> None:
+    watch = Watch(ur10e, baseline=4)
+    weeks = ("01_31-unload", "02_05-20sec_8harm", "02_06-20sec_10harm", "02_10-30sec_12harm", "02_12-40sec_12harm")
+    for name in (*weeks, "02_19_14harm50sec"):
+        status = watch.update(read_log(ur10e, shared / "ur10e" / f"ur-20_{name}.csv", folder / "ur10e.yaml"))
+        assert status.healthy, name
+    status = watch.update(read_log(ur10e, shared / "ur10e" / "ur-20_01_31-load.csv", folder / "ur10e.yaml"))
+    (load,) = status.entry.alarm.explanations
+    assert load.kind == "load"
+    assert load.size == pytest.approx(2.805, rel=0.02)
+    assert abs(load.size - 2.805) < load.half
+
+
 def test_ur10e_by_total_least_squares(folder: Path, ur10e: Result) -> None:
     """The two smallest singular values are close, but only the gain that the data hardly fix suffers from it."""
     result = identify(folder / "ur10e.yaml", method="tls")

@@ -12,47 +12,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from c_code import FLAGS, GCC, Compiled, needs_gcc
 from models_to_export import model_of, preslid, sprung
 from propelling_models import LOGGED, held, propelling, states
 from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
 from scipy.integrate import solve_ivp
 
-from gtau.estimation.results.result import Result
 from gtau.export.c import export
-from gtau.export.functions import functions
 from gtau.export.identified import identified, torques, torques_of
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import Drive, hardware, simulate
 from gtau.simulation.controllers import Reference, computed_torque
 from gtau.simulation.plant import Plant, PlantState
-
-GCC = shutil.which("gcc")
-needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed (Debian: apt install gcc)")
-FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror")
-
-
-class Compiled:
-    """The exported code of a result as a shared library."""
-
-    def __init__(self, result: Result, folder: Path) -> None:
-        self.model = identified(result)
-        export(result, folder)
-        name = self.model.name
-        sources = [str(folder / f"{name}.c"), str(folder / f"{name}_controller.c")]
-        library = folder / f"lib{name}.so"
-        subprocess.run([GCC, *FLAGS, "-O0", "-shared", "-fPIC", "-o", library, *sources, "-lm"], check=True)
-        self.library, self.n, self.n_p = ctypes.CDLL(str(library)), len(self.model.joints), len(self.model.parameters)
-        self.pose = np.zeros(len(result.model.loops.home) if result.model.loops else self.n)
-
-    def __call__(self, function: str, *arrays: np.ndarray, size: int = 0) -> np.ndarray | int:
-        """Call a function with the pose and arrays; an output of ``size`` numbers, or else its status."""
-        out = np.full(size, np.nan)
-        inputs = [np.ascontiguousarray(array, dtype=float) for array in (self.pose, *arrays)]
-        inputs[0] = self.pose
-        inputs += [out] if size else []
-        entry = getattr(self.library, f"{self.model.name}_{function}")
-        status = entry(*(array.ctypes.data_as(ctypes.c_void_p) for array in inputs))
-        return out if size else status
 
 
 def relative(found: np.ndarray, expected: np.ndarray) -> float:
@@ -242,7 +213,7 @@ def test_names_become_valid_identifiers(name: str, tmp_path: Path) -> None:
     robot = Robot(name, (Joint("a*/b/* %d", "ground", "revolute", Mdh(r=0.3)),))
     export(model_of(robot), tmp_path)
     sources = sorted(tmp_path.glob("*.c"))
-    assert len(sources) == 3
+    assert len(sources) == 4
     made = subprocess.run(
         [GCC, *FLAGS, "-O0", "-I", tmp_path, "-o", tmp_path / "all", *sources, "-lm"], capture_output=True, text=True
     )
@@ -305,7 +276,6 @@ def test_friction_before_sliding_follows_the_pose(robot: Robot, tmp_path: Path) 
     """Through reversals C gives what the law gives along the same path; a start begins with friction at rest."""
     result = preslid(model_of(robot, terms=False))
     c, model = Compiled(result, tmp_path), identified(result)
-    c.pose = np.zeros(len(functions(model).home))
     time = np.linspace(0, 0.4, 41)
     way = 0.02 * np.sin(2 * np.pi * 4 * time)[:, None]
     q, qd, qdd = home(robot) + way, np.gradient(way, time, axis=0) + 0 * home(robot), 0 * home(robot) + 0 * way

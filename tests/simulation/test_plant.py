@@ -14,6 +14,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loop_paths import advance
 from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.simulation.joint_friction import plain_friction
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant, PlantState
 
@@ -56,7 +57,7 @@ def engine_acceleration(engine, robot, chi, state, force):
 def test_accelerations_are_those_of_the_engines(robot, engine, tolerance, rng):
     """With friction: at these speeds tanh(v / width) is the engines' sign(v), but for joints that hardly move."""
     model, chi = InverseDynamics(robot), random_parameters(robot, rng)
-    plant = Plant(model, chi, {"prismatic": 1e-9, "revolute": 1e-9})
+    plant = Plant(model, chi, plain_friction(model, chi, {"prismatic": 1e-9, "revolute": 1e-9}))
     for state in random_states(model, rng, 3):
         force = 30 * rng.normal(size=len(model.actuated))
         expected = engine_acceleration(engine, robot, chi, state, force)

@@ -237,7 +237,7 @@ def simulate(
 
             written = simulate_experiment(simulation, out, progress)
         described = read_simulation(simulation)
-        light = massless(load_robot(described.robot), described.parameters)
+        light = massless(load_robot(described.robot), described.parameters) if described.model is None else ()
         if json_:
             print_json({"files": [str(path) for path in written], "massless": light})
         else:

@@ -158,7 +158,7 @@ def check_logs(
     used = [run for run in read[:count] if run is not None]
     if not used:
         return ExperimentCheck(robot, None, (), (*of_robot, *notes))
-    estimator, gains = choose_estimator(method, used), None
+    estimator, gains, chosen = choose_estimator(method, used), None, method is not None
     try:
         gains = require_inputs(estimator, robot, used, subject.prior_gains, subject.stated)
     except GtauError as error:
@@ -198,7 +198,7 @@ def check_logs(
             progress=progress,
             priors=usable(estimator, subject.priors),
         )
-        notes += _together(dataset, estimator, gains)
+        notes += _together(dataset, estimator, gains, chosen)
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)
 
 
@@ -255,12 +255,12 @@ def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
     return notes
 
 
-def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None) -> list[Note]:
+def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None, chosen: bool) -> list[Note]:
     """Note what only all runs together show: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system(Friction())
     notes = [*map(note, command_lag(dataset, system)), *not_separated(system.unexcited)]
     try:
-        require_identifiable(estimator, gains, dataset, system)
+        _, gains = require_identifiable(estimator, gains, dataset, system, chosen)
     except GtauError as error:
         payloads = [run.payload for run in dataset.runs if run.payload is not None]
         if system.problem.scaled or not payloads or any(each.mass is not None for each in payloads):
@@ -268,7 +268,7 @@ def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None) 
         weighed = f"they can weigh '{payloads[0].name}'"
         what = f"no payload has a known mass, so these logs cannot give the drive gains; {weighed}"
         return [*notes, Note(Kind.WEIGHING, what, "run 'gtau payload MODEL.json' with them")]
-    if dataset.runs[0].kind == "torque":
+    if gains is not None:
         return notes
     try:
         require_felt_payload(system)

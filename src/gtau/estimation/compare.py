@@ -24,7 +24,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit
+from gtau.robots.units import gain_unit
 from gtau.signals.experiment import Experiment, Prior
 from gtau.signals.run import Run
 
@@ -102,13 +102,10 @@ def compare(
     Raises
     ------
     GtauError
-        Where a file is wrong, the logs hold torques, or the runs cannot fix the scale of the gains.
+        Where a file is wrong, or the runs cannot fix the scale of the gains.
     """
     subject = subject_of(source, runs, prior_gains, priors, progress)
     robot, taken_runs, known = subject.robot, subject.runs, subject.priors
-    if taken_runs[0].kind == "torque":
-        where = f"{source}: " if isinstance(source, (str, Path)) else ""
-        raise GtauError(f"{where}the logs hold torques, so there are no drive gains to compare; use 'gtau identify'.")
 
     def row(estimator: Estimator) -> Row:
         start = perf_counter()
@@ -138,7 +135,7 @@ def compare(
             progress("estimators", k, len(ESTIMATORS))
             rows.append(row(estimator))
         progress("estimators", len(ESTIMATORS), len(ESTIMATORS))
-    units = tuple(f"{torque_unit(robot, joint)}/A" for joint in robot.motors)
+    units = tuple(gain_unit(robot, joint, taken_runs[0].kind) for joint in robot.motors)
     return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)
 
 

@@ -21,7 +21,9 @@ from gtau.robots.robot import Limits, Robot
 from gtau.signals.columns import document_of
 from gtau.signals.experiment import Experiment, Prior, StatedGain, as_priors, check_robot, read_experiment
 from gtau.signals.logged_run import LoggedRun
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run, read_run
+from gtau.signals.samples import WHOLE, Part
 from gtau.signals.side_signals import read_poses
 
 OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
@@ -160,6 +162,50 @@ def geometry_of(
 
     logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)
+
+
+def read_log(model: IdentifiedModel, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE) -> Run:
+    """Read a log to be used with a model.
+
+    Parameters
+    ----------
+    model : IdentifiedModel
+        Of the robot.
+    log : path
+        The log.
+    experiment : path, optional
+        Experiment file whose ``signals`` and ``units`` name the columns; left out, they are ``t``, and for each joint
+        ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
+    part : Part
+        Which part of the log is used.
+
+    Raises
+    ------
+    GtauError
+        Where the log or the experiment file cannot be read, or the columns are not there.
+    """
+    if experiment is not None:
+        described = read_experiment(experiment)
+        return read_run(log, described.signals, None, described.units, settings=described.preparation, part=part)
+    command, letter = ("current", "v") if model.kind == "current" else ("torque", "tau")
+    joints = model.robot.actuated
+    signals: Mapping[str, Any] = {
+        "time": "t",
+        "position": {joint: f"q{joint}" for joint in joints},
+        command: {joint: f"{letter}{joint}" for joint in joints},
+    }
+    try:
+        return read_run(log, signals, part=part)
+    except GtauError as error:
+        raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
+
+
+def carrying(model: IdentifiedModel, run: Run, payload: str) -> Run:
+    """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
+    known = [name for name in dict.fromkeys(each.name for each in model.payloads) if "m" in model.payload(name)]
+    if payload not in known:
+        raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
+    return replace(run, payload=Payload(name=payload))
 
 
 def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:

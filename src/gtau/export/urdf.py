@@ -40,7 +40,7 @@ from gtau.robots.robot import (
     Robot,
     Spring,
 )
-from gtau.robots.units import torque_unit, unit_of
+from gtau.robots.units import gain_unit, torque_unit, unit_of
 
 ROOT = "base"
 UNLIMITED = 1e6  # rad, m: the format wants limits of slides
@@ -214,7 +214,10 @@ def drives_text(model: ConsistentModel) -> str:
         unit = torque_unit(model.result.robot, joint.name)
         entry: dict[str, object] = {}
         if joint.name in model.gains:
-            entry["drive_gain"] = {"value": model.gains[joint.name], "unit": f"{unit}/A"}
+            entry["drive_gain"] = {
+                "value": model.gains[joint.name],
+                "unit": gain_unit(model.result.robot, joint.name, model.result.kind),
+            }
         turns = joint.kind == "revolute"
         if armature := model.of("ia", joint.name):
             entry["armature"] = {"value": armature, "unit": "kg m2" if turns else "kg"}

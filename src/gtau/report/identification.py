@@ -39,7 +39,6 @@ NOTES = 5  # that the short page shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
 PATHS = 8  # runs whose path is drawn
-OF_TORQUES = " (the logs hold torques, whose gain is 1)"
 
 
 def summary_page(result: IdentifiedModel) -> Page:
@@ -146,8 +145,8 @@ def counts(result: IdentifiedModel) -> str:
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
     missing = len(missed(result))
     required = f" {missing} of {len(result.requirements)} requirements missed." if missing else ""
-    total = len(result.drive_gains)
-    return f"{count} of {total} drive gains {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
+    total, what = len(result.drive_gains), "torque scales" if result.kind == "torque" else "drive gains"
+    return f"{count} of {total} {what} {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
 
 
 def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[str, str]:
@@ -176,7 +175,7 @@ def _settings(result: IdentifiedModel) -> Facts:
     given = f"; by hand: {', '.join(preparation.given)}" if preparation.given else ""
     return Facts(
         {
-            "Method": ESTIMATORS[result.method].description + (OF_TORQUES if result.kind == "torque" else ""),
+            "Method": ESTIMATORS[result.method].description,
             "Runs": ", ".join(result.runs),
             **({"Payload": f"on '{result.robot.tool}'"} if result.payloads else {}),
             "Signals": f"bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, decimation "

@@ -141,8 +141,6 @@ class Experiment(Keys):
         signals: Signals | None = info.data.get("signals")
         if signals is None or not gains:
             return gains
-        if signals.kind == "torque":
-            raise ValueError("the signals hold torques, which need no gains; remove 'prior_gains'")
         _known_joints(gains, signals)
         missing = [joint for joint in signals.position if joint not in gains]
         if missing:
@@ -162,7 +160,8 @@ class Experiment(Keys):
         for joint, drive in drives.items():
             if drive.gain is not None and signals.kind == "torque":
                 raise ValueError(
-                    f"the signals hold torques, which need no gains; remove the 'torque_constant' of '{joint}'"
+                    "the signals hold torques, which need no torque constant; remove the 'torque_constant' of "
+                    f"'{joint}'"
                 )
             if drive.gain is not None and joint in info.data.get("prior_gains", {}):
                 raise ValueError(f"joint '{joint}' has a 'prior_gains' too; remove it, or its 'torque_constant' here")
@@ -170,17 +169,9 @@ class Experiment(Keys):
                 raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
         return drives
 
-    @field_validator("require")
-    @classmethod
-    def _gains_to_require(cls, require: Requirements, info: ValidationInfo) -> Requirements:
-        signals: Signals | None = info.data.get("signals")
-        if signals is not None and signals.kind == "torque" and require.gain_interval is not None:
-            raise ValueError("the signals hold torques, which have no drive gains; remove 'gain_interval'")
-        return require
-
     @property
     def expected_gains(self) -> dict[str, float]:
-        """Gains known beforehand, N m/A or N/A: ``prior_gains``, and those of data sheets."""
+        """Gains known beforehand, N m/A or N/A, of torques 1: ``prior_gains``, and those of data sheets."""
         sheets = {joint: drive.gain[0] for joint, drive in self.drives.items() if drive.gain is not None}
         return {joint: gain.value for joint, gain in self.prior_gains.items()} | sheets
 

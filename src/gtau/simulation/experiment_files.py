@@ -12,15 +12,20 @@ import numpy as np
 from gtau.documents.arguments import FUNCTION, PATH, takes
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
+from gtau.errors import GtauError
+from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.floating import refuse_floating
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import Engine, Hardware, Simulated, hardware, simulate, write_log
 from gtau.simulation.controllers import pid_with_velocity, sample
+from gtau.simulation.joint_friction import TERMS, JointFriction, of_model
 from gtau.simulation.motions import check_positions, make_trajectory
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
@@ -39,15 +44,39 @@ def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> d
     return chi
 
 
+def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, float], JointFriction]:
+    """Return the standard parameters of the simulated robot, and its friction.
+
+    Raises
+    ------
+    GtauError
+        Where the identified model is of another robot, or friction is stated that the law does not have.
+    """
+    smoothing = simulation.friction_width.model_dump()
+    if simulation.model is not None:
+        result = Result.load(simulation.model)
+        if native_text(result.robot) != native_text(model.robot):
+            raise GtauError(
+                f"{simulation.model} was identified of another robot than '{simulation.robot}', or of one that its "
+                "experiment file corrected; name a robot file that is the same."
+            )
+        return of_model(result, smoothing)
+    values = dict(simulation.parameters)
+    shapes = {joint: Shape(curve.width, curve.speed) for joint, curve in simulation.curves.items()}
+    friction = JointFriction(FrictionLaw(model, {}, shapes), values, smoothing)
+    return {name: value for name, value in values.items() if parameter_of(name).kind not in TERMS}, friction
+
+
 def apparatus(
     simulation: Simulation, model: InverseDynamics, payload: Payload | None
 ) -> tuple[Engine, Plant, Hardware]:
     """Make the robot with its payload: the engine that moves it, our own plant, and its drives and sensors."""
-    chi, width = loaded(simulation.parameters, model.robot, payload), simulation.friction_width.model_dump()
-    plant = Plant(model, chi, width)
+    parameters, friction = truth(simulation, model)
+    chi = loaded(parameters, model.robot, payload)
+    plant = Plant(model, chi, friction)
     drives = {joint: each.drive for joint, each in simulation.drives.items()}
     sensors = {joint: each.sensors for joint, each in simulation.drives.items()}
-    engine = plant if simulation.engine == "gtau" else MujocoPlant(model, chi, width)
+    engine = plant if simulation.engine == "gtau" else MujocoPlant(model, chi, friction)
     return engine, plant, hardware(model.actuated, drives, sensors)
 
 

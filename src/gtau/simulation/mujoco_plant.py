@@ -1,6 +1,6 @@
 """The same plant by MuJoCo, which shares no equations with the estimator: closures are its equality constraints.
 
-Viscous friction and rotor inertia are MuJoCo's damping and armature; Coulomb friction is applied as in
+Viscous friction and rotor inertia are MuJoCo's damping and armature; all other friction is applied as in
 :mod:`gtau.simulation.plant`, anew in every step. MuJoCo's constraints give way a little.
 """
 
@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from types import ModuleType
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -17,7 +18,7 @@ from gtau.errors import GtauError, missing_extra
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import PlatformSlots
 from gtau.model.loop_paths import follow
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import (
     DAMPING,
     GROUND,
@@ -30,7 +31,8 @@ from gtau.robots.robot import (
     Robot,
     Spring,
 )
-from gtau.simulation.plant import WIDTH, PlantState
+from gtau.simulation.joint_friction import JointFriction, plain_friction
+from gtau.simulation.plant import Compiled, PlantState
 
 STEP = 1e-4  # s
 LIGHTEST = 1e-6  # kg, kg m2: MuJoCo moves no body without mass and inertia
@@ -44,11 +46,11 @@ class MujocoPlant:
     Raises
     ------
     GtauError
-        Where MuJoCo is not installed, a body's inertia could not be built, or the robot has couplings, which this
-        engine does not know.
+        Where MuJoCo is not installed, a body's inertia could not be built, or the robot has couplings or friction by
+        load, which this engine does not know.
     """
 
-    def __init__(self, model: InverseDynamics, chi: Mapping[str, float], width: Mapping[str, float] = WIDTH):
+    def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
         try:
             import mujoco  # type: ignore[import-untyped, unused-ignore]
         except ImportError:
@@ -61,6 +63,13 @@ class MujocoPlant:
                 f"robot '{robot.name}' has couplings, which the engine 'mujoco' does not know; use the engine 'gtau'."
             )
         chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
+        friction = friction or plain_friction(model, chi)
+        if by_load := [name for name, value in friction.values.items() if value and parameter_of(name).kind == "fl"]:
+            raise GtauError(
+                f"friction by load ('{by_load[0]}') is not known to the engine 'mujoco'; use the engine 'gtau'."
+            )
+        viscous = [Parameter("fv", joint.name).name for joint in robot.joints]
+        chi |= {name: max(friction.values.get(name, 0.0), 0.0) for name in viscous}
         try:
             self._model = robot_spec(mujoco, robot, chi).compile()
         except ValueError as error:
@@ -74,9 +83,10 @@ class MujocoPlant:
         self._position = np.array([joint.qposadr[0] for joint in joints])
         self._rate = np.array([joint.dofadr[0] for joint in joints])
         self._actuated = layout.actuated
-        self._coulomb = np.array([chi.get(Parameter("fs", joint.name).name, 0.0) for joint in robot.joints])
-        self._offset = np.array([chi.get(Parameter("off", joint.name).name, 0.0) for joint in robot.joints])
-        self._width = np.array([width[joint.kind] for joint in robot.joints])
+        self.friction = friction
+        yd, z = ca.SX.sym("yd", len(joints)), ca.SX.sym("z", len(friction.law.states))
+        rest = friction.on_joints(yd, z) - ca.DM([chi[name] for name in viscous]) * yd
+        self._rest = Compiled(ca.Function("rest", [yd, z], [ca.densify(rest)]))
 
     def start(self, q: np.ndarray) -> PlantState:
         """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
@@ -88,7 +98,8 @@ class MujocoPlant:
             for name, values in platform_coordinates(slots, c).items():
                 first = self._model.joint(name).qposadr[0]
                 qpos[first : first + len(values)] = values
-        return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv))
+        rest = np.zeros(len(self.friction.law.states))
+        return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv), rest)
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
         """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
@@ -98,22 +109,25 @@ class MujocoPlant:
         GtauError
             Where the motion has no bounds.
         """
-        data, applied = self._data, np.zeros(self._model.nv)
+        data, applied, z = self._data, np.zeros(self._model.nv), state.z
         steps = max(1, round(duration / STEP))
         self._model.opt.timestep = duration / steps
         data.qpos, data.qvel = state.c, state.v
+        place = self._position[self._actuated]
         for _ in range(steps):
-            applied[self._rate] = -self._offset - self._coulomb * np.tanh(data.qvel[self._rate] / self._width)
+            before = data.qpos[place]
+            applied[self._rate] = -self._rest(data.qvel[self._rate], z)[0]
             applied[self._rate[self._actuated]] += force
             data.qfrc_applied = applied
             self._mujoco.mj_step(self._model, data)
+            z = self.friction.moved(z, data.qpos[place] - before)
         if not np.isfinite(data.qpos).all() or data.warning[self._mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise GtauError(
                 f"robot '{self.model.robot.name}': MuJoCo's motion has no bounds; check the masses and frictions and "
                 "the controller."
             )
-        q, qd = data.qpos[self._position[self._actuated]], data.qvel[self._rate[self._actuated]]
-        return PlantState(q, qd, data.qpos.copy(), data.qvel.copy())
+        q, qd = data.qpos[place], data.qvel[self._rate[self._actuated]]
+        return PlantState(q, qd, data.qpos.copy(), data.qvel.copy(), z)
 
 
 def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,7 +1,8 @@
 """Forward dynamics of any robot, integrated: the plant of a simulation (paper, eq. 15 solved for qdd).
 
-The state is the configuration c of the whole virtual tree and the velocities qd of the actuated joints. The passive
-coordinates are integrated too (``yd = J qd``) and brought back onto the closures after every step.
+The state is the configuration c of the whole virtual tree, the velocities qd of the actuated joints and the states z of
+presliding friction, which follow the positions. The passive coordinates are integrated too (``yd = J qd``) and brought
+back onto the closures after every step.
 
 Measured on the Orthoglide with forces held for 1 ms at a time: 0.25 ms of computing for such an interval by the
 integrator below (tolerance 1e-6), 0.65 ms by CVODES (Adams; BDF 3.3 ms) and 2 ms by SciPy's RK45, DOP853 and LSODA
@@ -11,7 +12,7 @@ integrator below (tolerance 1e-6), 0.65 ms by CVODES (Adams; BDF 3.3 ms) and 2 m
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -20,14 +21,16 @@ import numpy as np
 import scipy.linalg
 
 from gtau.errors import GtauError
+from gtau.estimation.friction.sites import PLAIN
 from gtau.model.closures import closure_expressions
 from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Loops
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import PRELOAD, STIFFNESS
+from gtau.simulation.joint_friction import JointFriction, plain_friction
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,6 @@ def _axes_of_bodies(loops: Loops, c: ca.SX) -> ca.SX:
     return ca.diagcat(*blocks, ca.SX.eye(loops.equations.rows - 3 * len(blocks)))
 
 
-WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: Coulomb friction is fs tanh(v / width)
 TOLERANCE = 1e-6  # of a step: error of the velocities, in rad/s or m/s
 SHORTEST = 1e-9  # s
 
@@ -90,12 +92,16 @@ ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 
 
 @dataclass(frozen=True, eq=False)
 class PlantState:
-    """Positions ``q`` and velocities ``qd`` of the actuated joints (n,), and an engine's own coordinates c and v."""
+    """Positions ``q`` and velocities ``qd`` of the actuated joints (n,), and an engine's own coordinates c and v.
+
+    ``z`` (s,) are the states of presliding friction.
+    """
 
     q: np.ndarray
     qd: np.ndarray
     c: np.ndarray
     v: np.ndarray
+    z: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 class Plant:
@@ -106,10 +112,9 @@ class Plant:
     model : InverseDynamics
         Of the robot, with all parameters.
     chi : mapping
-        Standard parameters by name, SI units; what is missing is zero. Friction acts in every joint, passive ones
-        too: ``fv v + fs tanh(v / width) + off``.
-    width : mapping
-        Kind of joint to the width of its Coulomb friction, m/s or rad/s.
+        Standard parameters by name, SI units; what is missing is zero.
+    friction : JointFriction, optional
+        In every joint, passive ones too; ``fv v + fs tanh(v / width) + off`` of chi if left out.
 
     Raises
     ------
@@ -117,14 +122,15 @@ class Plant:
         Where a parameter is none of the robot's, or the mass matrix is not positive.
     """
 
-    def __init__(self, model: InverseDynamics, chi: Mapping[str, float], width: Mapping[str, float] = WIDTH):
+    def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
         self.model, self.layout = model, model.layout
         unknown = [name for name in chi if name not in model.parameter_names]
         if unknown:
             raise GtauError(f"robot '{model.robot.name}' has no standard parameter '{unknown[0]}'; correct its name.")
         self.chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
-        self._dynamics = self._symbolic_dynamics(width)
-        self._step = _Compiled(self._symbolic_step())
+        self.friction = friction or plain_friction(model, self.chi)
+        self._dynamics, self._effort = self._symbolic_dynamics(), self._symbolic_effort()
+        self._step = Compiled(self._symbolic_step())
         self._side = self._mode(self.home)
         mass = self.mass_matrix(self.home)
         if np.linalg.eigvalsh((mass + mass.T) / 2).min() <= 1e-12 * np.abs(mass).max():
@@ -149,7 +155,8 @@ class Plant:
     def start(self, q: np.ndarray) -> PlantState:
         """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
         c = follow(self.model.loops, q[:, None])[:, 0] if self.model.loops else np.array(q, dtype=float)
-        return PlantState(np.array(q, dtype=float), np.zeros(len(q)), c, np.zeros(len(q)))
+        rest = np.zeros(len(self.friction.law.states))
+        return PlantState(np.array(q, dtype=float), np.zeros(len(q)), c, np.zeros(len(q)), rest)
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
         """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
@@ -159,12 +166,18 @@ class Plant:
         GtauError
             Where the robot runs into a singular pose or its motion has no bounds.
         """
-        c, qd, left, step = state.c, state.qd, duration, duration
+        c, qd, z, left, step = state.c, state.qd, state.z, duration, duration
+        actuated = self.layout.actuated
         while left > SHORTEST:
             step = min(step, left)
-            c_next, qd_next, error = self._step(c, qd, force, np.array([step]))
+            c_next, qd_next, error = self._step(c, qd, force, z, np.array([step]))
             size = np.max(np.abs(error) / (TOLERANCE * (1.0 + np.abs(qd))))
             if size <= 1.0:
+                part = self.friction.until_turn(z, qd, qd_next, step)
+                if part < 1.0 and part * step > SHORTEST:
+                    step *= part
+                    continue
+                z = self.friction.moved(z, c_next[actuated] - c[actuated])
                 c, qd, left = c_next, qd_next, left - step
             elif step < SHORTEST or not np.isfinite(size):
                 if step < SHORTEST:
@@ -173,11 +186,11 @@ class Plant:
             step *= min(5.0, max(0.1, 0.9 * max(size, 1e-8) ** -0.2))
         if self._mode(c) != self._side:
             raise self._lost(c)
-        return PlantState(c[self.layout.actuated], qd, c, qd)
+        return PlantState(c[actuated], qd, c, qd, z)
 
     def acceleration(self, state: PlantState, force: np.ndarray) -> np.ndarray:
         """Compute accelerations of the actuated joints (n,) in rad/s2 or m/s2."""
-        return np.array(self._derivative(state.c, state.qd, force)[1]).ravel()
+        return np.array(self._derivative(state.c, state.qd, force, state.z)[1]).ravel()
 
     def mass_matrix(self, c: np.ndarray) -> np.ndarray:
         """Compute the mass matrix seen by the actuated joints (n, n)."""
@@ -194,11 +207,11 @@ class Plant:
         return constraints(self.model.loops) if self.model.loops else None
 
     @cached_property
-    def _passive(self) -> _Compiled | None:
+    def _passive(self) -> Compiled | None:
         if self._constraints is None:
             return None
         c = ca.SX.sym("c", self.layout.n_c)
-        return _Compiled(ca.Function("passive", [c], [ca.densify(self._constraints.position(c)[1])]))
+        return Compiled(ca.Function("passive", [c], [ca.densify(self._constraints.position(c)[1])]))
 
     @cached_property
     def _potential(self) -> ca.Function:
@@ -219,20 +232,26 @@ class Plant:
             potential += k * length**2 / 2 - f0 * length
         return ca.Function("potential", [c], [potential])
 
-    def _symbolic_dynamics(self, width: Mapping[str, float]) -> ca.Function:
-        """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15)."""
-        layout, joints = self.layout, self.layout.robot.joints
+    def _symbolic_dynamics(self) -> ca.Function:
+        """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15), friction and offsets left out."""
+        layout = self.layout
         c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
-        J_passive = ca.SX.sym("J", len(layout.passive), len(layout.actuated))
-        J = self._selection(layout.actuated) + self._selection(layout.passive) @ J_passive
-        smooth = {name: ca.SX(value) for name, value in self.chi.items() if not name.startswith("fs_")}
-        coulomb = [
-            self.chi.get(Parameter("fs", joint.name).name, 0.0) * ca.tanh(yd[row] / width[joint.kind])
-            for row, joint in enumerate(joints)
-        ]
-        friction = ca.vertcat(*coulomb, ca.SX(layout.n_y - len(joints), 1))
-        tau = torques(layout, c, yd, ydd, J, smooth) + J.T @ friction
+        J_passive, J = self._motions()
+        still = {name: ca.SX(value) for name, value in self.chi.items() if parameter_of(name).kind not in PLAIN}
+        tau = torques(layout, c, yd, ydd, J, still)
         return ca.Function("dynamics", [c, yd, ydd, J_passive], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
+
+    def _symbolic_effort(self) -> ca.Function:
+        """Compile (yd, J, force, z) to what friction leaves of the forces."""
+        yd, force = ca.SX.sym("yd", self.layout.n_y), ca.SX.sym("force", len(self.layout.actuated))
+        z, (J_passive, J) = ca.SX.sym("z", len(self.friction.law.states)), self._motions()
+        effort = ca.densify(self.friction.effort(yd, J, force, z))
+        return ca.Function("effort", [yd, J_passive, force, z], [effort], {"cse": True})
+
+    def _motions(self) -> tuple[ca.SX, ca.SX]:
+        """Make ``dy/dq`` of the passive coordinates, and of all (n_y, n)."""
+        J_passive = ca.SX.sym("J", len(self.layout.passive), len(self.layout.actuated))
+        return J_passive, self._selection(self.layout.actuated) + self._selection(self.layout.passive) @ J_passive
 
     def _selection(self, rows: np.ndarray) -> ca.DM:
         """Place a vector (len(rows),) in the ``rows`` of one of (n_y,)."""
@@ -241,7 +260,7 @@ class Plant:
 
     @cached_property
     def _inertia(self) -> ca.Function:
-        """Compile (c, qd) to the mass matrix, the torques at zero qdd, and yd."""
+        """Compile (c, qd) to the mass matrix, the torques at zero qdd, yd and J of the passive coordinates."""
         layout = self.layout
         c, qd = ca.MX.sym("c", layout.n_c), ca.MX.sym("qd", len(layout.actuated))
         J, drift = ca.MX(0, len(layout.actuated)), ca.MX(0, 1)
@@ -252,29 +271,39 @@ class Plant:
             yd += self._selection(layout.passive) @ (J @ qd)
             drift = -ca.solve(G_passive, self._constraints.drift(c, yd), "qr")
         M, tau = self._dynamics(c, yd, self._selection(layout.passive) @ drift, J)
-        return ca.Function("inertia", [c, qd], [M, tau, yd])
+        return ca.Function("inertia", [c, qd], [M, tau, yd, J])
 
     @cached_property
     def _derivative(self) -> ca.Function:
-        """Compile (c, qd, force) to c' and qdd."""
+        """Compile (c, qd, force, z) to c' and qdd."""
         layout, n = self.layout, len(self.layout.actuated)
         symbol, rate = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
         rates = ca.Function("rates", [symbol, rate], [configuration_rates(layout, symbol, rate)])
         c, qd, force = (ca.MX.sym(s, k) for s, k in (("c", layout.n_c), ("qd", n), ("force", n)))
-        M, tau, yd = self._inertia(c, qd)
-        return ca.Function("derivative", [c, qd, force], [rates(c, yd), ca.solve(M, force - tau, "qr")])
+        z = ca.MX.sym("z", len(self.friction.law.states))
+        M, tau, yd, J = self._inertia(c, qd)
+        qdd = ca.solve(M, self._effort(yd, J, force, z) - tau, "qr")
+        return ca.Function("derivative", [c, qd, force, z], [rates(c, yd), qdd])
 
     def _symbolic_step(self) -> ca.Function:
-        """Compile (c, qd, force, h) to c and qd after h s, on the closures, and the error of qd."""
-        layout, n = self.layout, len(self.layout.actuated)
+        """Compile (c, qd, force, z, h) to c and qd after h s, on the closures, and the error of qd."""
+        layout, n, reach = self.layout, len(self.layout.actuated), self.friction.reach
         c, qd, force, h = (ca.MX.sym(s, k) for s, k in (("c", layout.n_c), ("qd", n), ("force", n), ("h", 1)))
-        slopes: list[Any] = [ca.vertcat(*self._derivative(c, qd, force))]
+        z, actuated = ca.MX.sym("z", len(reach)), layout.actuated.tolist()
+
+        def slope(x: ca.MX) -> Any:
+            moved = z
+            if len(reach):
+                moved = ca.fmin(ca.fmax(z + ca.DM(reach) @ (x[actuated] - c[actuated]), -1.0), 1.0)
+            return ca.vertcat(*self._derivative(x[: layout.n_c], x[layout.n_c :], force, moved))
+
         x = ca.vertcat(c, qd)
+        slopes: list[Any] = [slope(x)]
         for weights in STAGES:
             x = ca.vertcat(c, qd) + h * ca.horzcat(*slopes) @ ca.DM(weights)
-            slopes.append(ca.vertcat(*self._derivative(x[: layout.n_c], x[layout.n_c :], force)))
-        error = h * ca.horzcat(*(slope[layout.n_c :] for slope in slopes)) @ ca.DM(ERROR)
-        return ca.Function("step", [c, qd, force, h], [self._closed(x[: layout.n_c]), x[layout.n_c :], error])
+            slopes.append(slope(x))
+        error = h * ca.horzcat(*(each[layout.n_c :] for each in slopes)) @ ca.DM(ERROR)
+        return ca.Function("step", [c, qd, force, z, h], [self._closed(x[: layout.n_c]), x[layout.n_c :], error])
 
     def _closed(self, c: ca.MX) -> ca.MX:
         """Take one step of Newton's method back onto the closures, with quaternions of unit length."""
@@ -301,7 +330,7 @@ class Plant:
         )
 
 
-class _Compiled:
+class Compiled:
     """A CasADi function called on arrays without copies of its own: a third of the time of the plain call."""
 
     def __init__(self, function: ca.Function):
@@ -309,6 +338,7 @@ class _Compiled:
         self._buffer, self._evaluate = function.buffer()
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
+        """Evaluate it: its outputs, flat."""
         held = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
         results = [np.empty(self._function.numel_out(k)) for k in range(self._function.n_out())]
         for k, argument in enumerate(held):

@@ -14,14 +14,14 @@ from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.robots.parameter import parameter_of
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.columns import document_of
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import Drive, Sensors
 from gtau.simulation.controllers import BANDWIDTH
-from gtau.simulation.plant import WIDTH
+from gtau.simulation.joint_friction import WIDTH
 
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 PerJoint = dict[str, FiniteFloat]
@@ -31,6 +31,14 @@ def _not_zero(gain: float) -> float:
     if gain == 0:
         raise ValueError("a drive with a gain of 0 gives no torque; write its N m/A (or N/A)")
     return gain
+
+
+def existing(path: Path, info: ValidationInfo) -> Path:
+    """Return a path of the simulation file from its folder; raises ValueError where there is no file."""
+    path = path if info.context is None else info.context / path
+    if not path.is_file():
+        raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
+    return path
 
 
 class JointHardware(Keys):
@@ -106,10 +114,7 @@ class MotionEntry(Keys):
     @field_validator("csv")
     @classmethod
     def _existing(cls, csv: Path, info: ValidationInfo) -> Path:
-        path = csv if info.context is None else info.context / csv
-        if not path.is_file():
-            raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
-        return path
+        return existing(csv, info)
 
     @model_validator(mode="after")
     def _one_kind(self) -> MotionEntry:
@@ -149,15 +154,26 @@ class Friction(Keys):
     revolute: Positive = WIDTH["revolute"]
 
 
+class FrictionCurve(Keys):
+    """Shape of a joint's friction, see :class:`gtau.estimation.friction.law.Shape`; rad or m, rad/s or m/s."""
+
+    width: Positive | None = None
+    speed: Positive | None = None
+
+
 class Simulation(Keys):
     """A simulation file; its paths are relative to it.
+
+    The robot has the ``parameters`` and the friction of ``curves``, or all those of an identified ``model``.
 
     ``control`` lists the trajectories on which control laws are compared; no logs are written of them.
     """
 
     robot: RobotName
     engine: Literal["gtau", "mujoco"] = "gtau"
-    parameters: dict[str, FiniteFloat]
+    model: Path | None = None
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+    curves: dict[str, FrictionCurve] = Field(default_factory=dict)
     drives: dict[str, JointHardware] = Field(min_length=1)
     friction_width: Friction = Friction()
     rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0
@@ -171,13 +187,35 @@ class Simulation(Keys):
     def __repr__(self) -> str:
         return f"Simulation({self.robot!r}, runs: {', '.join(run.name for run in self.runs)})"
 
+    @field_validator("model")
+    @classmethod
+    def _existing(cls, model: Path, info: ValidationInfo) -> Path:
+        return existing(model, info)
+
     @field_validator("parameters")
     @classmethod
     def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name, value in parameters.items():
-            if parameter_of(name).kind in ("fv", "fs", DAMPING) and value < 0:
+            kind, joint, _ = parameter_of(name)
+            if kind in ("fv", "fs", "fl", DAMPING) and value < 0:
                 raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
+            rest = Parameter("fs", joint).name
+            if kind == "fb" and parameters.get(rest, 0.0) + value < 0:
+                raise ValueError(
+                    f"the friction at rest, '{rest}' + '{name}', is negative, and would drive the robot; "
+                    "write 0 or more"
+                )
         return parameters
+
+    @model_validator(mode="after")
+    def _model_or_parameters(self) -> Simulation:
+        if self.model is None and not self.parameters:
+            raise ValueError("the robot has no parameters; give 'parameters', or 'model', what 'gtau identify' wrote")
+        if self.model is not None and (self.parameters or self.curves):
+            raise ValueError(
+                "'model' states all parameters and friction; remove 'parameters' and 'curves', or the model"
+            )
+        return self
 
     @model_validator(mode="after")
     def _names_once(self) -> Simulation:

@@ -64,6 +64,8 @@ class FindingKind(StrEnum):
     NOT_SEPARATED = "parameters not separated"
     MASS_UNSEEN = "payload mass not identifiable"
     FEW_ROWS = "too few rows for tests"
+    SCALE_UNTESTED = "torque scale not tested"
+    COMMON_SCALE = "common torque scale"
     COMMAND_LAG = "command lag"
     SLIGHT_COMMAND_LAG = "slight command lag"
     # what the model may lack, or the description have wrong

@@ -25,7 +25,7 @@ amplifiers for instance: they do no work around a closed path, and stay as they 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import ModuleType
@@ -121,8 +121,13 @@ class FrictionLaw:
         of_actuated = np.eye(count)[:, group]
         return np.hstack([(of_actuated @ driven.T > 0).astype(float), of_actuated])
 
+    def directions(self, math: ModuleType, yd: Any, z: Any) -> list[Any]:
+        """List what friction of each joint goes with: its state where it preslides (``z`` (s,)), else ``sign(yd)``."""
+        states = dict(zip(self.states, range(len(self.states)), strict=True))
+        return [z[states[row]] if row in states else math.sign(yd[row]) for row in range(len(self.ratios))]
+
     def forces(
-        self, math: ModuleType, values: Mapping[str, Any], yd: Any, load: Any, z: Any = None
+        self, math: ModuleType, values: Mapping[str, Any], yd: Any, load: Any, z: Sequence[Any] | None = None
     ) -> tuple[list[Any], list[Any]]:
         """Compute torques of friction, and the speeds that they oppose: of all joints, then the f3 of actuated ones.
 
@@ -134,10 +139,10 @@ class FrictionLaw:
             ``fv``, ``fs``, ``fb``, ``fl`` and ``f3`` by name of the parameter, SI units; what is missing is zero.
         yd, load : array or SX
             Velocities of the tree, and torques (n,) that the actuated joints transmit; the first axis is theirs.
-        z : array or SX, optional
-            States (s,) of presliding; without them all joints slide.
+        z : sequence of arrays or SX, optional
+            Of each joint, see :meth:`directions`; without them all joints slide.
         """
-        joints, states = self.model.robot.joints, () if z is None else self.states
+        joints = self.model.robot.joints
         forces, speeds = [], [yd[row] for row in range(len(joints))]
         for row, (joint, speed) in enumerate(zip(joints, speeds, strict=True)):
             viscous, height, more, of_load = (
@@ -148,7 +153,7 @@ class FrictionLaw:
                 height = height + more * math.exp(-math.fabs(speed) / shape.speed)
             if motor is not None:
                 height = height + of_load * math.fabs(load[motor] / self.ratios[row, motor])
-            forces.append(viscous * speed + height * (z[states.index(row)] if row in states else math.sign(speed)))
+            forces.append(viscous * speed + height * (math.sign(speed) if z is None else z[row]))
         for j, name in enumerate(self.model.actuated):
             speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
             cubic = values.get(Parameter("f3", name).name, 0.0)
@@ -225,7 +230,7 @@ class FrictionLaw:
         forces, speeds = (np.stack(each) for each in self.forces(np, values, motion.yd, load))
         scales = self.scales(np, forces, speeds)
         if z is not None and self.states:
-            forces = np.stack(self.forces(np, values, motion.yd, load, z)[0])
+            forces = np.stack(self.forces(np, values, motion.yd, load, self.directions(np, motion.yd, z))[0])
         forces = forces * scales
         for row, joint in enumerate(joints):
             forces[row] += values.get(Parameter("off", joint.name).name, 0.0)

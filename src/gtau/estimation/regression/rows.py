@@ -162,6 +162,13 @@ def stream_torques(
         yield Torques(of.time[block.first : block.first + count], filtered[0], filtered[1], filtered[2:])
 
 
+def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tuple[SampleWindow, Motion]]:
+    """Compute the motion at every sample of a run, behind no low-pass but that of the positions; raises GtauError."""
+    blocks = (Block(slice(a, b), slice(a, b), 0) for a, b in spans(len(prepared), ALL_SAMPLES))
+    for _, of, c in _along(idm, prepared, blocks):
+        yield of, idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(prepared.run.name, of.time))
+
+
 def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
     """Compute what the wrenches of a run add to the torques of the actuated joints, ``J^T w`` (3, n, M).
 

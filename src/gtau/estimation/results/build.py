@@ -35,7 +35,7 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
-from gtau.robots.units import position_unit, torque_unit, unit_of
+from gtau.robots.units import gain_unit, position_unit, torque_unit, unit_of
 
 NO_FRICTION = FrictionStep()
 
@@ -80,7 +80,6 @@ def build_result(
     std, model_std = (np.sqrt(np.diag(each)) for each in (covariance, uncertainty.model))
     gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
     units = [torque_unit(robot, joint) for joint in joints]
-    of_current = dataset.runs[0].kind == "current"
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
@@ -121,7 +120,7 @@ def build_result(
                 joint,
                 float(solution.gains[k]),
                 float(gain_std[k]) if gain_std.any() else None,
-                f"{units[k]}/A" if of_current else "1",
+                gain_unit(robot, joint, dataset.runs[0].kind),
                 verdict=diagnosis.gains[joint],
                 freedom=None if freedom is None else float(freedom[n_theta + k]),
                 model_std=float(model_std[n_theta + k]) if gain_std.any() else None,

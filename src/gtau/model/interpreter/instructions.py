@@ -7,7 +7,7 @@ from collections.abc import Collection
 import casadi as ca
 import numpy as np
 
-from gtau.model.interpreter.kernel import NOWHERE, OPERATIONS
+from gtau.model.interpreter.layout import NOWHERE, OPERATIONS
 
 CODE = {name: code for code, name in enumerate(OPERATIONS)}
 _SAME = {getattr(ca, f"OP_{name}"): name for name in OPERATIONS if hasattr(ca, f"OP_{name}")}

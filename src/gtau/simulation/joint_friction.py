@@ -1,0 +1,194 @@
+"""Friction of a simulated robot: the law of an identified model, driven by the simulated positions.
+
+It is :class:`gtau.estimation.friction.law.FrictionLaw`, state z included. A joint without presliding slides at once,
+and its ``sign(qd)`` is ``tanh(qd / width)``, so that an integrator finds its way. The state of one with presliding is
+the stop operator of the position itself, not of the speed: nothing of it is integrated, and a joint that rests stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.results.prediction import friction_values, loaded_parameters
+from gtau.estimation.results.result import Result
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.parameter import Parameter, parameter_of
+
+WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: sign(v) is tanh(v / width)
+TERMS = ("fb", "fl")
+"""Kinds of friction that are no standard parameters; those of the plain law are."""
+MISSED = 1e-9  # of its band: what a joint may go on in a step beyond the point where it turns
+BALANCES = 3  # how often terms that propel are scaled to the load that they leave
+
+
+@dataclass(frozen=True, eq=False)
+class JointFriction:
+    """Friction and offsets of all joints.
+
+    Attributes
+    ----------
+    law : FrictionLaw
+        Of the robot.
+    values : dict
+        ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units; what is missing is zero.
+    smoothing : dict
+        Kind of joint to the width of its ``sign(qd)``, m/s or rad/s.
+
+    Raises
+    ------
+    GtauError
+        Where a joint has a shape, or friction by load, that the law does not know of it.
+    """
+
+    law: FrictionLaw
+    values: Mapping[str, float]
+    smoothing: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        robot, actuated = self.law.model.robot, self.law.model.actuated
+        joints = [joint.name for joint in robot.joints]
+        shares = dict.fromkeys(actuated, 0.0)
+        for joint, shape in self.law.shapes.items():
+            if joint not in joints:
+                raise GtauError(f"robot '{robot.name}' has no joint '{joint}', whose friction has a curve; correct it.")
+            if shape.width and not self.law.ratios[joints.index(joint)].any():
+                raise GtauError(
+                    f"joint '{joint}' of robot '{robot.name}' moves at no constant ratio to the motors, so that its "
+                    "presliding cannot be followed; give a width to actuated joints only."
+                )
+        for name, value in self.values.items():
+            kind, joint, _ = parameter_of(name)
+            if kind in TERMS and joint not in joints:
+                raise GtauError(f"robot '{robot.name}' has no joint '{joint}' for the friction '{name}'; correct it.")
+            if kind == "fb" and value and not self.law.shapes.get(joint, Shape()).speed:
+                raise GtauError(f"friction '{name}' falls with no speed; give the 'speed' of joint '{joint}'.")
+            if kind == "fl" and value:
+                motor = self.law.motor_of(joint)
+                if motor is None:
+                    raise GtauError(
+                        f"friction '{name}' depends on the load of a joint that no single motor of robot "
+                        f"'{robot.name}' moves; give 'fl' of other joints."
+                    )
+                shares[motor] += abs(value)
+        for motor, share in shares.items():
+            if share >= 1:
+                raise GtauError(
+                    f"the friction by load ('fl') of what motor '{motor}' moves is {share:g} of the load, so that it "
+                    "never moves; give less than 1."
+                )
+
+    @cached_property
+    def reach(self) -> np.ndarray:
+        """States' changes (s, n) for unit changes of the actuated joints, 1/rad or 1/m, as long as nothing slides."""
+        return self.law.ratios[list(self.law.states)] / self.law.widths[:, None]
+
+    @cached_property
+    def propels(self) -> bool:
+        """Whether some term of the law may propel, and is scaled down where it does."""
+        terms = [
+            {kind: self.values.get(Parameter(kind, joint.name).name, 0.0) for kind in ("fv", "fs", "fb", "fl", "f3")}
+            for joint in self.law.model.robot.joints
+        ]
+        return any(min(each["fv"], each["fs"], each["fs"] + each["fb"], each["fl"], each["f3"]) < 0 for each in terms)
+
+    def moved(self, z: np.ndarray, dq: np.ndarray) -> np.ndarray:
+        """Move states (s,) along monotone ways (n,) of the actuated joints."""
+        return np.clip(z + self.reach @ dq, -1.0, 1.0)
+
+    def until_turn(self, z: np.ndarray, before: np.ndarray, after: np.ndarray, step: float) -> float:
+        """Compute the part of a step in which no sliding joint turns: 1, or less where the step is to be shorter.
+
+        A state forgets where its joint has slid, so that steps end where sliding joints turn; what has not slid only
+        counts where it is. ``before`` and ``after`` (n,) are the speeds at the ends of the step, in s.
+        """
+        v, w = self.reach @ before, self.reach @ after
+        turns = v * w < 0
+        if not turns.any():
+            return 1.0
+        part = np.where(turns, v, 1.0) / np.where(turns, v - w, 1.0)
+        slid = np.abs(z + v * part * step / 2) > 1
+        back = np.abs(w) * (1 - part) * step / 2
+        late = turns & slid & (back > MISSED)
+        return float(part[late].min()) if late.any() else 1.0
+
+    def effort(self, yd: ca.SX, J: ca.SX, force: ca.SX, z: ca.SX) -> ca.SX:
+        """Express what motors' forces leave to the robot (n,), ``force - friction``: the load of joints, too.
+
+        Friction by load is ``s |e|`` of the effort e itself, so that ``e + s |e|`` is what other friction leaves.
+
+        Parameters
+        ----------
+        yd, J : SX
+            Velocities of the tree, and how actuated joints move it.
+        force : SX
+            (n,) of the motors.
+        z : SX
+            States (s,).
+        """
+        (plain, loaded), speeds = self._forces(yd, z)
+        n_joints, scales, effort = len(self.offsets), ca.SX.ones(plain.shape[0]), force
+        left = force - J[:n_joints, :].T @ ca.DM(self.offsets)
+
+        def on_motors(acting: ca.SX) -> ca.SX:
+            return J[:n_joints, :].T @ acting[:n_joints] + acting[n_joints:]
+
+        for _ in range(1 + BALANCES * self.propels):
+            rest = left - on_motors(scales * plain)
+            effort = rest / (1 + on_motors(scales * loaded) * ca.sign(rest))
+            if self.propels:
+                scales = self.law.scales(ca, plain + loaded * self._felt(effort), speeds)
+        return effort
+
+    def on_joints(self, yd: ca.SX, z: ca.SX) -> ca.SX:
+        """Express friction without ``fl`` and offsets of each joint (joints,) at velocities (joints,) and states."""
+        (plain, _), speeds = self._forces(yd, z)
+        forces = self.law.scales(ca, plain, speeds) * plain if self.propels else plain
+        joints = forces[: len(self.offsets)] + ca.DM(self.offsets)
+        joints[self.law.model.layout.actuated.tolist()] += forces[len(self.offsets) :]
+        return joints
+
+    @cached_property
+    def offsets(self) -> np.ndarray:
+        """Offsets (joints,), N m or N."""
+        joints = self.law.model.robot.joints
+        return np.array([self.values.get(Parameter("off", joint.name).name, 0.0) for joint in joints])
+
+    def _forces(self, yd: ca.SX, z: ca.SX) -> tuple[tuple[ca.SX, ca.SX], ca.SX]:
+        """Express the forces of the law without load, by what a unit of it adds to them, and the speeds they oppose."""
+        law, joints, n = self.law, self.law.model.robot.joints, len(self.law.model.actuated)
+        sliding = [ca.tanh(yd[row] / self.smoothing[joint.kind]) for row, joint in enumerate(joints)]
+        states = dict(zip(law.states, ca.vertsplit(z) if law.states else [], strict=True))
+        directions = [states.get(row, slides) for row, slides in enumerate(sliding)]
+        (plain, speeds), (loaded, _) = (
+            [ca.densify(ca.vertcat(*each)) for each in law.forces(ca, self.values, yd, load, directions)]
+            for load in (ca.SX.zeros(n), ca.SX.ones(n))
+        )
+        return (plain, loaded - plain), speeds
+
+    def _felt(self, effort: ca.SX) -> ca.SX:
+        """List by force of the law the size of the effort of the motor that it depends on, or 0."""
+        motors = [self.law.motor(row) for row in range(len(self.law.ratios))]
+        felt = [0.0 if motor is None else ca.fabs(effort[motor]) for motor in motors]
+        return ca.vertcat(*felt, ca.SX.zeros(effort.shape[0]))
+
+
+def plain_friction(
+    model: InverseDynamics, values: Mapping[str, float], smoothing: Mapping[str, float] = WIDTH
+) -> JointFriction:
+    """Make the friction of parameters ``fv``, ``fs`` and ``off`` alone."""
+    return JointFriction(FrictionLaw(model, {}), values, smoothing)
+
+
+def of_model(result: Result, smoothing: Mapping[str, float]) -> tuple[dict[str, float], JointFriction]:
+    """Return standard parameters of the same torques as an identified model's, and its friction."""
+    chi = loaded_parameters(result, None, "the robot")
+    values = friction_values(result, chi)
+    standard = dict(zip(result.base.standard, map(float, chi), strict=True))
+    return standard, JointFriction(result.friction_law, values, smoothing)
