@@ -113,7 +113,7 @@ def test_a_known_payload_gives_the_scale_beside_priors(true: Robot) -> None:
     from gtau.signals.payload import Payload
 
     made = replace(plant(true, noise=0.02), gains=np.array([8.0, 8.0, 6.0, 5.0]), tool="j4")
-    steel = {"m": 2.0, "mx": 0.1, "mz": 0.2, "xx": 0.03, "yy": 0.03, "zz": 0.01}
+    steel = {"m": 2.0, "mx": 0.1, "mz": 0.2, "xx": 0.04, "yy": 0.05, "zz": 0.02, "xz": -0.01}
     runs = [made.run(1), made.run(2, steel, Payload(name="steel", mass=2.0))]
     result = identify(true, runs, prior_inertias=0.3)
     for gain, value in zip(result.drive_gains.values(), made.gains, strict=True):

@@ -148,11 +148,11 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     consistent_model(result, "samples")
     if not 0 < count <= 100_000:
         raise GtauError(f"{count} draws cannot be had; ask for 1 to 100000.")
-    deviations = _deviations(result, count, seed)
+    changes = _drawn(result, count, seed)
     base, names, joints = result.base, result.model.parameter_names, result.model.actuated
     values = {name: each.value for name, each in result.parameters.items() if each.value is not None}
     values |= {Parameter("gain", joint).name: gain for joint, gain in zip(joints, result.gains, strict=True)}
-    drawn = {name: value + deviations.get(name, np.zeros(count)) for name, value in values.items()}
+    drawn = {name: value + changes.get(name, np.zeros(count)) for name, value in values.items()}
     projection = _Projection.of(result, tuple(values))
     x, moved = np.zeros((count, len(names))), np.zeros(count)
     gains = np.zeros((count, len(joints)))
@@ -160,7 +160,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
         x[k], gains[k], moved[k] = projection.nearest(np.array([drawn[name][k] for name in values]))
     found = x @ base.matrix.T
     delays = [
-        (each.value or 0.0) + deviations.get(Parameter("delay", joint).name, np.zeros(count))
+        (each.value or 0.0) + changes.get(Parameter("delay", joint).name, np.zeros(count))
         for joint, each in result.delays.items()
     ]
     of_base = {
@@ -168,7 +168,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
         for k, (name, own) in enumerate(zip(base.names, base.standard, strict=True))
     }
     friction = {
-        name: (each.value or 0.0) + (of_base[name] if name in of_base else deviations.get(name, np.zeros(count)))
+        name: (each.value or 0.0) + (of_base[name] if name in of_base else changes.get(name, np.zeros(count)))
         for name, each in result.friction_parameters.items()
     }
     for name, each in friction.items():
@@ -177,8 +177,8 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     return Samples(result, x, found, gains, np.column_stack(delays), friction, moved, seed)
 
 
-def _deviations(result: Result, count: int, seed: int) -> dict[str, np.ndarray]:
-    """Draw deviations (N,) of all that the covariance is of, by name: normal together, Student's t by themselves."""
+def _drawn(result: Result, count: int, seed: int) -> dict[str, np.ndarray]:
+    """Draw changes (N,) of all that the covariance is of, by name: normal together, Student's t by themselves."""
     from scipy.special import ndtr, stdtrit
 
     std = np.sqrt(np.diag(result.covariance))
@@ -192,8 +192,8 @@ def _deviations(result: Result, count: int, seed: int) -> dict[str, np.ndarray]:
     normal = normal @ (axes * np.sqrt(np.maximum(sizes, 0.0))).T
     freedom = _freedom(result)
     return {
-        name: deviation * (stdtrit(freedom[name], ndtr(z)) if name in freedom else z)
-        for name, deviation, z in zip(names, std[known], normal.T, strict=True)
+        name: size * (stdtrit(freedom[name], ndtr(z)) if name in freedom else z)
+        for name, size, z in zip(names, std[known], normal.T, strict=True)
     }
 
 
