@@ -71,6 +71,11 @@ def test_a_file_without_inertias_is_passed_over(true: Robot, tmp_path: Path) -> 
         identified(bare, plant(true), prior_inertias=0.3)
 
 
+def test_an_estimator_that_takes_no_priors_says_whose_they_are(true: Robot) -> None:
+    with pytest.raises(GtauError, match="'tls' takes no known parameters, and 'prior_inertias' gives some"):
+        identify(true, [plant(true).run(1)], method="tls", prior_inertias=0.3)
+
+
 def test_priors_hold_what_is_not_excited_and_leave_the_rest(true: Robot) -> None:
     """Joints 1 and 4 hardly move, behind much noise: half of the parameters are open without the file."""
     quiet = plant(true, (0.01, 0.9, 1.2, 0.01), noise=3.0)
