@@ -61,10 +61,10 @@ def read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
     lines[:] = [line.replace(" -- ", " – ") for line in found]
 
 
-def keep_internal_names(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
+def keep_names_without_page(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
     """Leave a docstring's reference to a name without a page as text, if there is such a name."""
     target = node.get("reftarget", "")
-    if node.get("refdomain") != "py" or not target.startswith("gtau."):
+    if node.get("refdomain") != "py" or "." not in target:
         return None
     module, names = target, []
     while module:
@@ -123,7 +123,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the additions."""
     app.connect("source-read", add_menu)
     app.connect("autodoc-process-docstring", read_docstring)
-    app.connect("missing-reference", keep_internal_names)
+    app.connect("missing-reference", keep_names_without_page)
     app.connect("build-finished", write_llms)
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
