@@ -146,7 +146,7 @@ def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypat
         draft_logs([broken])
 
 
-@pytest.mark.parametrize("compression", ["STORAGE", "MESSAGE", "FILE"])
+@pytest.mark.parametrize("compression", ["STORAGE", "MESSAGE", "FILE", "LZ4"])
 def test_compressed_bags(tmp_path: Path, motion: Any, compression: str) -> None:
     """The numbers of a compressed bag, by the joint's name whatever its place in the message."""
     time, position, current = (each[:300] for each in motion["empty"])
@@ -227,6 +227,50 @@ def test_episodes_of_lists(tmp_path: Path, motion: Any, arrays: bool) -> None:
     (tmp_path / "none.yaml").write_text(text.replace("episode: 3", "episode: 7"))
     with pytest.raises(GtauError, match=r"has no episode 7; its episodes are 0 to 3"):
         _ = read_experiment(tmp_path / "none.yaml").runs[-1].part
+
+
+INFO = {
+    "fps": 200,
+    "features": {
+        "observation.state": {"dtype": "float32", "shape": [2], "names": ["elbow.pos", "shoulder.pos"]},
+        "observation.effort": {"dtype": "float32", "shape": [2], "names": {"motors": ["main_elbow", "main_shoulder"]}},
+        "action": {"dtype": "float32", "shape": [2], "names": ["elbow.pos", "shoulder.pos"]},
+        "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+    },
+}
+
+
+def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> None:
+    """meta/info.json two folders up: joints by name, whatever their order, the rate where no column has the time."""
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
+    (tmp_path / "meta" / "info.json").write_text(json.dumps(INFO))
+    (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
+    log = lerobot(tmp_path / "data" / "chunk-000" / "file-000.parquet", motion["empty"], 2, arrays=False)
+    draft = draft_logs([log], str(tmp_path / "arm.urdf"))
+    assert draft.position == {"shoulder": "observation.state[2]", "elbow": "observation.state[1]"}
+    assert draft.command == {"shoulder": "observation.effort[2]", "elbow": "observation.effort[1]"}
+    assert "joints" not in draft.open
+    assert set(draft_logs([log]).position) == {"elbow", "shoulder"}
+    pl.read_parquet(log).drop("timestamp").write_parquet(log)
+    timeless = draft_logs([log], str(tmp_path / "arm.urdf"))
+    assert (timeless.time, timeless.rate) == ((), 200.0)
+    assert timeless.reasons["time"] == "no time column; 200 Hz by the description of the data set (meta/info.json)"
+    assert {"rate", "velocities"}.isdisjoint(timeless.open)
+    mixed = {"names": [f"{joint}.{kind}" for joint in ("elbow", "shoulder") for kind in ("pos", "torque")]}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": {"observation.state": mixed}}))
+    pl.DataFrame(
+        {
+            "observation.state": np.stack([motion["empty"][1], motion["empty"][2]], axis=2).reshape(-1, 4).tolist(),
+            "timestamp": motion["empty"][0],
+        }
+    ).write_parquet(log)
+    state = draft_logs([log], str(tmp_path / "arm.urdf"))
+    assert state.position == {"shoulder": "observation.state[3]", "elbow": "observation.state[1]"}
+    assert (state.kind, state.command["elbow"]) == ("torque", "observation.state[2]")
+    (tmp_path / "meta" / "info.json").write_text("[]")
+    with pytest.raises(GtauError, match=r"info.json is no description of a LeRobot data set that can be read"):
+        draft_logs([log])
 
 
 def test_goals_alone_are_no_torques(tmp_path: Path, motion: Any) -> None:

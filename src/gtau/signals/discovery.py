@@ -97,6 +97,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     time, rate = position_log.time, None
     if time:
         units["time"], reasons["time"] = position_log.time_unit()
+    elif (rate := position_log.table.rate) is not None:
+        reasons["time"] = f"no time column; {rate:g} Hz by the description of the data set (meta/info.json)"
     else:
         rate, reasons["time"] = position_log.rate_from_velocities(positions)
         unsure.append("rate" if rate is None else "velocities")
