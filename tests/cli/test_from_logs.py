@@ -17,8 +17,9 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.draft_file import guesses
-from gtau.signals.drafting import draft_logs, write_draft
+from gtau.signals.drafting import draft_logs, with_sensors, write_draft
 from gtau.signals.experiment import read_experiment
+from gtau.signals.formats import is_log_folder
 from gtau.signals.run import read_run
 
 LINK = """<link name="{0}"><inertial><origin xyz="{2} 0.01 0.02"/><mass value="{1}"/>
@@ -252,6 +253,9 @@ def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> No
     assert draft.command == {"shoulder": "observation.effort[2]", "elbow": "observation.effort[1]"}
     assert "joints" not in draft.open
     assert set(draft_logs([log]).position) == {"elbow", "shoulder"}
+    whole = draft_logs([tmp_path], str(tmp_path / "arm.urdf"))  # the folder of the data set
+    assert whole.command == draft.command
+    assert is_log_folder(tmp_path)
     pl.read_parquet(log).drop("timestamp").write_parquet(log)
     timeless = draft_logs([log], str(tmp_path / "arm.urdf"))
     assert (timeless.time, timeless.rate) == ((), 200.0)
@@ -271,6 +275,26 @@ def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> No
     (tmp_path / "meta" / "info.json").write_text("[]")
     with pytest.raises(GtauError, match=r"info.json is no description of a LeRobot data set that can be read"):
         draft_logs([log])
+
+
+def test_torques_beside_currents_are_sensors_unless_computed_from_them(tmp_path: Path, motion: Any) -> None:
+    """They give the scale where no payload does, and this is said; a multiple of the currents is none."""
+    time, position, current = motion["empty"]
+    (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
+    rubbing = np.sign(np.gradient(position, axis=0)) * 0.6 * current.std(axis=0)
+    drafts = []
+    for name, torque in (("sensed", 50 * (current - rubbing)), ("computed", np.round(8 * current, 1))):
+        log = np.column_stack([time, position, current, torque])
+        head = "t,q_elbow,q_shoulder,motor_elbow,motor_shoulder,torque_elbow,torque_shoulder"
+        np.savetxt(tmp_path / f"{name}.csv", log, delimiter=",", header=head, comments="")
+        drafts.append(with_sensors(draft_logs([tmp_path / f"{name}.csv"], str(tmp_path / "arm.urdf"))))
+    sensed, computed = drafts
+    assert sensed.sensors == {"shoulder": "torque_shoulder", "elbow": "torque_elbow"}
+    said = [note.what for note in guesses(sensed, Path("e.yaml"))]
+    assert "torque_shoulder, torque_elbow are taken as torque sensors behind the gears, which give the scale" in said
+    assert (computed.sensors, computed.torques) == ({}, {})
+    weighed = draft_logs([tmp_path / "sensed.csv"], str(tmp_path / "arm.urdf"), masses={"sensed": 0.8})
+    assert with_sensors(weighed).sensors == {}
 
 
 def test_goals_alone_are_no_torques(tmp_path: Path, motion: Any) -> None:

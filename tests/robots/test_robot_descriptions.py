@@ -53,7 +53,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_file_on_disk_is_read_by_the_name_of_its_module(cache: Path) -> None:
     for name in ("one_description", "one"):
-        with pytest.raises(GtauError, match=r"not its file on disk .*one.urdf.*robot_descriptions pull one_description"):
+        with pytest.raises(GtauError, match=r"not its file on disk .*one.urdf.*robot_descriptions pull one_desc"):
             load_robot(name)
     file = cache / "one_data" / "robots" / "one" / "one.urdf"
     file.parent.mkdir(parents=True)

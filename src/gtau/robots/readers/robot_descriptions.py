@@ -16,6 +16,7 @@ from gtau.errors import GtauError
 
 PACKAGE = "robot_descriptions"
 FILES = ("URDF_PATH", "MJCF_PATH")
+Value = Path | str | None
 
 
 def described_file(name: str) -> Path | None:
@@ -32,7 +33,7 @@ def described_file(name: str) -> Path | None:
     module = next((each for each in modules if each.stem.endswith("_description") and each.is_file()), None)
     if module is None:
         return None
-    known: dict[str, Path | str | None] = {}
+    known: dict[str, Value] = {}
     repositories = _repositories(module.with_name("_repositories.py"))
     for statement in _parsed(module).body:
         if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name) and statement.value:
@@ -60,7 +61,7 @@ def _parsed(module: Path) -> ast.Module:
 
 def _repositories(module: Path) -> dict[str, str]:
     """Find the folder of each repository, below that of all."""
-    found = {}
+    found: dict[str, str] = {}
     for each in ast.walk(_parsed(module)):
         for key, value in zip(each.keys, each.values, strict=True) if isinstance(each, ast.Dict) else ():
             if isinstance(key, ast.Constant) and isinstance(value, ast.Call):
@@ -69,7 +70,7 @@ def _repositories(module: Path) -> dict[str, str]:
     return found
 
 
-def _value(node: ast.expr, known: Mapping[str, Path | str | None], repositories: Mapping[str, str]) -> Path | str | None:
+def _value(node: ast.expr, known: Mapping[str, Value], repositories: Mapping[str, str]) -> Value:
     """Evaluate a name, a text, a join of paths or the folder of a repository; None for anything else."""
     if isinstance(node, ast.Constant):
         return str(node.value)

@@ -1,7 +1,8 @@
 """Parquet files, folders of them, and Feather files (Arrow IPC), by Polars.
 
 A column of lists of numbers, such as ``observation.state`` of LeRobot, gives columns ``observation.state[1]`` and so
-on; rows of another ``episode_index`` are another episode. ``meta/info.json`` of its data set says which joints these are.
+on; rows of another ``episode_index`` are another episode. ``meta/info.json`` of its data set says which joints these
+are.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ EPISODE = "episode_index"
 def open_parquet(path: Path) -> Table:
     """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
 
+    The folder may be that of a LeRobot data set.
+
     Raises
     ------
     GtauError
@@ -32,7 +35,9 @@ def open_parquet(path: Path) -> Table:
     """
     import polars as pl
 
-    parts = in_order(path.glob("*.parquet")) if path.is_dir() else [path]
+    parts = [path]
+    if path.is_dir():
+        parts = in_order(path.glob("*.parquet")) or in_order(path.glob("data/*/*.parquet"))
     if not parts:
         raise GtauError(f"the folder {path} holds no .parquet files; give a log as CSV or as .parquet.")
     return _table(path, parts, pl.scan_parquet, "Parquet")

@@ -14,7 +14,7 @@ from typing import Any
 
 from gtau.errors import GtauError
 
-INFO = Path("meta") / "info.json"
+INFO = "meta/info.json"
 DEPTH = 3  # folders between a file of frames and the data set
 
 
@@ -45,7 +45,8 @@ def data_set_of(log: Path) -> DataSet:
         return DataSet(None if rate is None else float(rate), names)
     except (OSError, ValueError, TypeError, AttributeError):
         raise GtauError(
-            f"{file} is no description of a LeRobot data set that can be read; correct it, or move {log.name} elsewhere."
+            f"{file} is no description of a LeRobot data set that can be read; correct it, or move {log.name} out of its "
+            "folder."
         ) from None
 
 
