@@ -9,8 +9,10 @@ from typing import Any
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from matplotlib.figure import Figure
 from sphinx.application import Sphinx
 from sphinx.ext.napoleon import Config, NumpyDocstring
+from sphinx_gallery.scrapers import figure_rst
 
 NUMPY_STYLE = Config(
     napoleon_use_param=False, napoleon_use_rtype=False, napoleon_custom_sections=[("Attributes", "params_style")]
@@ -80,6 +82,18 @@ def displayed_formula(translator: Any, node: nodes.math_block) -> None:
     """Write a formula on lines of its own as MathML."""
     translator.body.append(f"<p>{convert(node.astext(), display='block')}</p>")
     raise nodes.SkipNode
+
+
+def draw_figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+    """Draw the figures of ``result.plot`` that a block of a script of the gallery makes; pyplot does not list them."""
+    paths = []
+    for figure in block_vars["example_globals"].values():
+        if isinstance(figure, Figure) and figure.canvas.manager is None and figure.get_gid() is None:
+            path = next(block_vars["image_path_iterator"])
+            figure.savefig(path, dpi=100)
+            figure.set_gid(path)  # drawn
+            paths.append(path)
+    return figure_rst(paths, gallery_conf["src_dir"])
 
 
 def write_llms(app: Sphinx, exception: Exception | None) -> None:

@@ -21,7 +21,7 @@ def script(name: str) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", ["make_commands"])
+@pytest.mark.parametrize("name", ["make_commands", "make_messages"])
 def test_a_page_made_from_the_code_is_current(name: str) -> None:
     made = script(name)
     assert made.PAGE.read_text(encoding="utf-8") == made.page(), f"run python docs/{name}.py"

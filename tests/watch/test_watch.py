@@ -109,6 +109,24 @@ def test_a_fault_is_found_and_named(
     assert status.entry.alarm.since == "day 100"
 
 
+def test_contacts_and_clocks_are_named(model: Result, healthy: list[LogStatistics]) -> None:
+    def bumped(k: int) -> Run:
+        current = day(k).command.copy()
+        current[1000 + 200 * (k % 7) :][:250, 0] += 0.5  # A, for half a second
+        return replace(day(k), command=current)
+
+    def late(k: int) -> Run:
+        return replace(day(k), command=np.roll(day(k).command, 2, axis=0))
+
+    for make, kind, joint in ((bumped, "contact", "left"), (late, "clock", "")):
+        watch = watched(model, healthy)
+        for k in range(100, 103):
+            status = watch.update_statistics(statistics_of(model, make(k)), f"{k}", "2026-02-01")
+        (named,) = status.entry.alarm.explanations
+        assert (named.kind, named.joint) == (kind, joint)
+    assert named.size == pytest.approx(-0.004, abs=3e-4)
+
+
 def test_a_history_goes_on_after_a_kill_with_the_same_numbers(
     model: Result, healthy: list[LogStatistics], tmp_path: Path
 ) -> None:

@@ -75,7 +75,9 @@ def explained_words(each: Explained) -> str:
     else:
         size = f"{each.size:+.3g} ± {each.half:.2g} {each.unit}"
     more = "" if each.relative is None else f", {100 * each.relative:+.0f} % of the model's"
-    return f"{WORDS[each.kind]}{of} {size}{more}"
+    which = {"fv": "viscous ", "fs": "Coulomb "}.get(each.quantity, "")
+    part = f" (first moment {each.quantity[1]})" if each.quantity in ("mx", "my", "mz") else ""
+    return f"{which}{WORDS[each.kind]}{of}{part} {size}{more}"
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
@@ -160,7 +162,9 @@ def _table(last: Status, count: int | None) -> Table:
             faint.add(len(rows))
         unit = "1" if chart.kind == "rms" else chart.unit
         spread = (value, 1.96 * last.entry.std[chart.name])
-        rows.append((f"{chart.name}, {unit}", spread, band, strength, float(last.cusums[k])))
+        rows.append(
+            (chart.name if unit == "1" else f"{chart.name}, {unit}", spread, band, strength, float(last.cusums[k]))
+        )
     return table(columns, rows, name="charts", faint=frozenset(faint))
 
 

@@ -52,6 +52,7 @@ class Explained(_Line):
 
     kind: str
     joint: str
+    quantity: str
     size: FiniteFloat
     half: FiniteFloat
     unit: str

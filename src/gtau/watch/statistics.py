@@ -56,6 +56,10 @@ class LogStatistics:
         (n,) largest rms residual of a stretch over the median one, of each joint: contacts are brief.
     joints : tuple of str
         Of the n joints.
+    information : ndarray
+        (p, p): the squared residual, friction free, that changes x of the quantities add is ``x^T information x``.
+    rows : ndarray
+        (n,) number of rows of each joint.
     """
 
     name: str
@@ -68,6 +72,8 @@ class LogStatistics:
     formula: np.ndarray
     uneven: np.ndarray
     joints: tuple[str, ...]
+    information: np.ndarray
+    rows: np.ndarray
 
     @property
     def shown(self) -> np.ndarray:
@@ -135,6 +141,8 @@ def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
         formula,
         uneven,
         joints,
+        _beside_friction(total, columns),
+        normal.rows.sum(axis=0),
     )
 
 
@@ -197,6 +205,16 @@ def _inverse(M: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(M)
     kept = values > 1e-10 * max(values[-1], 1e-300) if len(values) else np.zeros(0, dtype=bool)
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
+
+
+def _beside_friction(G: np.ndarray, columns: _Columns) -> np.ndarray:
+    """Compute the information (p, p) on all quantities with friction free."""
+    N, friction = G[:-1, :-1], list(columns.friction)
+    scale = np.sqrt(np.diag(N))
+    scale[scale == 0] = 1.0
+    M = N / scale / scale[:, None]
+    left = M - M[:, friction] @ _inverse(M[np.ix_(friction, friction)]) @ M[friction]
+    return np.asarray(left * scale * scale[:, None])
 
 
 def _residuals(normal: NormalEquations, columns: _Columns, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:

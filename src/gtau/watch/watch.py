@@ -20,10 +20,10 @@ from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.signals.run import Run
 from gtau.watch.baseline import Baseline, baseline_of, covariance_between
 from gtau.watch.detectors import REFERENCE, WINDOW, Chart, Evidence, add, combined, cusum_limit, evidence
-from gtau.watch.explanations import Change, Explanation, explain
+from gtau.watch.explanations import Change, Explanation, Healthy, explain
 from gtau.watch.quantities import Quantity
 from gtau.watch.state import Alarm, Entry, Explained, Settings, append, open_history
-from gtau.watch.statistics import LogStatistics, statistics_of
+from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 
 __all__ = ["REFERENCE", "Status", "Watch"]
 FEWEST = 4  # logs of a baseline: mean, scale and two degrees of freedom
@@ -264,7 +264,10 @@ class Watch:
             covariance = covariance_between(whole, log.formula[grid], np.sqrt(np.diag(log.formula))[kept])
             difference = np.nanmean(after[:, kept], axis=0) - np.nanmean(before[:, kept], axis=0)
             change = Change(difference, covariance, len(whole), len(after))
-            healthy = np.array([self.uneven.get(joint, 1.0) for joint in log.joints])
+            uneven = np.array([self.uneven.get(joint, 1.0) for joint in log.joints])
+            rms = [np.nanmean(column) if np.isfinite(column).any() else 0.0 for column in before.T]
+            residual = {chart.joint: rms[k] for k, chart in enumerate(log.charts) if chart.kind == RESIDUAL}
+            healthy = Healthy(uneven, np.array([residual[joint] for joint in log.joints]))
             found = explain(change, log, kept, healthy)
         from scipy.stats import t
 
@@ -290,12 +293,13 @@ def _stated(each: Explanation, model: Result, factor: float) -> Explained:
     relative = None
     if each.kind == "friction":
         friction = model.friction_parameters
-        known = {**model.parameters, **friction}.get(f"fs_{each.joint}")
+        known = {**model.parameters, **friction}.get(f"{each.quantity}_{each.joint}")
         if known is not None and known.value:
             relative = each.size / known.value
     return Explained(
         kind=each.kind,
         joint=each.joint,
+        quantity=each.quantity,
         size=each.size,
         half=factor * each.std,
         unit=each.unit,
