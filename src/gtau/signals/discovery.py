@@ -18,9 +18,9 @@ from gtau.signals.log_file import find_columns
 
 LARGEST_CURRENT = 100.0  # A; commands of no known kind that reach further are taken for torques, to be checked
 TURNS = 20.0  # rad or m; joints that are said to move further are logged in deg or mm
-# Rest of torques beside a straight line of the currents, over their deviation, median of the joints; below, they are
-# computed from these. Torque sensors of a Rokae: 0.50 (0.40 to 0.80). Currents of a UR10e and that Rokae, behind a
-# low-pass of 10 Hz: 0.07 and 0.21; rounded to tenths of their deviation: 0.03.
+# Rest of torques beside a straight line of the currents, over their standard deviation, median of the joints; below,
+# they are computed from these. Torque sensors of a Rokae: 0.50 (0.40 to 0.80). Currents of a UR10e and that Rokae,
+# behind a low-pass of 10 Hz: 0.07 and 0.21; rounded to tenths of their standard deviation: 0.03.
 COMPUTED = 0.3
 
 
@@ -141,9 +141,11 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     }
     sensors, torques = (_beside(command_log.group(each), label) for each in ("sensor", "torque"))
     currents = {joint: pair[1] for joint, pair in joints.items()}
-    if sensors or kind != "current" or _computed(command_log, currents, torques):
+    if sensors or kind != "current":
         torques = {}
     unsure += ["torques"] if torques else []
+    if _computed(command_log, currents, torques):
+        reasons["torques"] = "a straight line of the currents, from which they may be computed"
     masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
     weighed = ["mass"] if masses else []
     used = {positions.listed, commands.listed, *(each.listed for each in command_log.groups if each.kind == "sensor")}

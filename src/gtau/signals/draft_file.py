@@ -126,7 +126,8 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
         "motor": f"{first} are taken as currents",
         "clock": f"the time is {' and '.join(draft.time)}, and other columns grow, too",
         "received": f"time is {draft.reasons.get('received', '')}, the stamps of receipt",
-        "torques": f"{_first(tuple(draft.torques.values()))} are not used",
+        "torques": f"{_first(tuple(draft.torques.values()))} are not used"
+        + (f": they are {draft.reasons['torques']}" if "torques" in draft.reasons else ""),
         "sensors": f"{_first(tuple(draft.sensors.values()))} are taken as torque sensors behind the gears, "
         "which give the scale",
         "base": f"{_first(draft.motion)} are not used, as the base is taken as fixed",

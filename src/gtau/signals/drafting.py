@@ -75,7 +75,7 @@ def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
 
 def with_sensors(draft: Draft) -> Draft:
     """Return the draft with torques beside the currents taken for those of sensors where no payload gives a scale."""
-    if not draft.torques or draft.masses:
+    if not draft.torques or draft.masses or "torques" in draft.reasons:
         return draft
     open_ = tuple("sensors" if key == "torques" else key for key in draft.open)
     return replace(draft, sensors=draft.torques, torques={}, open=open_)

@@ -45,8 +45,8 @@ def data_set_of(log: Path) -> DataSet:
         return DataSet(None if rate is None else float(rate), names)
     except (OSError, ValueError, TypeError, AttributeError):
         raise GtauError(
-            f"{file} is no description of a LeRobot data set that can be read; correct it, or move {log.name} out of its "
-            "folder."
+            f"{file} is no description of a LeRobot data set that can be read; correct it, or move {log.name} out of "
+            "its folder."
         ) from None
 
 
