@@ -58,7 +58,7 @@ def test_run_lengths_of_a_cusum_are_those_of_the_tables() -> None:
 @pytest.mark.parametrize("memory", [0.0, MEMORY])
 def test_false_alarms_come_no_sooner_than_stated(memory: float, rng: np.random.Generator) -> None:
     stated, lengths = 12.0, []
-    for _ in range(80):
+    for _ in range(50):
         charts, u = [Chart(8)] * 2, rng.normal(size=2)
         for t in range(1, 108):
             charts = [add(chart, float(value)) for chart, value in zip(charts, u, strict=True)]
