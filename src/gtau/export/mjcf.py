@@ -131,7 +131,7 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
 
 
 def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
-    """Draw thin capsules from each body's origin to what hangs on it; they neither collide nor weigh."""
+    """Draw thin capsules from each body's origin to the bodies that it carries; they neither collide nor weigh."""
     ends = [(joint.antecedent, joint.placement) for joint in robot.joints]
     ends += [(end.body, end.placement) for closure in robot.closures for end in (closure.a, closure.b)]
     look = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": (0.35, 0.45, 0.6, 1.0)}
