@@ -127,10 +127,11 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         changes = _of_gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
-    missing = missing_gravity(fit)
+    asked = lack > LACKING and gravity_asked_for(fit, alternatives)
+    missing = missing_gravity(fit, asked)
     if isinstance(missing, Finding):
         untested, missing = (*untested, missing), None
-    if missing is None and lack > LACKING and gravity_asked_for(fit, alternatives):
+    if missing is None and asked:
         missing = other_gravity(fit, progress)
     turned = _of_gravity(fit, missing)
     if turned:  # what a few degrees, other lengths or ripple would explain is its effect

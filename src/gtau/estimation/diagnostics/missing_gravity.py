@@ -19,10 +19,13 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.torques import AS_WELL, GRAVITY_FELT, NO_GRAVITY, UNFELT
 
 
-def missing_gravity(fit: Fit) -> OtherGravity | Finding | None:
-    """Find that a fit without gravity explains more, or, as a finding, that it explains as much; None where less."""
+def missing_gravity(fit: Fit, asked: bool = False) -> OtherGravity | Finding | None:
+    """Find that a fit without gravity explains more, or, as a finding, that it explains as much; None where less.
+
+    It is tried where the fit hardly feels gravity, or ``asked`` for it.
+    """
     felt = float(gravity_shares(fit).max(initial=0.0))
-    if not UNFELT < felt < GRAVITY_FELT:
+    if felt < UNFELT or not (asked or felt < GRAVITY_FELT):
         return None
     windows = [window for _, window in central_windows(fit.dataset)]
     middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs

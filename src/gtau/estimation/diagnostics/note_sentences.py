@@ -20,8 +20,11 @@ def _motor_side(values: Values) -> Sentence:
         what = "the true torques are {least:.3g} to {most:.3g} times those logged"
     else:
         what = "the torques reach {share:.2g%} of the limit of '{joint}' ({limit:.4g}), and less of all others"
-    to_do = "write 'motor_torque' with the 'gear_ratio' of each joint in place of 'torque', or correct unit or limits"
-    return what + ": those of motors before their gears, by their size", to_do
+    to_do = (
+        "write 'motor_torque' with the 'gear_ratio' of each joint in place of 'torque', 'current' where they are A, or "
+        "correct the limits"
+    )
+    return what + ": by their size those of motors before their gears, or currents", to_do
 
 
 def _between_runs(values: Values) -> str:
