@@ -187,6 +187,10 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.PRIOR, (), "mx_3", values={"found": 41.2, "std": 0.3, "prior": 40.0, "prior_std": 0.1}),
      "the known parameter mx_3 is 41.2 from the data (standard deviation 0.3), but 40 from its prior (0.1)",
      "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"),
+    (Finding(F.PRIOR_INERTIA, (), "elbow", values={"std": 0.3, "parameters": [["mx_3R", 2.41, 0.013, 1.2, "kg m"]]}),
+     "the inertias of 'elbow' in the robot's file, taken as priors to 30 %, contradict the data: mx_3R is 2.41 kg m "
+     "from the data (standard deviation 0.013), 1.2 in the file",
+     "give 'prior_inertias' a larger value, or correct the file"),
     (Finding(F.POSITION_NOISE, (), "my_L2", values={"count": 3, "all": 20, "deviations": 2.13, "t": 5.2}),
      "position noise biases 3 of 20 estimates by more than their standard deviations: my_L2 by 2.1 of them "
      "(instrumental variables, which such noise does not bias, differ by 5 standard deviations of the difference); "

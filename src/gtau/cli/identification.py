@@ -87,6 +87,15 @@ def identify(
     consistent: Annotated[
         bool, typer.Option("--consistent", help="Also find physically consistent standard parameters.")
     ] = False,
+    prior_inertias: Annotated[
+        float | None,
+        typer.Option(
+            "--prior-inertias",
+            metavar="STD",
+            help="Take the inertias of the robot's file as priors of this relative standard deviation, 0.3 for 30 %.",
+            show_default=False,
+        ),
+    ] = None,
     accuracy: Annotated[
         float,
         typer.Option(
@@ -125,6 +134,7 @@ def identify(
                 consistent=consistent,
                 accuracy=accuracy / 100,
                 progress=progress,
+                prior_inertias=prior_inertias,
             )
         from gtau.estimation.results.singularity_distances import write_distances
         from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales

@@ -42,7 +42,15 @@ from gtau.signals.notes import Note
 from gtau.signals.run import Run
 
 
-@takes(method=TEXT, ratio=NUMBER, as_paper=TRUTH, consistent=TRUTH, accuracy=NUMBER, progress=FUNCTION)
+@takes(
+    method=TEXT,
+    ratio=NUMBER,
+    prior_inertias=NUMBER,
+    as_paper=TRUTH,
+    consistent=TRUTH,
+    accuracy=NUMBER,
+    progress=FUNCTION,
+)
 def identify(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
@@ -54,6 +62,7 @@ def identify(
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     accuracy: float = ACCURACY,
     progress: Progress = silent,
+    prior_inertias: float | None = None,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
 
@@ -87,6 +96,9 @@ def identify(
         Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
     progress : callable, optional
         Called as the work goes on.
+    prior_inertias : float, optional
+        Take the inertias of the robot's file (URDF or MJCF) as priors with this relative standard deviation, 0.3 for
+        30 %; the experiment file's if left out.
 
     Returns
     -------
@@ -106,14 +118,19 @@ def identify(
     if ratio is not None and not ratio >= 1:
         raise GtauError(f"a ratio of {ratio:g} cannot be asked for; write one of the paper's, 10 to 30.")
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
-    subject = subject_of(source, runs, prior_gains, priors, progress)
+    subject = subject_of(source, runs, prior_gains, priors, progress, prior_inertias)
     robot, experiment, known = subject.robot, subject.experiment, subject.priors
     estimator = choose_estimator(method, subject.runs, as_paper)
     _check_combination(estimator, as_paper, consistent)
     gains = require_inputs(estimator, robot, subject.runs, subject.prior_gains, subject.stated, consistent)
     with single_threaded_blas():
         dataset = reduce_runs(
-            robot, subject.runs, decimator=options.decimator, progress=progress, priors=usable(estimator, known)
+            robot,
+            subject.runs,
+            decimator=options.decimator,
+            progress=progress,
+            priors=usable(estimator, known),
+            prior_inertias=subject.prior_inertias,
         )
         system = dataset.system(Friction())
         estimator, gains = require_identifiable(

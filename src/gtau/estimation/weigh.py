@@ -65,7 +65,7 @@ def weigh(
     -------
     tuple of PayloadEstimate
         One for each run with an unknown payload. The standard deviations include what the gains' own uncertainty does,
-        of prior gains as far as their standard deviations are given (see :func:`exact_gains`).
+        of prior gains as far as their standard deviations are given (see :func:`gtau.estimation.weigh.exact_gains`).
 
     Raises
     ------

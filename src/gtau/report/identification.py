@@ -19,6 +19,7 @@ from gtau.report.findings import findings_section, same_in_several
 from gtau.report.friction import friction_section
 from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.geometry import geometry_section
+from gtau.report.inertias import inertias_section
 from gtau.report.logs import logs_section
 from gtau.report.motion import distances_panels, paths_chart, singularities_section
 from gtau.report.page import Chart, Column, Drawing, Facts, Item, Kind, Page, Section, Text, page, section, table
@@ -52,6 +53,7 @@ def summary_page(result: IdentifiedModel) -> Page:
         gains_section(result, charts=False, short=True),
         section("", masses_table(result.payloads)),
         section("Torque fit", *_fit_words(result)),
+        inertias_section(result.audit, short=True),
         findings_section(notes, NOTES) if notes else None,
         _draft_section(result),
         section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
@@ -82,6 +84,7 @@ def full_page(result: IdentifiedModel) -> Page:
         payloads_section(unknown_payloads(result)),
         parameters_section(result),
         friction_section(result),
+        inertias_section(result.audit),
         section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if words else None),
         section("Singularities", *_only(singularities_section(result.singularities))),
         geometry_section(result.geometry),
@@ -103,6 +106,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         residuals_section(result, runs),
         parameters_section(result),
         friction_section(result, runs),
+        inertias_section(result.audit),
         correlation_section(result),
         singular_values_section(result),
         motion_section(result, runs),

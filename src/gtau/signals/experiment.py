@@ -74,7 +74,8 @@ class Experiment(Keys):
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
     ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
-    by joint, ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
+    by joint, ``prior_inertias`` the relative standard deviation with which the inertias of the robot's file are priors,
+    ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
     """
 
     robot: AnySource
@@ -82,6 +83,7 @@ class Experiment(Keys):
     units: Units = Units()
     prior_gains: dict[str, Annotated[StatedGain, BeforeValidator(_with_std)]] = Field(default_factory=dict)
     priors: dict[str, Prior] = Field(default_factory=dict)
+    prior_inertias: Positive | None = None
     drives: dict[str, Drive] = Field(default_factory=dict)
     preparation: PreparationSettings = CHOSEN
     require: Requirements = Requirements()

@@ -50,6 +50,7 @@ class FindingKind(StrEnum):
     # notes
     UNLIKE_LEGS = "unlike legs"
     PRIOR = "contradictory prior"
+    PRIOR_INERTIA = "contradictory inertias of the robot's file"
     GAINS_APART = "gains far apart"
     POSITION_NOISE = "position noise"
     RIPPLE = "position ripple"

@@ -101,6 +101,15 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "unexplained: a model of the controller computed them, and no motor",
         "log measured currents or torques (UR: actual_current, not target_current or target_moment)",
     ),
+    F.PRIOR_INERTIA: lambda values: (
+        "the inertias of '{subject}' in the robot's file, taken as priors to {std:.0f%}, contradict the data: "
+        + "; ".join(
+            f"{name} is {found:.3g} {unit} from the data (standard deviation {std:.2g}), {stated:.3g} in the file"
+            for name, found, std, stated, unit in values["parameters"][:LISTED]
+        )
+        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
+        "give 'prior_inertias' a larger value, or correct the file",
+    ),
     F.GAINS_APART: (
         "the gains of '{joint}' and '{other}' are a factor of {ratio:.2g} apart ({smaller:.3g} and {larger:.3g} "
         "{unit}), which motors and gears of one robot hardly are",

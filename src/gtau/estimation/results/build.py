@@ -9,6 +9,7 @@ import numpy as np
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination, Uncertainty
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -48,6 +49,7 @@ def build_result(
     diagnosis: Diagnosis,
     consistency: Consistency | None = None,
     friction: FrictionStep = NO_FRICTION,
+    audit: InertiaAudit | None = None,
 ) -> Result:
     """Build the result of an identification.
 
@@ -67,6 +69,8 @@ def build_result(
         Physically consistent standard parameters.
     friction : FrictionStep
         Friction on all samples; nothing where the plain law is to predict.
+    audit : InertiaAudit, optional
+        What the data say of the inertias of the robot's file.
     """
     dataset, system, solution = fit.dataset, fit.system, fit.solution
     covariance, freedom = uncertainty.covariance, uncertainty.effective_freedom
@@ -174,6 +178,7 @@ def build_result(
         runs=tuple(run.name for run in dataset.runs),
         notes=(*dataset.notes, *diagnosis.notes),
         consistency=consistency,
+        audit=audit,
         alternatives=tuple(_moves(each, robot) for each in examined.alternatives),
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
