@@ -14,6 +14,7 @@ from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
+from gtau.estimation.diagnostics.logged_torques import doubtful_commands
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.registry import estimator_of
@@ -164,7 +165,11 @@ def check_logs(
         gains = require_inputs(estimator, robot, used, subject.prior_gains, subject.stated)
     except GtauError as error:
         notes.append(refusal(error))
-    notes += [*doubtful_currents(used, robot.base), *doubtful_payloads(robot, (run.payload for run in used))]
+    notes += [
+        *map(note, doubtful_commands(used, robot)),
+        *doubtful_currents(used, robot.base),
+        *doubtful_payloads(robot, (run.payload for run in used)),
+    ]
     preparation = choose_preparation(used)
     checked, prepared_runs = [], []
     for k, run in enumerate(read):
