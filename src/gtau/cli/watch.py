@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import sys
+from collections import deque
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gtau.cli.console import ModelFile, progress_bar, refusals, show
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
+
+if TYPE_CHECKING:
+    from gtau.signals.run import Run
+    from gtau.watch.follow import Skipped
+    from gtau.watch.watch import Status
+
+REPORTED = 1000  # last logs that a report draws
 
 
 def watch(
@@ -47,13 +57,25 @@ def watch(
         str | None,
         typer.Option("--reset", metavar="DATE", help="Begin a new baseline with the first new log from this date on."),
     ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option("--follow", help="Follow one folder of finished logs, or a text log that grows, until Ctrl-C."),
+    ] = False,
+    block: Annotated[
+        float,
+        typer.Option(
+            "--block", min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a log that grows."
+        ),
+    ] = 30.0,
     json_: Annotated[bool, typer.Option("--json", help="Print a line of JSON a log instead of a table.")] = False,
 ) -> None:
     """Watch a robot: compare its logs with what is normal, and name what has changed.
 
     The first healthy logs of a repeated motion set what is normal between days; every further log is compared with
     them: payload, drive gains at fixed inertia, friction, encoder zeros, delays and residuals. Logs that are in the
-    history already are skipped. The exit code is 3 while there is an alarm. It is no safety function.
+    history already are skipped. With --follow a robot in production is followed block by block.
+
+    The exit code is 3 while there is an alarm. It is no safety function.
     """
     with refusals(json_):
         refuse_as_folder(out)
@@ -62,38 +84,73 @@ def watch(
         from gtau.estimation.results.result import Result
         from gtau.report.watch import watch_page, watch_report
         from gtau.report.write import write_report
-        from gtau.watch.logs import date_of, logs_of, reset_date
-        from gtau.watch.state import digest_of, open_history
-        from gtau.watch.watch import Watch
+        from gtau.watch.follow import follow as follow_source
+        from gtau.watch.logs import date_of, logs_of
+        from gtau.watch.state import HISTORY, digest_of, open_history
+        from gtau.watch.watch import Status, Watch
 
         healthy, count = _baseline(baseline)
-        given = logs_of([*healthy, *(logs or [])])
-        if not given:
+        sources = logs or []
+        if follow and len(sources) != 1:
+            raise GtauError("--follow takes one folder, or one text log that grows; give it alone.")
+        given = logs_of([*healthy, *([] if follow else sources)])
+        if not (given or follow):
             raise GtauError("there is no log to compare; give logs, oldest first.")
-        since = None if reset is None else reset_date(reset)
         result = Result.load(model)
         watched = Watch(result, out, count, false_alarms, robots, logs_per_year)
+        if reset is not None:
+            watched.reset(reset)
+
+        def read(log: Path) -> Run:
+            run = read_log(result, log, experiment)
+            return run if payload is None else carrying(result, run, payload)
+
+        def report(last: Status | None) -> Path:
+            """Write the report of the last logs."""
+            entries = deque(open_history(folder_of(out), watched.settings), maxlen=REPORTED)
+            page = watch_report(watched, last, list(entries))
+            return write_report(page, out, perf_counter() - start, (("model", model), *(("log", log) for log in given)))
+
         last = None
         with progress_bar() as progress:
             for k, log in enumerate(given):
                 progress("logs", k, len(given))
                 if (digest := digest_of(log)) in watched.seen:
                     continue
-                run = read_log(result, log, experiment)
-                run = run if payload is None else carrying(result, run, payload)
-                date = date_of(log)
-                begins = since is not None and date >= since
-                last = watched.update(run, digest, date, begins)
-                since = None if begins else since
+                last = watched.update(read(log), digest, date_of(log))
                 if json_:
                     typer.echo(last.entry.model_dump_json())
-        entries = list(open_history(folder_of(out), watched.settings))
-        inputs = (("model", model), *(("log", log) for log in given))
-        written = [write_report(watch_report(watched, last, entries), out, perf_counter() - start, inputs)]
+        if follow:
+            try:
+                for status in follow_source(watched, sources[0], read, block):
+                    _say(status, json_)
+                    if isinstance(status, Status) and not status.healthy and (last is None or last.healthy):
+                        report(status)
+                    last = status if isinstance(status, Status) else last
+            except KeyboardInterrupt:
+                report(last)
+                raise KeyboardInterrupt(f"all finished blocks are in {out / HISTORY}") from None
+        written = [report(last)]
         if not json_:
-            show(watch_page(watched, last), [*written, out / "history.jsonl"])
+            show(watch_page(watched, last), [*written, out / HISTORY])
         if watched.alarm is not None:
             raise typer.Exit(3)
+
+
+def _say(status: Status | Skipped, as_json: bool) -> None:
+    """Print a line for a block."""
+    from gtau.report.watch import alarm_words
+    from gtau.watch.follow import Skipped
+
+    if isinstance(status, Skipped):
+        line = json.dumps({"log": status.log, "skipped": status.why}) if as_json else f"{status.log}: {status.why}"
+    elif as_json:
+        line = status.entry.model_dump_json()
+    else:
+        said = "no change" if status.entry.alarm is None else alarm_words(status.entry.alarm)[0]
+        line = f"{status.entry.log}: {'baseline' if status.entry.phase == 'baseline' else said}"
+    typer.echo(line)
+    sys.stdout.flush()
 
 
 def _baseline(text: str) -> tuple[list[Path], int]:

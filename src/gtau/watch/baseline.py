@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+FEWEST = 4  # logs of a baseline: mean, scale and two degrees of freedom
+
 
 @dataclass(frozen=True, eq=False)
 class Baseline:

@@ -53,4 +53,4 @@ def reset_date(text: str) -> str:
     try:
         return datetime.fromisoformat(text).isoformat() if "T" in text else date.fromisoformat(text).isoformat()
     except ValueError:
-        raise GtauError(f"--reset is '{text}'; write the date of the maintenance, such as 2026-03-28.") from None
+        raise GtauError(f"the date of the maintenance is '{text}'; write it as 2026-03-28.") from None

@@ -74,15 +74,14 @@ class Entry(_Line):
     """A log in the history.
 
     ``values``, ``std`` and ``formula`` by chart: estimate, standard deviation by the jackknife and by the formula;
-    ``uneven`` of each joint. ``begins`` marks the first log of a baseline after maintenance. ``log_e`` is the logarithm
-    of the mean e-detector, ``cusum`` the largest sum of a chart over its limit.
+    ``uneven`` of each joint. ``begins`` is the date of the maintenance, in the first log of a new one. ``log_e`` is
+    the logarithm of the mean e-detector, ``cusum`` the largest sum of a chart over its limit.
     """
 
     log: str
     digest: str
     date: str
-    end: FiniteFloat | None = None
-    begins: bool = False
+    begins: str = ""
     values: dict[str, FiniteFloat]
     std: dict[str, FiniteFloat]
     formula: dict[str, FiniteFloat]

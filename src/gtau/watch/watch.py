@@ -11,22 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.documents.arguments import NUMBER, WHOLE, takes
+from gtau.documents.arguments import NUMBER, TEXT, WHOLE, takes
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError
 from gtau.estimation.results.model_document import to_document
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.signals.run import Run
-from gtau.watch.baseline import Baseline, baseline_of, covariance_between
-from gtau.watch.detectors import REFERENCE, WINDOW, Chart, Evidence, add, combined, cusum_limit, evidence
-from gtau.watch.explanations import Change, Explanation, Healthy, explain
+from gtau.watch.alarms import alarm_of
+from gtau.watch.baseline import FEWEST, Baseline, baseline_of
+from gtau.watch.detectors import WINDOW, Chart, Evidence, add, combined, cusum_limit, evidence
+from gtau.watch.logs import reset_date
 from gtau.watch.quantities import Quantity
-from gtau.watch.state import Alarm, Entry, Explained, Settings, append, open_history
+from gtau.watch.state import Alarm, Entry, Settings, append, open_history
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
-
-__all__ = ["REFERENCE", "Status", "Watch"]
-FEWEST = 4  # logs of a baseline: mean, scale and two degrees of freedom
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +102,8 @@ class Watch:
             logs_per_year=logs_per_year,
         )
         self.folder = None if out is None else folder_of(out)
-        self.seen: dict[str, float | None] = {}
+        self.seen: set[str] = set()
+        self.began = self.maintained = ""  # dates of the last maintenance, and of one whose first log is still to come
         self.alarm: Alarm | None = None
         self._clear()
         for entry in () if self.folder is None else open_history(self.folder, self.settings):
@@ -137,10 +136,25 @@ class Watch:
         table = [[values.get(name, np.nan) for name in self.names] for values in self.first]
         return baseline_of(np.reshape(np.array(table, dtype=float), (len(table), len(self.names))))
 
+    @takes(date=TEXT)
+    def reset(self, date: str) -> None:
+        """Begin a new baseline with the first further log from a date on, as after maintenance; once for each date.
+
+        Parameters
+        ----------
+        date : str
+            Such as ``2026-03-28``, or with a time, ISO 8601.
+
+        Raises
+        ------
+        GtauError
+            Where that is no date.
+        """
+        date = reset_date(date)
+        self.maintained = date if date > self.began else ""
+
     @single_threaded_blas()
-    def update(
-        self, run: Run, digest: str = "", date: str = "", begins: bool = False, end: float | None = None
-    ) -> Status:
+    def update(self, run: Run, digest: str = "", date: str = "") -> Status:
         """Add a finished log.
 
         Parameters
@@ -151,10 +165,6 @@ class Watch:
             By which the log is known again; that of its samples if left out.
         date : str
             When it was recorded, ISO 8601; now if left out.
-        begins : bool
-            Whether a new baseline begins with it, as after maintenance.
-        end : float, optional
-            Where the block ends in a log that grows, s.
 
         Returns
         -------
@@ -166,20 +176,16 @@ class Watch:
         GtauError
             Where the log does not suit the model; nothing has changed then.
         """
-        return self.update_statistics(
-            statistics_of(self.model, run), digest or run_digest(run), date or now(), begins, end
-        )
+        return self.update_statistics(statistics_of(self.model, run), digest or run_digest(run), date or now())
 
-    def update_statistics(
-        self, log: LogStatistics, digest: str, date: str, begins: bool = False, end: float | None = None
-    ) -> Status:
+    def update_statistics(self, log: LogStatistics, digest: str, date: str) -> Status:
         """Add the statistics of a log, as :meth:`update` does."""
+        begins = bool(self.maintained) and date >= self.maintained
         draft = Entry(
             log=log.name,
             digest=digest,
             date=date,
-            end=end,
-            begins=begins,
+            begins=self.maintained if begins else "",
             values=_shown(log, log.values),
             std=_shown(log, log.std),
             formula=_shown(log, np.sqrt(np.diag(log.formula))),
@@ -195,10 +201,8 @@ class Watch:
         if draft.phase == "watching":
             leading = max(names, key=lambda name: evidences[name].log_e, default="")
             alarm = self.alarm
-            if alarm is None and log_e >= np.log(self.limit):
-                alarm = self._explained(log, evidences)
-            elif alarm is not None:
-                alarm = self._explained(log, evidences) if log_e >= np.log(self.limit) else alarm
+            if log_e >= np.log(self.limit):
+                alarm = alarm_of(self.model, list(self.recent), self.charts, evidences, log, self.uneven)
             known = {"log_e": log_e if np.isfinite(log_e) else None, "cusum": float(max(cusums.values(), default=0.0))}
             entry = draft.model_copy(update={**known, "leading": leading, "alarm": alarm})
             self.recent[-1] = entry
@@ -219,9 +223,10 @@ class Watch:
         """Add an entry to the charts."""
         if entry.begins:
             self._clear()
+            self.began, self.maintained = entry.begins, ""
         learning = self.count < self.settings.baseline
         for name, value in entry.values.items():
-            chart = self.charts.get(name) or Chart(self.settings.baseline)
+            chart = self.charts.get(name) or Chart(self.settings.baseline, name.startswith(f"{RESIDUAL}_"))
             variance = entry.formula[name] ** 2
             known = self.reference.setdefault(name, variance)
             self.charts[name] = add(chart, value, max(1.0, variance / known if known > 0 else 1.0))
@@ -231,7 +236,7 @@ class Watch:
                 self.uneven[joint] = max(self.uneven.get(joint, 1.0), uneven)
         self.names = tuple(self.charts)
         self.recent.append(entry)
-        self.seen[entry.digest] = entry.end
+        self.seen.add(entry.digest)
         self.count += 1
         self.alarm = entry.alarm or self.alarm
 
@@ -239,73 +244,9 @@ class Watch:
         limit = cusum_limit(self.limit * max(len(self.charts), 1))
         return {name: max(chart.cusum) / limit for name, chart in self.charts.items()}
 
-    def _explained(self, log: LogStatistics, evidences: dict[str, Evidence]) -> Alarm:
-        """Explain the change that the charts show."""
-        leading = max(evidences, key=lambda name: evidences[name].log_e)
-        shown = [entry for entry in self.recent if leading in entry.values]
-        first = self.charts[leading].total - len(shown)  # number of the first of these in its chart
-        of = evidences[leading]
-
-        def at(number: int | None) -> int:
-            """Find the place among the recent entries of the log with this number in the leading chart."""
-            return self.recent.index(shown[min(max((number or 0) - first, 0), len(shown) - 1)])
-
-        start = max(at(of.start), 1)
-        entries = list(self.recent)
-        names = [chart.name for chart in log.charts]
-        table = np.array([[entry.values.get(name, np.nan) for name in names] for entry in entries], dtype=float)
-        before, after = table[:start], table[start:]
-        enough = (np.isfinite(before).sum(axis=0) >= FEWEST) & np.isfinite(after).any(axis=0) & log.shown
-        kept = np.flatnonzero(enough)
-        whole = before[:, kept][np.isfinite(before[:, kept]).all(axis=1)]
-        found: tuple[Explanation, ...] = ()
-        if len(kept) and len(whole) >= 2:
-            grid = np.ix_(kept, kept)
-            covariance = covariance_between(whole, log.formula[grid], np.sqrt(np.diag(log.formula))[kept])
-            difference = np.nanmean(after[:, kept], axis=0) - np.nanmean(before[:, kept], axis=0)
-            change = Change(difference, covariance, len(whole), len(after))
-            uneven = np.array([self.uneven.get(joint, 1.0) for joint in log.joints])
-            rms = [np.nanmean(column) if np.isfinite(column).any() else 0.0 for column in before.T]
-            residual = {chart.joint: rms[k] for k, chart in enumerate(log.charts) if chart.kind == RESIDUAL}
-            healthy = Healthy(uneven, np.array([residual[joint] for joint in log.joints]))
-            found = explain(change, log, kept, healthy)
-        from scipy.stats import t
-
-        factor = float(t.ppf(0.975, max(len(whole) - 1, 1)))
-        loud = sorted(
-            (name for name in evidences if evidences[name].log_e > 0), key=lambda name: -evidences[name].log_e
-        )
-        return Alarm(
-            explanations=tuple(_stated(each, self.model, factor) for each in found),
-            since=entries[start].log,
-            earliest=entries[max(at(of.earliest), 1)].log,
-            latest=entries[max(at(of.latest), 1)].log,
-            charts=tuple(loud[:5]),
-        )
-
 
 def _shown(log: LogStatistics, values: np.ndarray) -> dict[str, float]:
     return {chart.name: float(values[k]) for k, chart in enumerate(log.charts) if log.shown[k]}
-
-
-def _stated(each: Explanation, model: Result, factor: float) -> Explained:
-    """State an explanation with its interval, and what part of the model's friction it is."""
-    relative = None
-    if each.kind == "friction":
-        friction = model.friction_parameters
-        known = {**model.parameters, **friction}.get(f"{each.quantity}_{each.joint}")
-        if known is not None and known.value:
-            relative = each.size / known.value
-    return Explained(
-        kind=each.kind,
-        joint=each.joint,
-        quantity=each.quantity,
-        size=each.size,
-        half=factor * each.std,
-        unit=each.unit,
-        relative=relative,
-        misfit=each.misfit,
-    )
 
 
 def model_digest(model: Result) -> str:
