@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,4 +80,7 @@ def test_a_shift_is_found_and_dated(rng: np.random.Generator) -> None:
     assert found.start == 20
     assert found.earliest <= 20 <= found.latest
     assert max(chart_of(x, 10).cusum) > cusum_limit(1e3)
+    falling = chart_of(-x, 10)
+    assert evidence(falling).log_e == pytest.approx(found.log_e)
+    assert evidence(replace(falling, rising=True)).log_e < 3.0  # of a residual only growth counts
     assert evidence(chart_of(np.full(24, 2.5), 10)).start is None  # a chart without any scatter says nothing

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau import display
-from gtau.documents.arguments import FUNCTION, TEXT, takes
+from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
@@ -125,7 +125,7 @@ class ExperimentCheck:
         return html
 
 
-@takes(method=TEXT, progress=FUNCTION)
+@takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER)
 @single_threaded_blas()
 def check_logs(
     source: str | Path | Experiment | Robot,
@@ -134,6 +134,7 @@ def check_logs(
     prior_gains: Mapping[str, float] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     progress: Progress = silent,
+    prior_inertias: float | None = None,
 ) -> ExperimentCheck:
     """Find everything in the logs of an experiment that an identification would refuse, suffer from or mention.
 
@@ -147,7 +148,7 @@ def check_logs(
     """
     if method is not None:
         estimator_of(method)  # before logs are read
-    subject = describe(source, runs, prior_gains, priors)
+    subject = describe(source, runs, prior_gains, priors, prior_inertias)
     robot, experiment = subject.robot, subject.experiment
     listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
     count = len(listed)
@@ -197,6 +198,7 @@ def check_logs(
             preparation,
             progress=progress,
             priors=usable(estimator, subject.priors),
+            prior_inertias=subject.prior_inertias,
         )
         notes += _together(dataset, estimator, gains, chosen)
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)

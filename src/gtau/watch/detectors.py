@@ -22,9 +22,10 @@ without a change (Quesenberry, Journal of Quality Technology 23, 1991), with the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import ndtri, stdtr
 
 MEMORY = 0.7  # correlation from log to log that counts as healthy; a smaller one makes alarms rarer
 KAPPA = 4.0  # standard deviation of a change, in those between logs
@@ -39,12 +40,14 @@ class Chart:
 
     ``x`` and ``w`` (m,) are values and relative variances of the last logs, after ``count`` others with the sums
     ``hh``, ``hy`` and ``yy`` of whitened constants and values; ``before`` are value and weight of the last of these.
-    ``cusum`` are the upper and the lower sum, and ``learning`` how many of the first logs are the baseline.
+    ``cusum`` are the upper and the lower sum, and ``learning`` how many of the first logs are the baseline. Of a chart
+    that is ``rising`` only growth counts: a residual that becomes smaller is no fault.
     """
 
     learning: int
-    x: tuple[float, ...] = ()
-    w: tuple[float, ...] = ()
+    rising: bool = False
+    x: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    w: np.ndarray = field(default_factory=lambda: np.zeros(0))
     count: int = 0
     hh: float = 0.0
     hy: float = 0.0
@@ -73,9 +76,7 @@ class Evidence:
 
 def add(chart: Chart, x: float, weight: float = 1.0) -> Chart:
     """Add a log to a chart."""
-    from scipy.special import ndtri, stdtr
-
-    added = replace(chart, x=(*chart.x, x), w=(*chart.w, weight))
+    added = replace(chart, x=np.append(chart.x, x), w=np.append(chart.w, weight))
     if added.total > max(chart.learning, 2):
         h, y = _whitened(added)
         hh, hy, yy = chart.hh + h[:-1] @ h[:-1], chart.hy + h[:-1] @ y[:-1], chart.yy + y[:-1] @ y[:-1]
@@ -83,7 +84,8 @@ def add(chart: Chart, x: float, weight: float = 1.0) -> Chart:
         scale = np.sqrt(max((yy - hy**2 / hh) / freedom, 1e-300) * (1 + h[-1] ** 2 / hh))
         score = float(np.clip(ndtri(stdtr(freedom, (y[-1] - h[-1] * hy / hh) / scale)), -8.0, 8.0))
         up, down = chart.cusum
-        added = replace(added, cusum=(max(up + score - REFERENCE, 0.0), max(down - score - REFERENCE, 0.0)))
+        down = 0.0 if chart.rising else max(down - score - REFERENCE, 0.0)
+        added = replace(added, cusum=(max(up + score - REFERENCE, 0.0), down))
     return _condensed(added) if len(added.x) > max(WINDOW, chart.learning) + WINDOW // 4 else added
 
 
@@ -99,8 +101,7 @@ def evidence(chart: Chart) -> Evidence:
     if 1e-12 * yy >= S0 or S0 <= 0:
         return Evidence()  # a chart that never moves has no scale
     # a step at j is the constant's own column from j + 1 on, and the whole of it, unlagged, at j
-    w = np.array(chart.w)
-    begin = 1 / np.sqrt(w * (1 - MEMORY**2))
+    begin = 1 / np.sqrt(chart.w * (1 - MEMORY**2))
     begin[0] = begin[0] if chart.count else h[0]
 
     def from_each(product: np.ndarray, first_term: np.ndarray) -> np.ndarray:
@@ -113,7 +114,11 @@ def evidence(chart: Chart) -> Evidence:
     shrink = r * KAPPA**2 / (1 + r * KAPPA**2)
     left = np.maximum(S0 - b2 * shrink, 1e-12 * S0)
     ratios = -0.5 * np.log1p(r * KAPPA**2) + (n - 1) / 2 * np.log(S0 / left)
+    if chart.rising:  # leaving out what falls makes the sum smaller, so that the statement holds all the more
+        ratios = np.where((cy - ch * hy / hh)[first:] > 0, ratios, -np.inf)
     top = float(ratios.max())
+    if not np.isfinite(top):
+        return Evidence()
     shares = np.exp(ratios - top)
     along = np.cumsum(shares) / shares.sum()
     offset = chart.count + first
@@ -158,9 +163,8 @@ def cusum_limit(logs: float) -> float:
 
 def _whitened(chart: Chart) -> tuple[np.ndarray, np.ndarray]:
     """Compute constants h and values y (m,) of the last logs with independent errors of equal variance."""
-    x, root = np.array(chart.x), np.sqrt(np.array(chart.w))
-    before = chart.before
-    u, one = x / root, 1 / root
+    before, one = chart.before, 1 / np.sqrt(chart.w)
+    u = chart.x * one
     lag_u = np.append(0.0 if before is None else before[0] / np.sqrt(before[1]), u[:-1])
     lag_one = np.append(0.0 if before is None else 1 / np.sqrt(before[1]), one[:-1])
     scale = np.sqrt(1 - MEMORY**2)
@@ -183,5 +187,5 @@ def _condensed(chart: Chart) -> Chart:
         hh=chart.hh + float(h @ h),
         hy=chart.hy + float(h @ y),
         yy=chart.yy + float(y @ y),
-        before=(chart.x[old - 1], chart.w[old - 1]),
+        before=(float(chart.x[old - 1]), float(chart.w[old - 1])),
     )

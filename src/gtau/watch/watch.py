@@ -24,7 +24,7 @@ from gtau.watch.detectors import WINDOW, Chart, Evidence, add, combined, cusum_l
 from gtau.watch.logs import reset_date
 from gtau.watch.quantities import Quantity
 from gtau.watch.state import Alarm, Entry, Settings, append, open_history
-from gtau.watch.statistics import LogStatistics, statistics_of
+from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,7 @@ class Watch:
             self.began, self.maintained = entry.begins, ""
         learning = self.count < self.settings.baseline
         for name, value in entry.values.items():
-            chart = self.charts.get(name) or Chart(self.settings.baseline)
+            chart = self.charts.get(name) or Chart(self.settings.baseline, name.startswith(f"{RESIDUAL}_"))
             variance = entry.formula[name] ** 2
             known = self.reference.setdefault(name, variance)
             self.charts[name] = add(chart, value, max(1.0, variance / known if known > 0 else 1.0))
