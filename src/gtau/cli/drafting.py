@@ -35,7 +35,8 @@ RobotOfLogs = Annotated[
     typer.Option(
         "--robot",
         metavar="ROBOT",
-        help="With logs: name in the catalog, or path of a robot file; default: /robot_description of a bag.",
+        help="With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
+        "/robot_description of a bag.",
         show_default=False,
     ),
 ]
@@ -76,9 +77,10 @@ def experiment_of(
     if others := [each for each in sources if each.suffix in (".yaml", ".yml") or kind_of(each) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give it alone, or logs without it.")
     from gtau.signals.draft_file import guesses
-    from gtau.signals.drafting import draft_logs, write_draft
+    from gtau.signals.drafting import draft_logs, with_sensors, write_draft
 
-    draft = draft_logs(sources, robot, masses=_masses(payloads or []), kind=None if kind is None else kind.value)
+    masses = _masses(payloads or [])
+    draft = with_sensors(draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value))
     if draft.robot is None:
         raise GtauError(
             f"{sources[0]} does not say of which robot it is; give it (--robot ROBOT), a name of the catalog (gtau "

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 WORDS: dict[str, frozenset[str]] = {
@@ -110,6 +110,19 @@ def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
     return ColumnName(
         name, stem, label, kind, any(word in REFERENCE for word in words), UNITS.get(unit[1].lower()) if unit else None
     )
+
+
+def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnName:
+    """Parse what an item of a list is called, ``FEATURE/NAME`` as LeRobot has it; goals (``action``) are references.
+
+    ``observation.state/elbow.pos`` is a position of ``elbow``, ``observation.effort/elbow`` an effort.
+    """
+    feature, _, name = label.partition("/")
+    joint, _, quantity = name.rpartition(".")
+    quantity = quantity if joint else feature.rpartition(".")[2]
+    field = "position" if quantity == "state" else quantity
+    found = parse_column_name(f"/{feature}/{joint or name}/{field}", joints)
+    return replace(found, name=column, reference=found.reference or feature == "action")
 
 
 def is_temperature(name: str) -> bool:

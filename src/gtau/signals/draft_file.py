@@ -25,6 +25,8 @@ UNSURE = {
     "clock": "confirm the time column, as others grow, too",
     "received": "messages without stamps of measurement have those of receipt, with the jitter of the middleware",
     "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
+    "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
+    "(--payload LOG=KG)",
     "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
     "(docs/lookup/experiment-file.md, 'A base that floats')",
     "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a base that "
@@ -82,7 +84,8 @@ def draft_text(draft: Draft, folder: Path) -> str:
             "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies').",
         ]
     if draft.sensors:
-        lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")
+        doubt = CHECK + UNSURE["sensors"] if "sensors" in draft.open else "sensors behind the gears, by their names"
+        lines += _by_joint("joint_torque", draft.sensors, doubt)
     if draft.torques:
         lines.append(
             f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
@@ -123,7 +126,10 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
         "motor": f"{first} are taken as currents",
         "clock": f"the time is {' and '.join(draft.time)}, and other columns grow, too",
         "received": f"time is {draft.reasons.get('received', '')}, the stamps of receipt",
-        "torques": f"{_first(tuple(draft.torques.values()))} are not used",
+        "torques": f"{_first(tuple(draft.torques.values()))} are not used"
+        + (f": they are {draft.reasons['torques']}" if "torques" in draft.reasons else ""),
+        "sensors": f"{_first(tuple(draft.sensors.values()))} are taken as torque sensors behind the gears, "
+        "which give the scale",
         "base": f"{_first(draft.motion)} are not used, as the base is taken as fixed",
         "wrenches": f"{_first(draft.wrenches)} are not used, as if nothing touched the robot",
         "reference": f"{first} are references and not measured",

@@ -73,6 +73,14 @@ def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
     return replace(draft, kind=kind, units=units, open=tuple(key for key in draft.open if key not in settled))
 
 
+def with_sensors(draft: Draft) -> Draft:
+    """Return the draft with torques beside the currents taken for those of sensors where no payload gives a scale."""
+    if not draft.torques or draft.masses or "torques" in draft.reasons:
+        return draft
+    open_ = tuple("sensors" if key == "torques" else key for key in draft.open)
+    return replace(draft, sensors=draft.torques, torques={}, open=open_)
+
+
 def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
     """Return the draft with payloads, kg, of logs where they are known, 0 for none."""
     kept = {log: mass for log, mass in ({**draft.masses, **masses}).items() if mass > 0}
