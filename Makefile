@@ -10,7 +10,7 @@ SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2]
 # Where bytecode is not kept, each of the many processes that tests start compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow lint docs docs-zip clean
+.PHONY: demo test slow lint docs docs-zip pages clean
 
 demo: $(READY)
 	$(BIN)/gtau demo --out demo
@@ -32,6 +32,10 @@ lint: $(TOOLS)
 docs: $(SITE)
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site
 	$(BIN)/python docs/check_links.py build/site
+
+# Pages and tables that are made from the code.
+pages: $(TOOLS)
+	for program in docs/make_*.py; do $(BIN)/python $$program || exit 1; done
 
 docs-zip: docs
 	$(BIN)/python -m zipfile -c build/gtau-docs.zip build/site/

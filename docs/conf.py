@@ -27,6 +27,7 @@ extensions = [
 exclude_patterns = ["images/README.md", "gallery/**/*.py", "gallery/**/*.ipynb", "gallery/README.rst"]
 templates_path = ["_templates"]
 nitpicky = True
+smartquotes = False  # they make a dash of --method
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
@@ -73,7 +74,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "default_thumb_file": str(DOCS / "images" / "demo-gains.png"),
     "download_all_examples": True,
-    "image_scrapers": ("matplotlib",),
+    "image_scrapers": ("matplotlib", "site_hooks.draw_figures"),
     "reset_modules": ("matplotlib",),
     "write_computation_times": False,
 }

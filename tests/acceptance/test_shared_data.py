@@ -212,3 +212,26 @@ def test_tx40_as_the_page_says(folder: Path) -> None:
     assert (result.kind, result.method) == ("torque", "wls")
     assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.GIVEN}
     assert [error.relative for error in result.residuals] == pytest.approx([2.7, 2.9, 3.5, 4.5, 10.9, 6.8], abs=0.4)
+
+
+@pytest.mark.slow
+def test_the_urdf_of_the_ur10e_is_held_against_its_logs(folder: Path, shared: Path) -> None:
+    """Its wrists are too light; priors narrow what the motions hardly show and leave the gains."""
+    text = (folder / "ur10e.yaml").read_text().replace("robot: ur10e", f"robot: {shared / 'ur10e' / 'ur10e.urdf'}")
+    (folder / "urdf.yaml").write_text(text)
+    result = identify(folder / "urdf.yaml")
+    audit = result.audit
+    assert audit.stated_error == pytest.approx(9.1, abs=0.5)
+    assert audit.identified_error == pytest.approx(1.6, abs=0.2)
+    assert {"mz_elbow_jointR", "mz_wrist_1_jointR", "my_wrist_2_jointR"} <= {
+        each.name for each in audit.of("contradicted")
+    }
+    assert audit.links[0].name.startswith("wrist")
+    assert audit.links[0].error < 0.5 * audit.stated_error
+    held = identify(folder / "urdf.yaml", prior_inertias=0.3)
+    assert held.believable
+    for joint, gain in held.drive_gains.items():
+        free = result.drive_gains[joint]
+        assert abs(gain.value - free.value) < free.std
+    narrower = [name for name in held.parameters if name.startswith(("xx_wrist", "xy_wrist", "xz_wrist"))]
+    assert all(held.parameters[name].std < result.parameters[name].std for name in narrower)

@@ -71,6 +71,11 @@ def test_a_file_without_inertias_is_passed_over(true: Robot, tmp_path: Path) -> 
         identified(bare, plant(true), prior_inertias=0.3)
 
 
+def test_an_estimator_that_takes_no_priors_says_whose_they_are(true: Robot) -> None:
+    with pytest.raises(GtauError, match="'tls' takes no known parameters, and 'prior_inertias' gives some"):
+        identify(true, [plant(true).run(1)], method="tls", prior_inertias=0.3)
+
+
 def test_priors_hold_what_is_not_excited_and_leave_the_rest(true: Robot) -> None:
     """Joints 1 and 4 hardly move, behind much noise: half of the parameters are open without the file."""
     quiet = plant(true, (0.01, 0.9, 1.2, 0.01), noise=3.0)
@@ -113,7 +118,7 @@ def test_a_known_payload_gives_the_scale_beside_priors(true: Robot) -> None:
     from gtau.signals.payload import Payload
 
     made = replace(plant(true, noise=0.02), gains=np.array([8.0, 8.0, 6.0, 5.0]), tool="j4")
-    steel = {"m": 2.0, "mx": 0.1, "mz": 0.2, "xx": 0.03, "yy": 0.03, "zz": 0.01}
+    steel = {"m": 2.0, "mx": 0.1, "mz": 0.2, "xx": 0.04, "yy": 0.05, "zz": 0.02, "xz": -0.01}
     runs = [made.run(1), made.run(2, steel, Payload(name="steel", mass=2.0))]
     result = identify(true, runs, prior_inertias=0.3)
     for gain, value in zip(result.drive_gains.values(), made.gains, strict=True):

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from gtau.estimation.results.result import Result
     from gtau.robots.robot import Placement
 
-KINDS = "c, mjcf, urdf, yaml, csv, latex, orders, matlab, fmu"  # those of the registry, which --help need not import
+# those of the registry, which --help need not import
+KINDS = "c, mjcf, mujoco-actuators, mjlab, isaaclab, urdf, yaml, csv, latex, orders, matlab, fmu"
 
 
 def export(
@@ -28,6 +29,19 @@ def export(
             "--into", metavar="FILE", help="Robot file (URDF or MJCF) to copy with the identified parameters inserted."
         ),
     ] = None,
+    samples: Annotated[
+        int,
+        typer.Option(
+            "--samples",
+            min=0,
+            metavar="N",
+            help="Also draw N models from what was identified, for domain randomization: samples.npz.",
+        ),
+    ] = 0,
+    models: Annotated[
+        int, typer.Option("--models", min=0, metavar="N", help="Draws that are also written as models.")
+    ] = 16,
+    seed: Annotated[int, typer.Option("--seed", min=0, metavar="SEED", help="Seed of the draws.")] = 0,
     json_: Json = False,
 ) -> None:
     """Export a model for controllers, simulators, papers and other programs."""
@@ -36,7 +50,7 @@ def export(
 
         with progress_bar() as progress:
             progress("export", 0, 1)
-            exported = export_model(model, to, out, into)
+            exported = export_model(model, to, out, into, samples, models, seed)
             progress("export", 1, 1)
         if json_:
             files = [str(path) for path in exported.files]

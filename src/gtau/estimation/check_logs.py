@@ -10,10 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau import display
-from gtau.documents.arguments import FUNCTION, TEXT, takes
+from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
+from gtau.estimation.diagnostics.logged_torques import doubtful_commands
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.registry import estimator_of
@@ -21,8 +22,7 @@ from gtau.estimation.experiment_runs import describe, geometry_of, read_runs
 from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
-from gtau.estimation.regression.doubtful_currents import doubtful_currents
-from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
+from gtau.estimation.regression.doubtful_units import doubtful_currents, doubtful_payloads
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
@@ -125,7 +125,7 @@ class ExperimentCheck:
         return html
 
 
-@takes(method=TEXT, progress=FUNCTION)
+@takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER)
 @single_threaded_blas()
 def check_logs(
     source: str | Path | Experiment | Robot,
@@ -134,6 +134,7 @@ def check_logs(
     prior_gains: Mapping[str, float] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     progress: Progress = silent,
+    prior_inertias: float | None = None,
 ) -> ExperimentCheck:
     """Find everything in the logs of an experiment that an identification would refuse, suffer from or mention.
 
@@ -147,7 +148,7 @@ def check_logs(
     """
     if method is not None:
         estimator_of(method)  # before logs are read
-    subject = describe(source, runs, prior_gains, priors)
+    subject = describe(source, runs, prior_gains, priors, prior_inertias)
     robot, experiment = subject.robot, subject.experiment
     listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
     count = len(listed)
@@ -163,7 +164,11 @@ def check_logs(
         gains = require_inputs(estimator, robot, used, subject.prior_gains, subject.stated)
     except GtauError as error:
         notes.append(refusal(error))
-    notes += [*doubtful_currents(used, robot.base), *doubtful_payloads(robot, (run.payload for run in used))]
+    notes += [
+        *map(note, doubtful_commands(used, robot)),
+        *doubtful_currents(used, robot.base),
+        *doubtful_payloads(robot, (run.payload for run in used)),
+    ]
     preparation = choose_preparation(used)
     checked, prepared_runs = [], []
     for k, run in enumerate(read):
@@ -197,6 +202,7 @@ def check_logs(
             preparation,
             progress=progress,
             priors=usable(estimator, subject.priors),
+            prior_inertias=subject.prior_inertias,
         )
         notes += _together(dataset, estimator, gains, chosen)
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)

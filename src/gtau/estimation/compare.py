@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau import display
-from gtau.documents.arguments import FUNCTION, takes
+from gtau.documents.arguments import FUNCTION, NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
@@ -89,13 +89,14 @@ class EstimatorComparison:
         return html
 
 
-@takes(progress=FUNCTION)
+@takes(progress=FUNCTION, prior_inertias=NUMBER)
 def compare(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
     prior_gains: Mapping[str, float] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     progress: Progress = silent,
+    prior_inertias: float | None = None,
 ) -> EstimatorComparison:
     """Identify with every estimator, each as :func:`gtau.identify` does, which takes the same.
 
@@ -104,7 +105,7 @@ def compare(
     GtauError
         Where a file is wrong, or the runs cannot fix the scale of the gains.
     """
-    subject = subject_of(source, runs, prior_gains, priors, progress)
+    subject = subject_of(source, runs, prior_gains, priors, progress, prior_inertias)
     robot, taken_runs, known = subject.robot, subject.runs, subject.priors
 
     def row(estimator: Estimator) -> Row:

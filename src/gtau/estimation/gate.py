@@ -39,7 +39,7 @@ def require_inputs(
         Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
         sought with the latter whatever the estimator); where it takes gains and some joint has none.
     """
-    _require_priors_taken(estimator, runs, priors, consistent)
+    _require_priors_taken(estimator, robot, runs, priors, consistent)
     return _gains_for(estimator, robot, runs, prior_gains)
 
 
@@ -98,7 +98,7 @@ def tests_torques(system: System) -> bool:
 
 
 def _require_priors_taken(
-    estimator: Estimator, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
+    estimator: Estimator, robot: Robot, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
 ) -> None:
     """Check that an estimator can take what is known beside currents and payloads.
 
@@ -111,10 +111,12 @@ def _require_priors_taken(
     if estimator.takes_priors:
         return
     takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
-    known = any(prior.value is not None for prior in priors.values()) and not consistent
+    stated, valued = dict(robot.inertias), {name: each.value for name, each in priors.items() if each.value is not None}
+    of_file = all(name in stated and stated[name] == value for name, value in valued.items())
+    known = bool(valued) and not consistent
     for what, key, there in (
         ("torque sensors", "joint_torque", runs[0].sensors),
-        ("known parameters", "priors", known),
+        ("known parameters", "prior_inertias" if of_file else "priors", known),
         ("wrenches on bodies", "wrenches", any(body not in runs[0].base for body, _ in runs[0].wrenches)),
     ):
         if there:

@@ -49,9 +49,9 @@ class Functions:
     home : ndarray
         Closed configuration to start from, with states at rest, (n_c + s,).
     actuated : ndarray
-        Where the actuated joints stand in c, (n,).
+        Where the actuated joints are in c, (n,).
     presliding : tuple
-        Of each state, where it stands behind c: its width, rad or m, and the ratios of actuated joints, by place in c.
+        Of each state, its place behind c: its width, rad or m, and the ratios of actuated joints, by place in c.
     """
 
     outputs: dict[str, ca.Function]

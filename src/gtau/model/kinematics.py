@@ -21,7 +21,7 @@ from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint
 
 @dataclass(frozen=True)
 class PlatformSlots:
-    """Where a platform's numbers stand in ``c`` and ``yd``."""
+    """Where a platform's numbers are in ``c`` and ``yd``."""
 
     platform: Platform
     position: slice

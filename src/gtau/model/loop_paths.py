@@ -7,6 +7,9 @@ followed at once, each in a lane of its own.
 
 from __future__ import annotations
 
+from functools import lru_cache
+from threading import get_ident
+
 import numpy as np
 
 from gtau.errors import GtauError
@@ -24,7 +27,8 @@ SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samp
 SEGMENT = 16
 
 
-def _follower(loops: Loops, shortest: float) -> tuple[np.ndarray, list[object]]:
+@lru_cache(maxsize=16)  # short paths, as hypotheses look at, are many
+def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, list[object]]:
     """Make what the compiled loops work with, and what it points to; memory of its own for each thread."""
     equations, n_c, n = loops.equations, loops.layout.n_c, len(loops.layout.actuated)
     trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
@@ -56,7 +60,7 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTE
     reached = np.zeros(c.shape[1], dtype=bool)
 
     def run(start: int, stop: int) -> None:
-        follower, _pointed = _follower(loops, shortest)
+        follower, _pointed = _follower(loops, shortest, get_ident())
         where = address(follower), address(c), address(q), c.shape[1]
         compiled().advance_to(*where, start, stop, address(reached))
 
@@ -137,7 +141,7 @@ def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndar
     begins, filled = starts.astype(np.int64), np.zeros(starts.size, dtype=np.int64)
 
     def run(first: int, last: int) -> None:
-        follower, _pointed = _follower(loops, SHORTEST)
+        follower, _pointed = _follower(loops, SHORTEST, get_ident())
         where = address(follower), address(c), address(q), c.shape[1]
         parts, mine = begins[first:last], filled[first:last]
         compiled().follow_path(*where, address(parts), parts.size, length, address(mine))

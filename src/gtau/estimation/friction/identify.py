@@ -9,8 +9,8 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw, Shape
-from gtau.estimation.friction.normal_equations import Group, normal_equations
-from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, Trial, choose, spread_of_shape
+from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations
+from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, Trial, choose, moved_by_shape, spread_of_shape
 from gtau.estimation.friction.sites import sites_of
 
 
@@ -76,12 +76,13 @@ def identify_friction(fit: Fit, covariance: np.ndarray) -> FrictionStep:
     sites = sites_of(fit.dataset, law)
     found: list[IdentifiedFriction] = []
     errors: dict[str, tuple[float, float]] = {}
-    for group in normal_equations(fit, law, sites):
+    of_rows = normal_equations(fit, law, sites)  # behind whose filter errors are stated
+    for group, rows in zip(normal_equations(fit, law, sites, FINER), of_rows, strict=True):
         if len(group.G):
             chosen = choose(group)
             found += _of_group(group, chosen, _fixed(fit, covariance))
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
-            errors |= dict(zip(motors, _errors(group, chosen.trial), strict=True))
+            errors |= dict(zip(motors, _errors(rows, chosen.trial), strict=True))
     order = {site.joint: k for k, site in enumerate(sites)}
     return FrictionStep(tuple(sorted(found, key=lambda each: order[each.joint])), errors)
 
@@ -113,6 +114,15 @@ def _of_group(group: Group, chosen: Chosen, fixed: np.ndarray) -> list[Identifie
     A = np.einsum("pa,pq,qc->ac", trial.M, group.G.sum(axis=(0, 1))[:-1, :-1], trial.M)
     S = np.linalg.pinv(A, rcond=1e-9, hermitian=True) @ trial.M.T @ group.cross
     covariance = jackknife(trial.left) + S @ fixed @ S.T
+    spreads = {
+        (s, kind): spread_of_shape(group, trial, s, kind)
+        for s, structure in enumerate(trial.structures)
+        for kind in ("width", "speed")
+        if structure.has(kind)
+    }
+    for (s, kind), by in spreads.items():  # heights go with them
+        moved = moved_by_shape(group, trial, s, kind, by)
+        covariance += np.outer(moved, moved)
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
     error, plain = (float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, chosen.plain))
     made = []
@@ -132,8 +142,8 @@ def _of_group(group: Group, chosen: Chosen, fixed: np.ndarray) -> list[Identifie
         width = None if structure.width is None else float(site.widths[structure.width])
         speed = None if structure.speed is None else float(site.speeds[structure.speed])
         spread = Shape(
-            None if width is None else width * spread_of_shape(group, trial, s, "width"),
-            None if speed is None else speed * spread_of_shape(group, trial, s, "speed"),
+            None if width is None else width * spreads[s, "width"],
+            None if speed is None else speed * spreads[s, "speed"],
         )
         evidence = {WORDS[kind]: chosen.evidence[s, kind] for kind in KINDS if (s, kind) in chosen.evidence}
         made.append(

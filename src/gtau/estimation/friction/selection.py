@@ -38,7 +38,8 @@ class Structure:
 
     def has(self, kind: str) -> bool:
         """Whether it has something of a kind."""
-        return getattr(self, kind) not in (None, False)
+        value = getattr(self, kind)
+        return value is not None and value is not False  # the first of the widths has the number 0
 
     def columns(self, site: Site) -> dict[str, dict[str, float]]:
         """Combine the site's columns to those of its parameters, of which all but some are not negative.
@@ -207,6 +208,17 @@ def spread_of_shape(group: Group, trial: Trial, s: int, kind: str) -> float:
     best = np.array([_lowest(grid, column) for column in without.T])
     blocks, step = len(best), grid[1] - grid[0]
     return float(np.sqrt((blocks - 1) / blocks * ((best - best.mean()) ** 2).sum() + step**2 / 12))
+
+
+def moved_by_shape(group: Group, trial: Trial, s: int, kind: str, spread: float) -> np.ndarray:
+    """Compute by how much the parameters (k,) move where the logarithm of a width or speed does by ``spread``."""
+    options = _with(group, trial, s, kind)
+    grid = np.log(group.sites[s].widths if kind == "width" else group.sites[s].speeds)
+    here = getattr(trial.structures[s], kind)
+    low, high = max(here - 1, 0), min(here + 1, len(grid) - 1)
+    below, above = (dict(zip(options[k].names, options[k].x, strict=True)) for k in (low, high))
+    moved = np.array([above.get(name, 0.0) - below.get(name, 0.0) for name in trial.names])
+    return moved * spread / (grid[high] - grid[low])
 
 
 def _lowest(grid: np.ndarray, errors: np.ndarray) -> float:

@@ -17,6 +17,7 @@ from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 
+SHORT = 16384  # samples of a run that is prepared once: longer ones would fill the memory
 ALL_SAMPLES = 4096  # of a block that is not decimated
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
@@ -202,12 +203,20 @@ def _configurations(idm: InverseDynamics, whole: InMemoryRun) -> np.ndarray:
     return idm.path(of.q.T.copy(), Labels(whole.run.name, of.time))
 
 
+@lru_cache(maxsize=8)  # of few runs: the factors and then friction are streamed along the same ones
+def _along_short(idm: InverseDynamics, prepared: PreparedRun) -> tuple[SampleWindow, np.ndarray]:
+    of = prepared.samples()
+    return of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+
+
 def _along(
     idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block]
 ) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
     """Stream the blocks with samples and configurations; these are made for longer stretches, which is faster."""
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
+    if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
+        end, (of, c) = len(prepared), _along_short(idm, prepared)
     for block in blocks:
         at = block.samples
         if at.stop > end:

@@ -41,7 +41,7 @@ class _LaneModel(models.PrimitiveModel):
 
 
 def _operation(operands: int, compute: Callable[..., Any]) -> Any:
-    """Make a function of so many lanes that returns a lane."""
+    """Make a function of the given lanes that returns a lane."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return compute(builder, *arguments)

@@ -160,7 +160,7 @@ def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: Abstra
 
 
 def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
-    """Note what acts in the simulator and is not modelled, and what in the file may be wrong."""
+    """Note effects of the simulator that are not modelled, and likely errors of the file."""
     model = file.model
     if _weightless(model):
         yield "gravity is switched off in the file, and here; where it acts, write it in a saved robot file"

@@ -47,7 +47,7 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True)
 class _Edge:
-    """A URDF joint as it stands in the file."""
+    """A URDF joint as written in the file."""
 
     name: str
     kind: Kind | None  # None where nothing moves
@@ -80,8 +80,8 @@ class UrdfTree:
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from a URDF file.
 
-    Links that hang on fixed joints become part of the link that carries them. Joints stand depth first in the order
-    of the file; each keeps its name, and its link bears the name too. A joint that mimics another is passive and
+    Links on fixed joints become part of the link that carries them. Joints are listed depth first in the order
+    of the file; each keeps its name, and its link has the same name. A joint that mimics another is passive and
     coupled to it. Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths
     below 1e-10 m, are taken as exact, and angles written short (1.5708) as the multiples they stand for, with a note.
     With a ``base`` a floating joint is fixed, its child then being the ground, which may float.
@@ -127,7 +127,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
     """Read the tree of a URDF file, with the joints named in ``types`` read as FIXED or as one of ``TURNS`` instead.
 
     A spherical joint becomes three revolute ones, about x, y and z, a universal joint two; the links in between are
-    massless, and the last one bears the joint's name.
+    massless, and the last one has the joint's name.
     """
     try:
         root = _parse(path)
