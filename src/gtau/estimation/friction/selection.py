@@ -18,9 +18,13 @@ WORDS = {"width": "presliding", "speed": "bent", "load": "load", "warm": "temper
 
 @dataclass(frozen=True)
 class Structure:
-    """What the friction of a joint consists of: numbers of a width and of a speed, None for none; load; temperature."""
+    """What the friction of a joint consists of: numbers of a width and of a speed, None for none; load; temperature.
+
+    ``gradual`` presliding has all widths at once; no friction has it in the end, but terms are to pay beyond it.
+    """
 
     width: int | None = None
+    gradual: bool = False
     speed: int | None = None
     load: bool = False
     warm: bool = False
@@ -56,6 +60,8 @@ class Structure:
             if self.speed is not None:
                 made["fr"] = {f"{z}:s{self.speed}": 1.0}
                 made["fs"] |= {f"{z}:s{self.speed}": -1.0}
+            if self.gradual:
+                made |= {f"z{k}": {f"{k}:1": 1.0} for k in range(1, len(site.widths) + 1) if k != z}
             if self.load:
                 made["fl"] = {f"{z}:fl": 1.0}
         if self.warm:
@@ -173,13 +179,28 @@ def choose(group: Group) -> Chosen:
                 if trials:
                     least = min(trials, key=lambda trial: trial.errors.sum())
                     t, share = gained(best, least)
-                    if t > TERM_T and share > TERM_SHARE:
+                    if t > TERM_T and share > TERM_SHARE and (kind != "speed" or _beyond(group, least, s)):
                         offers.append((share, t, (s, kind), least))
         if not offers:
             return Chosen(best, plain, evidence)
         _, t, key, best = max(offers, key=lambda offer: offer[0])
         evidence[key] = t
         best = _refined(group, best)
+
+
+def _beyond(group: Group, after: Trial, s: int) -> bool:
+    """Whether friction that bends with the speed pays beyond any presliding.
+
+    Presliding of real joints, of LuGre's and of generalized Maxwell slip, turns into sliding gradually, while the joint
+    is slow still. One stop turns at once, and friction that bends below a hundredth of the rms speed made up for it.
+    """
+
+    def gradual(speed: int | None) -> Trial:
+        of_site = replace(after.structures[s], speed=speed, gradual=True)
+        return attempt(group, (*after.structures[:s], of_site, *after.structures[s + 1 :]))
+
+    t, share = gained(gradual(None), gradual(after.structures[s].speed))
+    return t > TERM_T and share > TERM_SHARE
 
 
 def _with(group: Group, trial: Trial, s: int, kind: str) -> list[Trial]:

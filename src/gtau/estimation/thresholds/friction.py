@@ -13,7 +13,7 @@ TERM_T = Threshold(
     "in 65 to 92 %",
 )
 TERM_SHARE = Threshold(
-    0.05,
+    0.12,
     "share of the squared error of blocks left out that a term of friction takes away",
     "0.02 lets false terms into 12 % of the logs with ripple instead of 5 %, and finds no more of the right ones",
     "0.2 and more (UR10e, TX40, Panda)",
