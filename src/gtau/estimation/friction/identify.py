@@ -13,8 +13,8 @@ from gtau.estimation.friction.normal_equations import Group, normal_equations
 from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, Trial, choose, shape_values, with_shapes
 from gtau.estimation.friction.sites import sites_of
 
-# Standard deviations of the logarithms of a width and a speed between those tried, whose columns are interpolated; over
-# 18 widths and 9 speeds of a simulated UR10e and Puma 560 the rms was this where noise gave a fifth of it.
+# Standard deviation of the logarithm of a width or speed between those tried, whose columns are interpolated: over 18
+# widths and 9 speeds of a simulated UR10e and Puma 560 the rms was this where noise gave a fifth of it.
 BETWEEN = {"width": 0.09, "speed": 0.07}
 
 
@@ -112,15 +112,20 @@ def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:
     return found
 
 
-def _between_values(whole: Trial, A: np.ndarray) -> np.ndarray:
-    """Compute the covariance (k, k) of widths and speeds between the values tried, to which other parameters adapt."""
+def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
+    """Compute the covariance (k, k) that comes of the few widths and speeds tried, to which other parameters adapt.
+
+    One that is tried stands for all up to half the way to the next.
+    """
     found = np.zeros_like(A)
-    for k, (_, kind) in enumerate(whole.names):
+    for k, (s, kind) in enumerate(whole.names):
         if kind in BETWEEN:
+            tried, number = shape_values(group, s, kind), getattr(whole.structures[s], kind)
+            std = np.log(tried[1] / tried[0]) / np.sqrt(12) if number == round(number) else BETWEEN[kind]
             others = np.arange(len(A)) != k
             change = np.ones(len(A))
             change[others] = -np.linalg.lstsq(A[np.ix_(others, others)], A[others, k], rcond=1e-12)[0]
-            found += BETWEEN[kind] ** 2 * np.outer(change, change)
+            found += std**2 * np.outer(change, change)
     return found
 
 
@@ -129,7 +134,7 @@ def _of_group(group: Group, chosen: Chosen, fixed: np.ndarray) -> list[Identifie
     A = np.einsum("pa,pq,qc->ac", whole.M, group.G.sum(axis=(0, 1))[:-1, :-1], whole.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (whole.M.T @ group.cross / size) / size
-    covariance = jackknife(whole.left) + S @ fixed @ S.T + _between_values(whole, A)
+    covariance = jackknife(whole.left) + S @ fixed @ S.T + _between_values(group, whole, A)
     places = {name: k for k, name in enumerate(whole.names)}
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
     error, plain = (float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, chosen.plain))
