@@ -1,7 +1,8 @@
-# make demo and make test do all the set-up themselves.
+# make demo, make test and make docs do all the set-up themselves.
 BIN := .venv/bin
 READY := .venv/.gtau-installed
 TOOLS := .venv/.gtau-tools-installed
+SITE := .venv/.gtau-docs-installed
 PYTHONS := python3.13 python3.12 python3.11 python3.14 python3
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))
@@ -9,7 +10,7 @@ SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2]
 # Where bytecode is not kept, each of the many processes that tests start compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow lint clean
+.PHONY: demo test slow lint docs docs-zip pages clean
 
 demo: $(READY)
 	$(BIN)/gtau demo --out demo
@@ -27,6 +28,19 @@ lint: $(TOOLS)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# The site, in build/site. GTAU_GALLERY=skip leaves the scripts of the gallery out.
+docs: $(SITE)
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site
+	$(BIN)/python docs/check_links.py build/site
+
+# Pages and tables that are made from the code.
+pages: $(TOOLS)
+	for program in docs/make_*.py; do $(BIN)/python $$program || exit 1; done
+
+docs-zip: docs
+	$(BIN)/python -m zipfile -c build/gtau-docs.zip build/site/
+	@echo "build/gtau-docs.zip: unpack it and open site/index.html, no network needed"
+
 $(READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing gtau into .venv (once, about a minute)"
 	$(INSTALL) -e .
@@ -37,6 +51,11 @@ $(TOOLS): $(READY)
 	$(INSTALL) -e '.[test,dev]'
 	@touch $@
 
+$(SITE): $(READY)
+	@echo "installing what the site needs into .venv (once, a minute)"
+	$(INSTALL) -e '.[docs]'
+	@touch $@
+
 $(BIN)/python:
 	@for python in $(PYTHONS); do \
 	    if $$python -c '$(SUPPORTED)' 2>/dev/null; then exec $$python -m venv .venv; fi; \
@@ -45,5 +64,5 @@ $(BIN)/python:
 	exit 1
 
 clean:
-	rm -rf .venv demo dist build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv demo dist build docs/gallery docs/lookup/api .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from gtau.excitation.design_file import read_design
     from gtau.excitation.task import DesignProblem
     from gtau.export.exported import Exported
+    from gtau.export.observer import momentum_observer
     from gtau.export.registry import export_model, export_payload
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from gtau.signals.settings import PreparationSettings
     from gtau.simulation.experiment_files import simulate_experiment as simulate
     from gtau.simulation.simulation_file import Simulation
+    from gtau.watch.watch import Watch
 
 __version__ = "0.1.0"
 __all__ = [
@@ -67,6 +69,7 @@ __all__ = [
     "Simulation",
     "TorqueError",
     "Units",
+    "Watch",
     "base_parameters",
     "check",
     "compare",
@@ -75,6 +78,7 @@ __all__ = [
     "export_payload",
     "identify",
     "load_robot",
+    "momentum_observer",
     "read_design",
     "read_experiment",
     "read_run",
@@ -108,6 +112,7 @@ _HOMES = {
     "Simulation": "simulation.simulation_file",
     "TorqueError": "estimation.results.estimate",
     "Units": "signals.columns",
+    "Watch": "watch.watch",
     "base_parameters": "model.base_parameters",
     "check": "estimation.check_logs",
     "compare": "estimation.compare",
@@ -116,6 +121,7 @@ _HOMES = {
     "export_payload": "export.registry",
     "identify": "estimation.identify",
     "load_robot": "model.home",
+    "momentum_observer": "export.observer",
     "read_design": "excitation.design_file",
     "read_experiment": "signals.experiment",
     "read_run": "signals.run",

@@ -47,6 +47,7 @@ FOLDERS = (
         "signals",
     ),
     "simulation",
+    "watch",
 )
 PAGES = (
     "do/payload",

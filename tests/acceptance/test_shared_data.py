@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.experiment_runs import read_log
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.estimation.weigh import weigh
 from gtau.report.parameters import PAPER
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
+from gtau.watch.watch import Watch
 
 PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "measured.md"
 CONTROLLER = (11.976, 11.976, 9.839, 10.763, 10.76, 10.76)  # N m/A
@@ -144,6 +146,21 @@ def test_ur10e_payload_has_ten_parameters(ur10e: Result) -> None:
 
 
 @pytest.mark.slow
+def test_ur10e_watched_over_its_weeks_raises_no_alarm_until_it_is_loaded(
+    folder: Path, ur10e: Result, shared: Path
+) -> None:
+    watch = Watch(ur10e, baseline=4)
+    weeks = ("01_31-unload", "02_05-20sec_8harm", "02_06-20sec_10harm", "02_10-30sec_12harm", "02_12-40sec_12harm")
+    for name in (*weeks, "02_19_14harm50sec"):
+        status = watch.update(read_log(ur10e, shared / "ur10e" / f"ur-20_{name}.csv", folder / "ur10e.yaml"))
+        assert status.healthy, name
+    status = watch.update(read_log(ur10e, shared / "ur10e" / "ur-20_01_31-load.csv", folder / "ur10e.yaml"))
+    (load,) = status.entry.alarm.explanations
+    assert load.kind == "load"
+    assert load.size == pytest.approx(2.805, rel=0.02)
+    assert abs(load.size - 2.805) < load.half
+
+
 def test_ur10e_by_total_least_squares(folder: Path, ur10e: Result) -> None:
     """The two smallest singular values are close, but only the gain that the data hardly fix suffers from it."""
     result = identify(folder / "ur10e.yaml", method="tls")
@@ -195,3 +212,26 @@ def test_tx40_as_the_page_says(folder: Path) -> None:
     assert (result.kind, result.method) == ("torque", "wls")
     assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.GIVEN}
     assert [error.relative for error in result.residuals] == pytest.approx([2.7, 2.9, 3.5, 4.5, 10.9, 6.8], abs=0.4)
+
+
+@pytest.mark.slow
+def test_the_urdf_of_the_ur10e_is_held_against_its_logs(folder: Path, shared: Path) -> None:
+    """Its wrists are too light; priors narrow what the motions hardly show and leave the gains."""
+    text = (folder / "ur10e.yaml").read_text().replace("robot: ur10e", f"robot: {shared / 'ur10e' / 'ur10e.urdf'}")
+    (folder / "urdf.yaml").write_text(text)
+    result = identify(folder / "urdf.yaml")
+    audit = result.audit
+    assert audit.stated_error == pytest.approx(9.1, abs=0.5)
+    assert audit.identified_error == pytest.approx(1.6, abs=0.2)
+    assert {"mz_elbow_jointR", "mz_wrist_1_jointR", "my_wrist_2_jointR"} <= {
+        each.name for each in audit.of("contradicted")
+    }
+    assert audit.links[0].name.startswith("wrist")
+    assert audit.links[0].error < 0.5 * audit.stated_error
+    held = identify(folder / "urdf.yaml", prior_inertias=0.3)
+    assert held.believable
+    for joint, gain in held.drive_gains.items():
+        free = result.drive_gains[joint]
+        assert abs(gain.value - free.value) < free.std
+    narrower = [name for name in held.parameters if name.startswith(("xx_wrist", "xy_wrist", "xz_wrist"))]
+    assert all(held.parameters[name].std < result.parameters[name].std for name in narrower)

@@ -112,5 +112,5 @@ def test_identify_takes_the_log_as_it_is(folder: Path) -> None:
 def test_gains_are_refused_without_a_payload(folder: Path) -> None:
     with pytest.raises(GtauError, match="payload"):
         identify(folder / "current.yaml", method="ml")
-    with pytest.raises(GtauError, match="the logs hold torques, whose gain is 1"):
+    with pytest.raises(GtauError, match="no run has a payload of known mass"):
         identify(folder / "torque.yaml", method="ml")

@@ -49,6 +49,7 @@ def calls() -> list[tuple[Callable, dict[str, Any], str]]:
         "base_parameters": {"idm": model},
         "InverseDynamics": {"robot": robot},
         "export_model": {"model": "nowhere.json", "kind": "csv", "out": "out"},
+        "momentum_observer": {"result": None, "run": runs[0], "bandwidth": 5.0},
         "export_payload": {"payload": None, "kind": "ur", "out": "out"},
     }
     functions = {name for name in gtau.__all__ if inspect.isfunction(getattr(gtau, name))}
@@ -88,6 +89,7 @@ def test_numbers_out_of_range_are_refused() -> None:
 
 def test_types_of_public_signatures_can_be_imported_from_the_package() -> None:
     builtin = {"Any", "Callable", "Literal", "Mapping", "None", "Path", "Progress", "Sequence", "bool", "float", "int"}
+    builtin |= {"np", "ndarray"}
     for name in gtau.__all__:
         function = getattr(gtau, name)
         if inspect.isfunction(function):

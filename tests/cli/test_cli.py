@@ -15,6 +15,7 @@ from pathlib import Path
 import bad_input
 import click.testing
 import pytest
+import yaml
 from bad_input import Case
 from five_bar_logs import DESIGN, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_experiment, write_log
 from programs import start, wait_until
@@ -176,23 +177,24 @@ def test_runs_of_half_a_second_give_no_gain(here: Path, rows: int) -> None:
 
 @pytest.mark.slow
 def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
-    """Without a word of a method; a fleet, which compares gains, says that there are none."""
+    """Without a word of a method: currents taken for torques have a scale, and without a mass none is tested."""
     declared = EXPERIMENT.replace("current:", "torque:").replace(bad_input.PRIOR, "")
     (here / "torques.yaml").write_text(declared)
-    refuted = run("identify", "torques.yaml")
-    assert refuted.exit_code == 3
-    assert "payload 'steel' contradictory" in refuted.stdout  # as these torques are currents
+    shown = " ".join(run("identify", "torques.yaml", "--out", "scaled").stdout.split())
+    assert "The arm reports 0.4" in shown
+    assert "of the torque at 'left'" in shown
+    scale = yaml.safe_load((here / "scaled" / "torque_scale.yaml").read_text())["torque_scale"]
+    assert {joint: each["state"] for joint, each in scale.items()} == {"left": "wrong", "right": "wrong"}
+    assert all(
+        each["interval"][0] < true < each["interval"][1] for each, true in zip(scale.values(), GAINS, strict=True)
+    )
     (here / "torques.yaml").write_text(declared.replace("{name: steel, mass: 1.2}", "{name: steel}"))
     found = document("identify", "torques.yaml", "--out", "torques")
     assert (found["method"], found["kind"]) == ("wls", "torque")
     assert {(gain["value"], gain["std"], gain["unit"]) for gain in found["drive_gains"]} == {(1.0, None, "1")}
     shown = " ".join(run("identify", "torques.yaml", "--verbose").stdout.split())
-    assert "given gains (the logs hold torques, whose gain is 1)" in shown
-    fleet = run("fleet", "torques.yaml", "--out", "fleet")
-    assert fleet.exit_code == 3
-    shown = " ".join(fleet.stdout.split())
-    assert "the logs hold torques, so there are no drive gains to compare" in shown
-    assert "use 'gtau identify'" in shown
+    assert "their scale was not tested" in shown
+    assert not (here / "torques" / "torque_scale.yaml").exists()
 
 
 def test_validate(here: Path) -> None:

@@ -16,9 +16,10 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.excitation.design_file import DesignFile
+from gtau.robots.readers.read import catalog_names, read_robot
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.data_sheets import Drive
-from gtau.signals.experiment import Experiment, Prior
+from gtau.signals.experiment import Experiment, Prior, read_experiment
 from gtau.signals.payload import Payload
 from gtau.simulation.simulation_file import (
     Fourier,
@@ -86,6 +87,28 @@ def test_what_an_example_has_as_a_comment_is_a_key_at_its_place(page: str, which
             except ValidationError as error:
                 unknown = [each["loc"] for each in error.errors() if each["type"] == "extra_forbidden"]
                 assert not unknown, (line, unknown)
+
+
+def test_recipes_have_experiments_whose_keys_and_joints_are_right(tmp_path: Path) -> None:
+    """Each is read; where its robot is one of the catalog, its joints are those with motors."""
+    found, in_catalog = 0, catalog_names()
+    for page in sorted((DOCS / "do").glob("**/*.md")):
+        for text in blocks(page, "yaml"):
+            entries = yaml.safe_load(text)
+            if not {"robot", "signals", "runs"} <= set(entries):
+                continue
+            (tmp_path / "experiment.yaml").write_text(text)
+            robot = entries["robot"]["file"] if isinstance(entries["robot"], dict) else entries["robot"]
+            logs = [each["log"] for key in ("runs", "validation") for each in entries.get(key, [])]
+            for file in [robot, *np.hstack(logs)]:  # files of the reader's own
+                if file not in in_catalog:
+                    (tmp_path / file).touch()
+            experiment = read_experiment(tmp_path / "experiment.yaml")
+            found += 1
+            if robot in in_catalog and experiment.signals.preset is None:
+                actuated = read_robot(robot).actuated
+                assert set(experiment.signals.position) == set(actuated), page.name
+    assert found >= 15
 
 
 def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

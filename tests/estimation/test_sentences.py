@@ -81,13 +81,13 @@ SENTENCES = [  # finding, reason, advice
      "2SLS on the same data gives a gain 3.2 % larger, a difference of 14 standard deviations",
      "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction "
      "that grows with the load has the same effect"),
-    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 1003.0, "prior": 2.0, "unit": "N m"}),
+    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 1003.0, "prior": 2.0, "unit": "N m/A"}),
      "it is 1003 times its prior of 2 N m/A",
      "check the payload's mass, which looks like g taken for kg, and the unit of the currents, A taken for mA"),
-    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 0.001, "prior": 2.0, "unit": "N m"}),
+    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 0.001, "prior": 2.0, "unit": "N m/A"}),
      "it is 0.001 times its prior of 2 N m/A",
      "check the unit of the currents, which looks like mA taken for A, and the payload's mass in kg"),
-    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 3.0, "prior": 2.0, "unit": "N m"}),
+    (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 3.0, "prior": 2.0, "unit": "N m/A"}),
      "it is 3 times its prior of 2 N m/A",
      "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"),
     (Finding(F.EFFORT, ("left",), values={"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m"}),
@@ -156,7 +156,7 @@ SENTENCES = [  # finding, reason, advice
      values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg", "given": "torque"}),
      "by all other data it weighs 2.05 kg (standard deviation 0.01), not 2 kg",
      "check which runs carry the payload, its mass (kg) and the unit and scale of the torques; where the mass is "
-     "certain, declare torques of doubtful scale as 'current', and it gives their scale"),
+     "certain, leave out --method, and it gives their scale"),
     (Finding(F.PAYLOAD_MASS,
      values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg", "given": "current"}),
      "by all other data it weighs 2.05 kg (standard deviation 0.01), not 2 kg",
@@ -179,6 +179,10 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.PRIOR, (), "mx_3", values={"found": 41.2, "std": 0.3, "prior": 40.0, "prior_std": 0.1}),
      "the known parameter mx_3 is 41.2 from the data (standard deviation 0.3), but 40 from its prior (0.1)",
      "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"),
+    (Finding(F.PRIOR_INERTIA, (), "elbow", values={"std": 0.3, "parameters": [["mx_3R", 2.41, 0.013, 1.2, "kg m"]]}),
+     "the inertias of 'elbow' in the robot's file, taken as priors to 30 %, contradict the data: mx_3R is 2.41 kg m "
+     "from the data (standard deviation 0.013), 1.2 in the file",
+     "give 'prior_inertias' a larger value, or correct the file"),
     (Finding(F.POSITION_NOISE, (), "my_L2", values={"count": 3, "all": 20, "deviations": 2.13, "t": 5.2}),
      "position noise biases 3 of 20 estimates by more than their standard deviations: my_L2 by 2.1 of them "
      "(instrumental variables, which such noise does not bias, differ by 5 standard deviations of the difference); "
@@ -215,6 +219,13 @@ SENTENCES = [  # finding, reason, advice
      "more than 0.71 %",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
+    (Finding(F.SCALE_UNTESTED, values={"why": "no joint shows it"}),
+     "the torques are taken as true, as their scale could not be tested: no joint shows it",
+     "add runs with a heavier payload of known mass, or longer ones"),
+    (Finding(F.COMMON_SCALE, (), "steel", {"scale": 1.25, "std": 0.012, "mass": 0.96, "declared": 1.2}),
+     "one factor, 1.25 (standard deviation 0.012), explains the torque scale of all joints: so would a mass of 0.96 kg "
+     "of payload 'steel', stated as 1.2 kg",
+     "weigh the payload again before the torques are corrected"),
     (Finding(F.GAINS_APART, ("a", "b"), values={"ratio": 61.2, "smaller": 0.2, "larger": 12.24, "unit": "N m/A"}),
      "the gains of 'a' and 'b' are a factor of 61 apart (0.2 and 12.2 N m/A), which motors and gears of one robot "
      "hardly are",

@@ -213,7 +213,7 @@ def test_names_become_valid_identifiers(name: str, tmp_path: Path) -> None:
     robot = Robot(name, (Joint("a*/b/* %d", "ground", "revolute", Mdh(r=0.3)),))
     export(model_of(robot), tmp_path)
     sources = sorted(tmp_path.glob("*.c"))
-    assert len(sources) == 3
+    assert len(sources) == 4
     made = subprocess.run(
         [GCC, *FLAGS, "-O0", "-I", tmp_path, "-o", tmp_path / "all", *sources, "-lm"], capture_output=True, text=True
     )

@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from c_code import FLAGS, SANITIZERS, sanitizing
 from models_to_export import model_of
 from robots_for_tests import ROBOTS, home
 
 from gtau.export.c import export
 from gtau.export.identified import identified, torques
 
-GCC = shutil.which("gcc")
-FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-O1")
-SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 DRIVER = Path(__file__).with_name("controller_fuzz.c")
 
 
 @pytest.fixture(scope="module")
 def sanitized(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A compiler with sanitizers."""
-    if GCC is None:
-        pytest.skip("gcc is not installed (Debian: apt install gcc)")
-    folder = tmp_path_factory.mktemp("sanitizers")
-    (folder / "empty.c").write_text("int main(void) { return 0; }\n")
-    program = folder / "empty"
-    made = subprocess.run([GCC, *SANITIZERS, "-o", program, folder / "empty.c"], capture_output=True, text=True)
-    if made.returncode or subprocess.run([program], capture_output=True).returncode:
-        pytest.skip("gcc compiles without its sanitizers here (Debian: apt install libasan8 libubsan1)")
-    return GCC
+    return sanitizing(tmp_path_factory.mktemp("sanitizers"))
 
 
 def smooth(parameters: np.ndarray, names: list[str]) -> np.ndarray:
@@ -63,7 +52,7 @@ def test_bad_inputs_have_a_status_and_safe_currents(name: str, sanitized: str, t
     text = DRIVER.read_text().replace("robot_", f"{c_name}_").replace("ROBOT_", f"{c_name.upper()}_")
     (tmp_path / "fuzz.c").write_text(text)
     sources = [tmp_path / f"{each}.c" for each in (c_name, f"{c_name}_controller", "fuzz")]
-    subprocess.run([sanitized, *FLAGS, *SANITIZERS, "-o", tmp_path / "fuzz", *sources, "-lm"], check=True)
+    subprocess.run([sanitized, *FLAGS, "-O1", *SANITIZERS, "-o", tmp_path / "fuzz", *sources, "-lm"], check=True)
     ran = subprocess.run([tmp_path / "fuzz"], capture_output=True, text=True)
     assert ran.stdout == "OK\n", ran.stdout + ran.stderr
     assert ran.returncode == 0

@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.export.along_log import carrying, torques_along_log, write_table
+from gtau.estimation.experiment_runs import carrying
+from gtau.export.along_log import torques_along_log, write_table
 from gtau.model.home import load_robot
 from gtau.signals.payload import Payload
 

@@ -18,8 +18,8 @@ from gtau.estimation.regression.factors import EXTRA, reduce_run
 from gtau.estimation.regression.rows import stream_rows
 from gtau.model import inverse_dynamics as inverse_dynamics_module
 from gtau.model.home import load_robot
-from gtau.model.interpreter import kernel as interpreter
-from gtau.model.interpreter.lanes import LANES
+from gtau.model.interpreter import layout as interpreter
+from gtau.model.interpreter.layout import LANES
 from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import PATH, InverseDynamics
 from gtau.model.loop_paths import follow
@@ -239,34 +239,6 @@ def test_factors_are_those_of_all_rows(rng):
         scale = np.sqrt(np.diag(gram[j]))
         scale[scale == 0] = 1.0
         assert_allclose(R.T @ R / np.outer(scale, scale), gram[j] / np.outer(scale, scale), atol=1e-12)
-
-
-def test_compiled_code_knows_its_sources(tmp_path):
-    """A change of any compiled module must not find results of the one before in the cache."""
-    source = Path(inverse_dynamics_module.__file__).parents[1]
-    probe = tmp_path / "probe.py"  # a function of its own: the interpreter's would be compiled, which takes seconds
-    probe.write_text(
-        "from gtau.model.interpreter.compiled import compiled\n\n\ndef probe():\n    pass\n\n\n"
-        "print(compiled(probe).py_func.__qualname__)\n"
-    )
-
-    def name(root: Path) -> str:
-        environment = {**os.environ, "PYTHONPATH": str(root)}
-        return subprocess.run(
-            [sys.executable, str(probe)], env=environment, capture_output=True, text=True, check=True
-        ).stdout
-
-    copy = tmp_path / "gtau"
-    interpreter = [f"model/interpreter/{path.name}" for path in source.glob("model/interpreter/*.py")]
-    for file in ("__init__.py", "display.py", "errors.py", "model/__init__.py", *interpreter):
-        (copy / file).parent.mkdir(exist_ok=True, parents=True)
-        (copy / file).write_bytes((source / file).read_bytes())
-    before = name(tmp_path)
-    assert before.startswith("probe_")
-    assert name(tmp_path) == before
-    with (copy / "model" / "interpreter" / "lanes.py").open("a") as file:
-        file.write("# another edition\n")
-    assert name(tmp_path) != before
 
 
 def test_importing_gtau_imports_nothing_heavy():

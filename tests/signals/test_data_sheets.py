@@ -101,7 +101,7 @@ def test_drives_that_cannot_be(drives: str, more: str, message: str, tmp_path: P
 
 def test_torques_need_no_torque_constant(tmp_path: Path) -> None:
     with pytest.raises(
-        GtauError, match="the signals hold torques, which need no gains; remove the 'torque_constant' of"
+        GtauError, match="the signals hold torques, which need no torque constant; remove the 'torque_constant' of"
     ):
         read_experiment(experiment(tmp_path, SHEET, signal="torque"))
 

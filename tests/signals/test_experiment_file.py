@@ -100,7 +100,6 @@ BAD = [
     ("gain a word", "{11: 2001,", "{11: high,", "line 3, prior_gains.11: 'high' is not a number"),
     ("gain's spread", "{11: 2001,", "{11: {value: 2001, std: -3},", "prior_gains.11.std: -3 is out of range"),
     ("gain infinite", "{11: 2001,", "{11: inf,", "prior_gains.11: 'inf' is not a number"),
-    ("gains of torques", ", current:", ", torque:", "the signals hold torques, which need no gains"),
     ("log missing", "log: free.csv", "log: fre.csv", "fre.csv'; did you mean 'free.csv'?"),
     ("log missing, no match", "log: free.csv", "log: a/b.csv", "paths are relative to the file that names them"),
     ("three logs", "log: free.csv", "log: [a, b, c]", "runs.1.log: 3 values are written; write at most 2"),
@@ -123,12 +122,6 @@ BAD = [
         "require.torque_error: write per cent, such as '5 %'",
     ),
     ("require nothing", "runs:", "require: {torque_error: 0 %}\nruns:", "write a number above 0"),
-    (
-        "require of torques",
-        GOOD[GOOD.index("current") : GOOD.index("runs")],
-        "torque: {11: v1, 12: v2}}\nrequire: {gain_interval: 3 %}\n",
-        "which have no drive gains; remove 'gain_interval'",
-    ),
     ("a tag", "time: t", "time: !!python/name:os.system t", "the tag"),
     ("a torn bracket", "{log: free.csv}", "{log: free.csv", "this is not valid YAML"),
 ]

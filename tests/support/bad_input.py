@@ -267,9 +267,9 @@ EXPERIMENTS = [
     Case("wls without gains", "joint 'left' has none; add 'prior_gains'", experiment((PRIOR, "")), method("wls")),
     Case("ols without gains", "joint 'left' has none; add 'prior_gains'", experiment((PRIOR, "")), method("ols")),
     Case(
-        "torques by ml",
-        "hold torques, whose gain is 1, so there is nothing for method 'ml' to find; leave out --method, or use",
-        experiment(("current:", "torque:"), (PRIOR, "")),
+        "torques by ml without a payload",
+        f"method 'ml' needs a scale {SCALE[0]}",
+        experiment(("current:", "torque:"), (PRIOR, ""), (", mass: 1.2", "")),
         method("ml"),
     ),
     Case(

@@ -17,7 +17,20 @@ from gtau.export.identified import identified
 
 GCC = shutil.which("gcc")
 needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed (Debian: apt install gcc)")
+SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+
+
+def sanitizing(folder: Path) -> str:
+    """A compiler with sanitizers, tried out in a folder; skips the test where there is none."""
+    if GCC is None:
+        pytest.skip("gcc is not installed (Debian: apt install gcc)")
+    (folder / "empty.c").write_text("int main(void) { return 0; }\n")
+    program = folder / "empty"
+    made = subprocess.run([GCC, *SANITIZERS, "-o", program, folder / "empty.c"], capture_output=True, text=True)
+    if made.returncode or subprocess.run([program], capture_output=True).returncode:
+        pytest.skip("gcc compiles without its sanitizers here (Debian: apt install libasan8 libubsan1)")
+    return GCC
 
 
 class Compiled:

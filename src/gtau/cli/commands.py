@@ -13,6 +13,7 @@ from gtau.cli.export import export, use
 from gtau.cli.identification import compare, fleet, identify, payload, validate
 from gtau.cli.logs import check, init
 from gtau.cli.robots import compare_control, demo, excite, robot, simulate, tutorial
+from gtau.cli.watch import watch
 
 
 def show_version(wanted: bool) -> None:
@@ -63,6 +64,7 @@ COMMANDS: dict[Callable[..., None], str] = {
     compare: "Identify with every estimator, and compare.",
     validate: "Compare measured and predicted torques on other runs.",
     payload: "Weigh unknown payloads.",
+    watch: "Watch a robot: is it still the one that was identified?",
     use: "Compute external joint torques along a log.",
     export: "Export a model for other programs.",
     robot: "Show joints, loops and base parameters of a robot.",

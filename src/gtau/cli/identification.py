@@ -53,14 +53,18 @@ def identify(
     kind: KindOfLogs = None,
     out: Annotated[
         Path,
-        typer.Option("--out", metavar="DIR", help="Folder for report.html, model.json, summary.txt and singularities."),
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder for report.html, model.json, summary.txt, singularities and torque scale.",
+        ),
     ] = Path("result"),
     method: Annotated[
         str | None,
         typer.Option(
             metavar=METHODS,
             help="Estimator; docs/lookup/verdicts.md says when to choose which. Default: ml; tls with --as-paper; wls "
-            "where the logs hold torques.",
+            "where logs hold torques and nothing tests their scale.",
             show_default=False,
         ),
     ] = None,
@@ -82,6 +86,15 @@ def identify(
     consistent: Annotated[
         bool, typer.Option("--consistent", help="Also find physically consistent standard parameters.")
     ] = False,
+    prior_inertias: Annotated[
+        float | None,
+        typer.Option(
+            "--prior-inertias",
+            metavar="STD",
+            help="Take the inertias of the robot's file as priors of this relative standard deviation, 0.3 for 30 %.",
+            show_default=False,
+        ),
+    ] = None,
     accuracy: Annotated[
         float,
         typer.Option(
@@ -120,8 +133,10 @@ def identify(
                 consistent=consistent,
                 accuracy=accuracy / 100,
                 progress=progress,
+                prior_inertias=prior_inertias,
             )
         from gtau.estimation.results.singularity_distances import write_distances
+        from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
         from gtau.report.write import write_identification
 
         result = replace(result, notes=(*guessed, *result.notes))
@@ -129,6 +144,9 @@ def identify(
         result.save(written[0])
         write_atomically(written[1], result.summary(True) + "\n")
         write_distances(result.distances, written[2])
+        if torque_scales(result):
+            written.append(folder_of(out) / "torque_scale.yaml")
+            write_atomically(written[-1], torque_scale_text(result))
         with progress_bar() as progress:
             report = write_identification(result, experiment, out, perf_counter() - start, progress)
         written = [*([experiment] if guessed else []), report, *written]

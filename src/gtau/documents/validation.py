@@ -71,7 +71,7 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
 
 
 def name_problem(name: str) -> str | None:
-    """Say why a name cannot stand in tables, files and generated code, or return None."""
+    """Say why a name cannot appear in tables, files and generated code, or return None."""
     if len(name) > LONGEST_NAME:
         return f"the name {name[:20]!r}... has {len(name)} characters; write {LONGEST_NAME} at most"
     for character in name:

@@ -25,7 +25,7 @@ KeyPath = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Document:
-    """What stands in a file: nested dicts and lists of texts, and the line of every value."""
+    """Content of a file: nested dicts and lists of texts, and the line of every value."""
 
     path: Path
     data: dict[str, Any]
@@ -201,7 +201,7 @@ def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
     data : object
         Nested dicts and lists.
     flow : bool, optional
-        Whether all of it stands in braces and brackets; if left out, only the innermost groups do.
+        Whether all of it is in braces and brackets; if left out, only the innermost groups do.
     width : float
         Characters after which a line is broken.
     """

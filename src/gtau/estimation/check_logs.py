@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau import display
-from gtau.documents.arguments import FUNCTION, TEXT, takes
+from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
@@ -125,7 +125,7 @@ class ExperimentCheck:
         return html
 
 
-@takes(method=TEXT, progress=FUNCTION)
+@takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER)
 @single_threaded_blas()
 def check_logs(
     source: str | Path | Experiment | Robot,
@@ -134,6 +134,7 @@ def check_logs(
     prior_gains: Mapping[str, float] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     progress: Progress = silent,
+    prior_inertias: float | None = None,
 ) -> ExperimentCheck:
     """Find everything in the logs of an experiment that an identification would refuse, suffer from or mention.
 
@@ -147,7 +148,7 @@ def check_logs(
     """
     if method is not None:
         estimator_of(method)  # before logs are read
-    subject = describe(source, runs, prior_gains, priors)
+    subject = describe(source, runs, prior_gains, priors, prior_inertias)
     robot, experiment = subject.robot, subject.experiment
     listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
     count = len(listed)
@@ -158,7 +159,7 @@ def check_logs(
     used = [run for run in read[:count] if run is not None]
     if not used:
         return ExperimentCheck(robot, None, (), (*of_robot, *notes))
-    estimator, gains = choose_estimator(method, used), None
+    estimator, gains, chosen = choose_estimator(method, used), None, method is not None
     try:
         gains = require_inputs(estimator, robot, used, subject.prior_gains, subject.stated)
     except GtauError as error:
@@ -197,8 +198,9 @@ def check_logs(
             preparation,
             progress=progress,
             priors=usable(estimator, subject.priors),
+            prior_inertias=subject.prior_inertias,
         )
-        notes += _together(dataset, estimator, gains)
+        notes += _together(dataset, estimator, gains, chosen)
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)
 
 
@@ -255,12 +257,12 @@ def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
     return notes
 
 
-def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None) -> list[Note]:
+def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None, chosen: bool) -> list[Note]:
     """Note what only all runs together show: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system(Friction())
     notes = [*map(note, command_lag(dataset, system)), *not_separated(system.unexcited)]
     try:
-        require_identifiable(estimator, gains, dataset, system)
+        _, gains = require_identifiable(estimator, gains, dataset, system, chosen)
     except GtauError as error:
         payloads = [run.payload for run in dataset.runs if run.payload is not None]
         if system.problem.scaled or not payloads or any(each.mass is not None for each in payloads):
@@ -268,7 +270,7 @@ def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None) 
         weighed = f"they can weigh '{payloads[0].name}'"
         what = f"no payload has a known mass, so these logs cannot give the drive gains; {weighed}"
         return [*notes, Note(Kind.WEIGHING, what, "run 'gtau payload MODEL.json' with them")]
-    if dataset.runs[0].kind == "torque":
+    if gains is not None:
         return notes
     try:
         require_felt_payload(system)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau import display
-from gtau.documents.arguments import FUNCTION, takes
+from gtau.documents.arguments import FUNCTION, NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given
@@ -24,7 +24,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit
+from gtau.robots.units import gain_unit
 from gtau.signals.experiment import Experiment, Prior
 from gtau.signals.run import Run
 
@@ -89,26 +89,24 @@ class EstimatorComparison:
         return html
 
 
-@takes(progress=FUNCTION)
+@takes(progress=FUNCTION, prior_inertias=NUMBER)
 def compare(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
     prior_gains: Mapping[str, float] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     progress: Progress = silent,
+    prior_inertias: float | None = None,
 ) -> EstimatorComparison:
     """Identify with every estimator, each as :func:`gtau.identify` does, which takes the same.
 
     Raises
     ------
     GtauError
-        Where a file is wrong, the logs hold torques, or the runs cannot fix the scale of the gains.
+        Where a file is wrong, or the runs cannot fix the scale of the gains.
     """
-    subject = subject_of(source, runs, prior_gains, priors, progress)
+    subject = subject_of(source, runs, prior_gains, priors, progress, prior_inertias)
     robot, taken_runs, known = subject.robot, subject.runs, subject.priors
-    if taken_runs[0].kind == "torque":
-        where = f"{source}: " if isinstance(source, (str, Path)) else ""
-        raise GtauError(f"{where}the logs hold torques, so there are no drive gains to compare; use 'gtau identify'.")
 
     def row(estimator: Estimator) -> Row:
         start = perf_counter()
@@ -130,14 +128,15 @@ def compare(
         return Row(estimator.name, values, std, residuals, seconds, outcome, half_widths=halves)
 
     with single_threaded_blas():
-        dataset = reduce_runs(robot, taken_runs, progress=progress, priors=known)
+        of_file = subject.prior_inertias
+        dataset = reduce_runs(robot, taken_runs, progress=progress, priors=known, prior_inertias=of_file)
         require_identifiable(choose_estimator("ml", taken_runs), None, dataset, dataset.system(Friction()))
         rows = []
         for k, estimator in enumerate(ESTIMATORS.values()):
             progress("estimators", k, len(ESTIMATORS))
             rows.append(row(estimator))
         progress("estimators", len(ESTIMATORS), len(ESTIMATORS))
-    units = tuple(f"{torque_unit(robot, joint)}/A" for joint in robot.motors)
+    units = tuple(gain_unit(robot, joint, taken_runs[0].kind) for joint in robot.motors)
     return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)
 
 

@@ -12,6 +12,7 @@ from gtau.documents.arguments import MAPPING, NUMBER, expect
 from gtau.documents.validation import validate
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.regression.file_inertias import inertia_priors
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -20,7 +21,9 @@ from gtau.robots.robot import Limits, Robot
 from gtau.signals.columns import document_of
 from gtau.signals.experiment import Experiment, Prior, StatedGain, as_priors, check_robot, read_experiment
 from gtau.signals.logged_run import LoggedRun
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run, read_run
+from gtau.signals.samples import WHOLE, Part
 from gtau.signals.side_signals import read_poses
 
 OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
@@ -31,7 +34,8 @@ class Subject:
     """A robot with its runs, and what is known: ``priors`` with those of data sheets, and ``stated`` without.
 
     ``gain_stds`` are the standard deviations of the gains expected, where they are known; ``experiment`` is None where
-    robot and runs were given in Python.
+    robot and runs were given in Python. ``prior_inertias`` is the relative standard deviation of the inertias of the
+    robot's file where these are among the priors, else 0.
     """
 
     robot: Robot
@@ -41,6 +45,14 @@ class Subject:
     stated: Mapping[str, Prior]
     experiment: Experiment | None = None
     gain_stds: Mapping[str, float] = field(default_factory=dict)
+    prior_inertias: float = 0.0
+
+    def with_inertias(self, std: float | None) -> Subject:
+        """Take the inertias of the robot's file as priors, where none are stated; raises GtauError."""
+        if std is None:
+            return self
+        of_file = inertia_priors(self.robot, std)
+        return replace(self, priors={**of_file, **self.priors}, stated={**of_file, **self.stated}, prior_inertias=std)
 
 
 def subject_of(
@@ -49,6 +61,7 @@ def subject_of(
     prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     progress: Progress = silent,
+    prior_inertias: float | None = None,
 ) -> Subject:
     """Read an experiment, or take a robot with its runs; what is given beside an experiment replaces what it says.
 
@@ -57,7 +70,7 @@ def subject_of(
     GtauError
         Where a file is wrong, or a robot has no runs, an experiment other ones, or something is of another type.
     """
-    found = describe(source, runs, prior_gains, priors)
+    found = describe(source, runs, prior_gains, priors, prior_inertias)
     if found.experiment is None:
         return found
     return replace(found, runs=read_runs(found.experiment, found.experiment.runs, progress))
@@ -68,6 +81,7 @@ def describe(
     runs: Sequence[Run] | None = None,
     prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+    prior_inertias: float | None = None,
 ) -> Subject:
     """Do as :func:`subject_of`, but leave the logs of an experiment unread."""
     given = None if priors is None else as_priors(priors)
@@ -80,7 +94,8 @@ def describe(
             raise GtauError("a robot alone cannot be identified; give its runs too.")
         if not all(isinstance(run, Run) for run in runs):
             raise GtauError(OF_RUNS)
-        return Subject(source, runs, gains or {}, given or {}, given or {}, gain_stds=stds)
+        found = Subject(source, runs, gains or {}, given or {}, given or {}, gain_stds=stds)
+        return found.with_inertias(prior_inertias)
     if runs is not None:
         raise GtauError(
             "runs are given beside an experiment file, which lists its own; give a robot with runs, or the file alone."
@@ -93,7 +108,7 @@ def describe(
     experiment = source if isinstance(source, Experiment) else read_experiment(source)
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
-    return Subject(
+    found = Subject(
         robot,
         (),
         experiment.expected_gains if gains is None else gains,
@@ -102,6 +117,7 @@ def describe(
         experiment,
         experiment.gain_stds if gains is None else stds,
     )
+    return found.with_inertias(experiment.prior_inertias if prior_inertias is None else prior_inertias)
 
 
 def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
@@ -146,6 +162,50 @@ def geometry_of(
 
     logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)
+
+
+def read_log(model: IdentifiedModel, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE) -> Run:
+    """Read a log to be used with a model.
+
+    Parameters
+    ----------
+    model : IdentifiedModel
+        Of the robot.
+    log : path
+        The log.
+    experiment : path, optional
+        Experiment file whose ``signals`` and ``units`` name the columns; left out, they are ``t``, and for each joint
+        ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
+    part : Part
+        Which part of the log is used.
+
+    Raises
+    ------
+    GtauError
+        Where the log or the experiment file cannot be read, or the columns are not there.
+    """
+    if experiment is not None:
+        described = read_experiment(experiment)
+        return read_run(log, described.signals, None, described.units, settings=described.preparation, part=part)
+    command, letter = ("current", "v") if model.kind == "current" else ("torque", "tau")
+    joints = model.robot.actuated
+    signals: Mapping[str, Any] = {
+        "time": "t",
+        "position": {joint: f"q{joint}" for joint in joints},
+        command: {joint: f"{letter}{joint}" for joint in joints},
+    }
+    try:
+        return read_run(log, signals, part=part)
+    except GtauError as error:
+        raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
+
+
+def carrying(model: IdentifiedModel, run: Run, payload: str) -> Run:
+    """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
+    known = [name for name in dict.fromkeys(each.name for each in model.payloads) if "m" in model.payload(name)]
+    if payload not in known:
+        raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
+    return replace(run, payload=Payload(name=payload))
 
 
 def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:

@@ -18,8 +18,9 @@ from gtau.signals.run import Run
 
 
 def choose_estimator(method: str | None, runs: Sequence[Run], as_paper: bool = False) -> Estimator:
-    """Return the estimator of this name, or the default: WLS of torques, else ML, or TLS ``as_paper``; GtauError."""
-    return estimator_of(method or ("wls" if runs[0].kind == "torque" else "tls" if as_paper else "ml"))
+    """Return the estimator of this name, or the default: ML, or TLS ``as_paper``, or WLS of torques; GtauError."""
+    of_paper = "wls" if runs[0].kind == "torque" else "tls"
+    return estimator_of(method or (of_paper if as_paper else "ml"))
 
 
 def require_inputs(
@@ -36,21 +37,68 @@ def require_inputs(
     ------
     GtauError
         Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
-        sought with the latter whatever the estimator); where it estimates gains of logs that hold torques, or takes
-        gains and some joint has none.
+        sought with the latter whatever the estimator); where it takes gains and some joint has none.
     """
-    _require_priors_taken(estimator, runs, priors, consistent)
+    _require_priors_taken(estimator, robot, runs, priors, consistent)
     return _gains_for(estimator, robot, runs, prior_gains)
 
 
-def require_identifiable(estimator: Estimator, gains: np.ndarray | None, dataset: Dataset, system: System) -> None:
-    """Check that the runs fix the scale of the gains, unless these are given; raises GtauError."""
-    if gains is None:
+def require_identifiable(
+    estimator: Estimator,
+    gains: np.ndarray | None,
+    dataset: Dataset,
+    system: System,
+    chosen: bool = True,
+    prior_gains: Mapping[str, float] | None = None,
+) -> tuple[Estimator, np.ndarray | None]:
+    """Check that the runs fix the scale of the gains, unless these are given; return what is to be done about them.
+
+    Parameters
+    ----------
+    estimator, gains : Estimator, ndarray
+        From :func:`choose_estimator` and :func:`require_inputs`.
+    dataset, system : Dataset, System
+        The equations.
+    chosen : bool
+        Whether the user chose the estimator. Where nothing tests the scale of logged torques it is taken for 1, but by
+        a chosen estimator of gains; known parameters alone test it only for such a one, as they may be rough.
+
+    prior_gains : mapping, optional
+        Joint to the factor that makes a torque true, for torques of which nothing tests the scale.
+
+    Returns
+    -------
+    estimator, gains : Estimator, ndarray
+        Those given, or weighted least squares with the gains 1 (or prior ones).
+
+    Raises
+    ------
+    GtauError
+        Where nothing gives the scale of currents, or what the estimator chosen needs.
+    """
+    if gains is not None:
+        return estimator, gains
+    demanded = dataset.runs[0].kind == "current" or (chosen and estimator.gains == Gains.ESTIMATED)
+    try:
         require_scale(dataset.robot, system, [run.payload for run in dataset.runs], estimator.name)
+    except GtauError:
+        if demanded:
+            raise
+    else:
+        if demanded or tests_torques(system):
+            return estimator, None
+    taken = estimator if chosen else estimator_of("wls")
+    return taken, given_gains(dataset.robot, dataset.runs, prior_gains, taken.name)
+
+
+def tests_torques(system: System) -> bool:
+    """Decide whether a known payload, a torque sensor or a wrench tests the scale of logged torques."""
+    problem, known = system.problem, (each for each in system.payloads if each.payload.mass is not None)
+    return any(each.acts for each in known) or bool(problem.of("sensor") or problem.of("base") or problem.wrenches)
 
 
 def _require_priors_taken(
-    estimator: Estimator, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
+    estimator: Estimator, robot: Robot, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
 ) -> None:
     """Check that an estimator can take what is known beside currents and payloads.
 
@@ -63,10 +111,12 @@ def _require_priors_taken(
     if estimator.takes_priors:
         return
     takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
-    known = any(prior.value is not None for prior in priors.values()) and not consistent
+    stated, valued = dict(robot.inertias), {name: each.value for name, each in priors.items() if each.value is not None}
+    of_file = all(name in stated and stated[name] == value for name, value in valued.items())
+    known = bool(valued) and not consistent
     for what, key, there in (
         ("torque sensors", "joint_torque", runs[0].sensors),
-        ("known parameters", "priors", known),
+        ("known parameters", "prior_inertias" if of_file else "priors", known),
         ("wrenches on bodies", "wrenches", any(body not in runs[0].base for body, _ in runs[0].wrenches)),
     ):
         if there:
@@ -84,41 +134,32 @@ def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Pr
 def _gains_for(
     estimator: Estimator, robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None
 ) -> np.ndarray | None:
-    """Return the gains (n,) that an estimator takes: 1 for torques, else the prior ones; None if it estimates them.
+    """Return the gains (n,) that an estimator takes: prior ones, 1 of torques; None where it may estimate them.
 
     Raises
     ------
     GtauError
-        Where it estimates gains of logs that hold torques, or takes them and some joint has no prior gain.
+        Where it takes them and some joint has no prior gain.
     """
-    torques = runs[0].kind == "torque"
     if robot.floating and not estimator.takes_priors:
         takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
         raise GtauError(
             f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
             f"choose from {takers} with --method."
         )
-    if estimator.gains == Gains.GIVEN or (estimator.gains == Gains.EITHER and torques):
-        return given_gains(robot, runs, prior_gains, estimator.name)
-    if torques:
-        raise GtauError(
-            f"the logs hold torques, whose gain is 1, so there is nothing for method '{estimator.name}' to find; leave "
-            "out --method, or use --method wls."
-        )
-    return None
+    return given_gains(robot, runs, prior_gains, estimator.name) if estimator.gains == Gains.GIVEN else None
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:
-    """Return gains for least squares: 1 for torques, otherwise the prior ones, (n,).
+    """Return gains for least squares: the prior ones, 1 for torques without, (n,).
 
     Raises
     ------
     GtauError
         Where currents are logged and some joint has no prior gain.
     """
-    if runs[0].kind == "torque":
-        return np.ones(len(robot.actuated))
-    known = {**dict.fromkeys(robot.base, 1.0), **(prior_gains or {})}
+    exact = robot.actuated if runs[0].kind == "torque" else robot.base
+    known = {**dict.fromkeys(exact, 1.0), **(prior_gains or {})}
     missing = [joint for joint in robot.actuated if joint not in known]
     if missing:
         raise GtauError(

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import geometry_of, read_runs, subject_of
-from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
+from gtau.estimation.gate import (
+    choose_estimator,
+    given_gains,
+    require_identifiable,
+    require_inputs,
+    usable,
+)
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
@@ -32,7 +42,15 @@ from gtau.signals.notes import Note
 from gtau.signals.run import Run
 
 
-@takes(method=TEXT, ratio=NUMBER, as_paper=TRUTH, consistent=TRUTH, accuracy=NUMBER, progress=FUNCTION)
+@takes(
+    method=TEXT,
+    ratio=NUMBER,
+    prior_inertias=NUMBER,
+    as_paper=TRUTH,
+    consistent=TRUTH,
+    accuracy=NUMBER,
+    progress=FUNCTION,
+)
 def identify(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
@@ -44,6 +62,7 @@ def identify(
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     accuracy: float = ACCURACY,
     progress: Progress = silent,
+    prior_inertias: float | None = None,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
 
@@ -55,10 +74,11 @@ def identify(
         From :func:`gtau.read_run`; only with a robot.
     method : str, optional
         A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md says what each is, and when
-        to choose it. If left out, least squares with given gains ("wls") where logs hold torques, else maximum
-        likelihood ("ml"), or the paper's total least squares ("tls") with ``as_paper``.
+        to choose it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold
+        torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
+        torques.
     prior_gains : mapping, optional
-        Joint to gain, N m/A or N/A; the experiment file's if left out.
+        Joint to gain, N m/A or N/A, of torques the factor that makes them true; the experiment file's if left out.
     ratio : float, optional
         The paper's r_sigma for the essential parameters; if left out, the Bayesian information criterion decides
         which base parameters are cancelled.
@@ -76,6 +96,9 @@ def identify(
         Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
     progress : callable, optional
         Called as the work goes on.
+    prior_inertias : float, optional
+        Take the inertias of the robot's file (URDF or MJCF) as priors with this relative standard deviation, 0.3 for
+        30 %; the experiment file's if left out.
 
     Returns
     -------
@@ -95,31 +118,60 @@ def identify(
     if ratio is not None and not ratio >= 1:
         raise GtauError(f"a ratio of {ratio:g} cannot be asked for; write one of the paper's, 10 to 30.")
     options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
-    subject = subject_of(source, runs, prior_gains, priors, progress)
+    subject = subject_of(source, runs, prior_gains, priors, progress, prior_inertias)
     robot, experiment, known = subject.robot, subject.experiment, subject.priors
     estimator = choose_estimator(method, subject.runs, as_paper)
     _check_combination(estimator, as_paper, consistent)
     gains = require_inputs(estimator, robot, subject.runs, subject.prior_gains, subject.stated, consistent)
     with single_threaded_blas():
         dataset = reduce_runs(
-            robot, subject.runs, decimator=options.decimator, progress=progress, priors=usable(estimator, known)
+            robot,
+            subject.runs,
+            decimator=options.decimator,
+            progress=progress,
+            priors=usable(estimator, known),
+            prior_inertias=subject.prior_inertias,
         )
         system = dataset.system(Friction())
-        require_identifiable(estimator, gains, dataset, system)
-        try:
-            result = estimate(
-                dataset, estimator, Given(gains, known, progress), options, subject.prior_gains, consistent
-            )
-        except GtauError:
-            require_felt_payload(system)
-            raise
-        outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
-        if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
-            require_felt_payload(system)
+        estimator, gains = require_identifiable(
+            estimator, gains, dataset, system, method is not None, subject.prior_gains
+        )
+
+        def run(by: Estimator, given: np.ndarray | None) -> Result:
+            try:
+                result = estimate(dataset, by, Given(given, known, progress), options, subject.prior_gains, consistent)
+            except GtauError:
+                require_felt_payload(system)
+                raise
+            outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
+            if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
+                require_felt_payload(system)
+            return result
+
+        if method is None and gains is None and dataset.runs[0].kind == "torque":
+            result = _tested(run, estimator, given_gains(robot, subject.runs, subject.prior_gains, "wls"))
+        else:
+            result = run(estimator, gains)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
         notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
         return _judged(replace(result, geometry=geometry, notes=notes), experiment, progress)
+
+
+def _tested(
+    run: Callable[[Estimator, np.ndarray | None], Result], estimator: Estimator, otherwise: np.ndarray
+) -> Result:
+    """Identify with the scale of the torques, or with the gains (n,) that are given where the runs do not show it."""
+    try:
+        result = run(estimator, None)
+        if {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
+            return result
+        joint, gain = next(iter(result.drive_gains.items()))
+        why = f"that of no joint is identifiable ('{joint}': {gain.verdict.why})"
+    except GtauError as error:
+        why = str(error).rstrip(".")
+    result = run(estimator_of("wls"), otherwise)
+    return replace(result, notes=(note(Finding(F.SCALE_UNTESTED, values={"why": why})), *result.notes))
 
 
 def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:

@@ -10,6 +10,8 @@ import numpy as np
 
 from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import examine, uncertainty_of
+from gtau.estimation.diagnostics.inertia_audit import audit_inertias, prior_findings, without_file_inertias
+from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.estimators.essential_parameters import reduce_fit
 from gtau.estimation.estimators.estimator import Estimator, Given
@@ -109,7 +111,9 @@ def estimate(
     examined = examine(fit, progress)
     uncertainty = uncertainty_of(fit, examined, options.correlated)
     essential = reduce_fit(fit, uncertainty.covariance, options.ratio, options.correlated, options.joint_reduction)
-    payloads = weigh_known(fit, estimator.name, options.accuracy)
+    bare = without_file_inertias(fit, uncertainty.covariance, uncertainty.effective_freedom)
+    audit = bare and audit_inertias(*bare, fit.dataset.prior_inertias)
+    payloads = weigh_known(bare[0], estimator.name, options.accuracy) if bare else {}
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
     progress("estimation", 1, 1)
     if options.joint_reduction:  # the gains that go with the essential parameters
@@ -119,5 +123,6 @@ def estimate(
         nothing = np.zeros_like(covariance)
         uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
     diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, options.accuracy)
+    diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *map(note, prior_findings(audit))))
     friction = identify_friction(fit, uncertainty.covariance) if options.all_samples else FrictionStep()
-    return build_result(fit, estimator, examined, uncertainty, essential, diagnosis, bodies, friction)
+    return build_result(fit, estimator, examined, uncertainty, essential, diagnosis, bodies, friction, audit)

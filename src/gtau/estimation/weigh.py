@@ -65,7 +65,7 @@ def weigh(
     -------
     tuple of PayloadEstimate
         One for each run with an unknown payload. The standard deviations include what the gains' own uncertainty does,
-        of prior gains as far as their standard deviations are given (see :func:`exact_gains`).
+        of prior gains as far as their standard deviations are given (see :func:`gtau.estimation.weigh.exact_gains`).
 
     Raises
     ------
@@ -86,8 +86,7 @@ def weigh(
     chosen = [run for run in subject.runs if run.payload is None or run.payload.mass is None or not bare]
     if gains == "prior":
         g_tau = given_gains(robot, chosen, subject.prior_gains, "wls")
-        stds = {} if model.kind == "torque" else subject.gain_stds
-        covariance = np.diag([stds.get(joint, 0.0) ** 2 for joint in robot.actuated])
+        covariance = np.diag([subject.gain_stds.get(joint, 0.0) ** 2 for joint in robot.actuated])
     else:
         g_tau = model.gains
         rows = [model.covariance_names.index(Parameter("gain", joint).name) for joint in robot.actuated]

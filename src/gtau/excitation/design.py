@@ -106,8 +106,8 @@ def design(
     Raises
     ------
     GtauError
-        Where no motion within the limits is found, with the limit that is exceeded; :class:`Stopped` where it was
-        stopped before one was found.
+        Where no motion within the limits is found, with the limit that is exceeded;
+        :class:`gtau.excitation.design.Stopped` where it was stopped before one was found.
     """
     rng = np.random.default_rng(seed)
     best: Design | None = None

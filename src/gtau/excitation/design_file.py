@@ -111,7 +111,7 @@ class LimitsEntry(Keys):
 
 
 class DesignFile(Keys):
-    """What stands in a design file."""
+    """Content of a design file."""
 
     robot: RobotName
     rate: Positive

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from textwrap import wrap
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +15,11 @@ from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Prediction
 from gtau.estimation.results.result import Result
+from gtau.export.observer import momentum_observer
+from gtau.export.wrench import WrenchAlongLog, wrench_along_log
+from gtau.robots.robot import Placement
 from gtau.robots.units import torque_unit
-from gtau.signals.payload import Payload
-from gtau.signals.run import Run, read_run
+from gtau.signals.run import Run
 
 if TYPE_CHECKING:
     import polars as pl
@@ -45,58 +48,35 @@ class External:
 
 @dataclass(frozen=True, eq=False)
 class TorquesAlongLog:
-    """A table with a row a sample, of :meth:`gtau.estimation.results.estimate.Prediction.table`; a summary a joint."""
+    """A table with a row a sample, and a summary a joint.
+
+    The table is that of :meth:`gtau.estimation.results.estimate.Prediction.table`; with ``observed_J``, the causal
+    estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for.
+    """
 
     table: pl.DataFrame
     joints: tuple[External, ...]
+    wrench: WrenchAlongLog | None = None
 
 
-def read_log(result: Result, log: str | Path, experiment: str | Path | None = None) -> Run:
-    """Read a log to be used with a model.
+def torques_along_log(
+    result: Result,
+    run: Run,
+    frame: tuple[str, Placement] | None = None,
+    force_only: bool = False,
+    bandwidth: float | None = None,
+) -> TorquesAlongLog:
+    """Compute motor, model and external torques at every sample of a run, behind the low-pass of identification.
 
     Parameters
     ----------
-    result : Result
-        Of the robot.
-    log : path
-        The log.
-    experiment : path, optional
-        Experiment file whose ``signals`` and ``units`` name the columns; left out, they are ``t``, and for each joint
-        ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
-
-    Raises
-    ------
-    GtauError
-        Where the log or the experiment file cannot be read, or the columns are not there.
-    """
-    if experiment is not None:
-        from gtau.signals.experiment import read_experiment
-
-        described = read_experiment(experiment)
-        return read_run(log, described.signals, None, described.units)
-    command, letter = ("current", "v") if result.kind == "current" else ("torque", "tau")
-    joints = result.robot.actuated
-    signals: Mapping[str, Any] = {
-        "time": "t",
-        "position": {joint: f"q{joint}" for joint in joints},
-        command: {joint: f"{letter}{joint}" for joint in joints},
-    }
-    try:
-        return read_run(log, signals)
-    except GtauError as error:
-        raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
-
-
-def carrying(result: Result, run: Run, payload: str) -> Run:
-    """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
-    known = [name for name in dict.fromkeys(each.name for each in result.payloads) if "m" in result.payload(name)]
-    if payload not in known:
-        raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
-    return replace(run, payload=Payload(name=payload))
-
-
-def torques_along_log(result: Result, run: Run) -> TorquesAlongLog:
-    """Compute motor, model and external torques at every sample of a run, behind the low-pass of identification.
+    result, run : Result, Run
+        The model and the run.
+    frame : tuple, optional
+        Where the wrench is wanted, too, and whether it is a force alone (``force_only``); see
+        :func:`gtau.export.wrench.wrench_along_log`.
+    bandwidth : float, optional
+        Of :func:`gtau.export.observer.momentum_observer`, Hz, where its estimate is wanted, too.
 
     Raises
     ------
@@ -110,7 +90,14 @@ def torques_along_log(result: Result, run: Run) -> TorquesAlongLog:
         for j, joint in enumerate(prediction.joints)
         if prediction.keep[:, j].any()
     ]
-    return TorquesAlongLog(prediction.table(), tuple(joints))
+    table, wrench = prediction.table(), None
+    if bandwidth is not None:
+        observed = momentum_observer(result, run, bandwidth)
+        table = table.with_columns(**{f"observed_{each}": observed[:, j] for j, each in enumerate(prediction.joints)})
+    if frame is not None:
+        wrench = wrench_along_log(result, run, prediction, frame, force_only)
+        table = table.with_columns(**wrench.columns).fill_nan(None)
+    return TorquesAlongLog(table, tuple(joints), wrench)
 
 
 def _summary(of: Prediction, unit: str, residual: float | None) -> External:
@@ -164,5 +151,27 @@ def summary_text(found: TorquesAlongLog) -> str:
             "residual: rms torque residual of the identification; beyond 4: share of samples",
             "whose external torque exceeds four of them, by chance 0.006 %. A contact, a",
             "collision or an unknown payload shows there.",
+            *(() if found.wrench is None else _wrench_lines(found.wrench)),
         ]
     )
+
+
+def _wrench_lines(found: WrenchAlongLog) -> Iterator[str]:
+    yield ""
+    yield f"{'External wrench':<20}{'rms':>10}{'+-':>10}{'largest':>11}{'at, s':>10}{'beyond 4':>11}{'seen':>9}   unit"
+    for each in found.components:
+        numbers = (each.rms, each.interval, each.largest, each.time)
+        rms, interval, largest, time = ("-" if number is None else f"{number:.4g}" for number in numbers)
+        share = "-" if each.share is None else f"{100 * each.share:.2f} %"
+        yield (
+            f"  {each.name:<18}{rms:>10}{interval:>10}{largest:>11}{time:>10}{share:>11}{100 * each.seen:>7.0f} %"
+            f"   {each.unit}"
+        )
+    yield from wrap(f"At {found.frame}, in its axes. +-: half the 95 % interval, the median.", 80)
+    if not found.seen.all():
+        few = int(np.median(found.directions))
+        yield from wrap(
+            f"seen: share of samples whose pose shows the component; there the joints feel {few} of 6 directions, the "
+            "median. Elsewhere it has no value: it is empty in the table.",
+            80,
+        )

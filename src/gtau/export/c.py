@@ -1,4 +1,4 @@
-"""C99: torques, currents, gravity, friction, inertia and regressor from the pose, without allocation."""
+"""C99: torques, currents, gravity, friction, inertia, regressor and momentum of a pose, without allocation."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ BODY = re.compile(r"^static int casadi_f\d+\([^)]*\) *\{\n(.*?)^ *return 0;\n\}"
 
 
 def export(result: Result, out: Path) -> Exported:
-    """Write C sources, header, controller, example and CMake file of the identified model into ``out``."""
+    """Write C sources, header, controller, observer, example and CMake file of the identified model into ``out``."""
     model = identified(result)
     return Exported(written(out, c_files(model)), notes=notes_on(model))
 
@@ -52,6 +52,8 @@ def c_files(model: Identified) -> dict[str, str]:
         f"{name}.c": _filled("model.c", fields),
         f"{name}_controller.h": _filled("controller.h", fields),
         f"{name}_controller.c": _filled("controller.c", fields),
+        f"{name}_observer.h": _filled("observer.h", fields),
+        f"{name}_observer.c": _filled("observer.c", fields),
         "example.c": _filled("example.c", fields),
         "CMakeLists.txt": _filled("CMakeLists.txt", fields),
     }

@@ -130,8 +130,8 @@ def terms_left_out(model: ConsistentModel) -> list[str]:
     return [name for name in model.result.friction_parameters if parameter_of(name).kind not in held]
 
 
-def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str]) -> list[str]:
-    """List what no rigid-body format holds: the friction terms ``left_out``, negative ones, and delays."""
+def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str], delays: bool = False) -> list[str]:
+    """List what no rigid-body format holds: friction terms ``left_out``, and delays unless these are elsewhere."""
     result, notes = model.result, []
     notes += friction_notes(model)
     widths = {joint: each.width for joint, each in result.curves.items() if each.width}
@@ -144,6 +144,6 @@ def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str]) -> 
         named = ", ".join(f"{name} ({kinds[name.split('_', 1)[0]]})" for name in left_out)
         notes.append(f"{target} cannot express this friction, left out: {named}")
     late = [f"{1e3 * (each.value or 0.0):.2g} ms ('{joint}')" for joint, each in result.delays.items() if each.value]
-    if late:
+    if late and not delays:
         notes.append(f"delays between current and torque are not part of the file: {', '.join(late)}")
     return notes

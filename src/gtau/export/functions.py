@@ -18,6 +18,7 @@ from gtau.estimation.friction.law import carried
 from gtau.export.identified import Identified
 from gtau.model.closures import closure_maps
 from gtau.model.dynamics import torques
+from gtau.model.kinematics import configuration_rates
 from gtau.robots.parameter import Parameter
 
 OUTPUTS = {
@@ -26,6 +27,10 @@ OUTPUTS = {
     "friction": "torques of friction and offsets, to be compensated",
     "inertia": "inertia matrix of the actuated joints, rotors included",
     "regressor": "regressor W, row by row: torques = W parameters",
+}
+OBSERVED = {
+    "momentum": "generalized momentum M qd",
+    "drift": "rate of the momentum without torques of motors and contacts: C^T qd less gravity, springs and friction",
 }
 
 
@@ -36,16 +41,17 @@ class Functions:
     Attributes
     ----------
     outputs : dict
-        By the names of ``OUTPUTS``: functions of c and z (n_c + s,), qd, qdd (n,) and the parameters (n_p,).
+        By the names of ``OUTPUTS`` and ``OBSERVED``: functions of c and z (n_c + s,), qd, qdd (n,) and the parameters
+        (n_p,).
     step, last_step : Function, optional
         Configuration after a step of Newton's method and the size of its correction, rad or lengths over
         ``length``; the last one also gives the condition number of the loops. None for a serial robot.
     home : ndarray
         Closed configuration to start from, with states at rest, (n_c + s,).
     actuated : ndarray
-        Where the actuated joints stand in c, (n,).
+        Where the actuated joints are in c, (n,).
     presliding : tuple
-        Of each state, where it stands behind c: its width, rad or m, and the ratios of actuated joints, by place in c.
+        Of each state, its place behind c: its width, rad or m, and the ratios of actuated joints, by place in c.
     """
 
     outputs: dict[str, ca.Function]
@@ -63,10 +69,11 @@ def functions(model: Identified) -> Functions:
     step = last_step = None
     if loops is None:
         c, qd, qdd = (ca.SX.sym(name, n) for name in ("q", "qd", "qdd"))
-        yd, ydd, J, home = qd, qdd, ca.SX.eye(n), layout.home
+        yd, ydd, J, home, cd = qd, qdd, ca.SX.eye(n), layout.home, qd
     else:
         maps = closure_maps(layout)
         c, qd, qdd, yd, ydd, J, home = maps.c, maps.qd, maps.qdd, maps.yd, maps.ydd, maps.J, loops.home
+        cd = configuration_rates(layout, c, yd)
         step = _function("step", [c], [maps.moved, maps.size])
         last_step = _function("last_step", [c], [maps.moved, maps.size, maps.condition])
     p = ca.SX.sym("p", len(model.parameters))
@@ -76,13 +83,19 @@ def functions(model: Identified) -> Functions:
     z = ca.SX.sym("z", len(law.states))
     friction = _Friction(model, p, yd, J, z)
     rubbing = friction(load)
-    still = ca.substitute(ca.substitute(load, qd, ca.SX.zeros(n)), qdd, ca.SX.zeros(n))
+    coasting = ca.substitute(load, qdd, ca.SX.zeros(n))
+    still = ca.substitute(coasting, qd, ca.SX.zeros(n))
+    # dp/dt = M qdd + M' qd, and M' qd - C qd = C^T qd = d(qd^T M qd / 2)/dq: M' is exact along the closed loops too
+    momentum = ca.jtimes(load, qdd, qd)
+    turning = ca.jtimes(momentum, c, cd)
     made = {
         "torques": load + rubbing,
         "gravity": still,
         "friction": rubbing,
         "inertia": ca.jacobian(load, qdd),
         "regressor": friction.regressor(load),
+        "momentum": momentum,
+        "drift": turning - coasting - friction(coasting),
     }
     outputs = {
         name: _function(name, [ca.vertcat(c, z), qd, qdd, p], [value.T]) for name, value in made.items()

@@ -21,7 +21,7 @@ SAME = 1e-6  # m, and entries of rotations: readers round
 
 @dataclass(frozen=True)
 class Span:
-    """Where an element stands in the bytes of its file: from ``start`` to ``stop``, its start tag up to ``inner``."""
+    """Location of an element in the bytes of its file: from ``start`` to ``stop``, its start tag up to ``inner``."""
 
     start: int
     inner: int
@@ -157,7 +157,7 @@ def _difference(found: Robot, robot: Robot) -> str:
         return f"'{missing[0]}' is missing there" if missing else f"it has {len(found.bodies)} bodies"
     for one, other in zip(found.joints, robot.joints, strict=True):
         if (one.antecedent, one.kind) != (other.antecedent, other.kind):
-            return f"joint '{one.name}' hangs elsewhere or is of another kind"
+            return f"joint '{one.name}' has another parent or is of another kind"
         pairs = (
             (one.placement.rotation, other.placement.rotation),
             (one.placement.position, other.placement.position),

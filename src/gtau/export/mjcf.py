@@ -40,19 +40,28 @@ def export(result: Result, out: Path) -> Exported:
     GtauError
         Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
     """
-    mujoco = imported()
-    model = consistent_model(result, "MJCF")
+    text, said, found = model_text(imported(), consistent_model(result, "MJCF"))
+    return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), said, found)
+
+
+def model_text(
+    mujoco: ModuleType, model: ConsistentModel, delays: bool = False
+) -> tuple[str, tuple[str, ...], dict[str, float]]:
+    """Write a model as MJCF: its text, notes on what it lacks, and differences of torques; raises GtauError.
+
+    With ``delays`` these are elsewhere, and no note says that they are missing.
+    """
+    result = model.result
     spec, expressed = _spec(mujoco, model)
     compiled = compile_spec(spec)
     _add_home(spec, compiled, result)
     found = differences(model, expressed, cubic=_polynomial(spec))
-    files = written(out, {f"{identifier(result.robot.name)}.xml": _text(spec, friction_comments(model))})
-    said = [difference_note(found), *notes(model, expressed, _polynomial(spec))]
+    said = [difference_note(found), *notes(model, expressed, _polynomial(spec), delays)]
     if forces := [each.name for each in result.robot.springs if spring_attributes(each, model.standard) is None]:
         said.append(
             f"no tendon has the force of {', '.join(forces)}: an actuator without gain does, whose ctrl has no effect"
         )
-    return Exported(files, tuple(said), found)
+    return _text(spec, friction_comments(model)), tuple(said), found
 
 
 def imported() -> ModuleType:
@@ -62,6 +71,15 @@ def imported() -> ModuleType:
     except ImportError:
         raise missing_extra("an export to MJCF", "mujoco", "mujoco") from None
     return mujoco  # type: ignore[no-any-return, unused-ignore]
+
+
+def compile_text(mujoco: ModuleType, text: str, included: Mapping[str, str]) -> Any:
+    """Compile a text of MJCF with the files that it includes; raises GtauError where MuJoCo refuses it."""
+    try:
+        return mujoco.MjModel.from_xml_string(text, {name: each.encode() for name, each in included.items()})
+    except ValueError as error:
+        said = " ".join(str(error).split()).rstrip(".")
+        raise GtauError(f"MuJoCo refuses the exported model ({said}); identify it with --consistent.") from None
 
 
 def compile_spec(spec: Any) -> Any:
@@ -113,7 +131,7 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
 
 
 def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
-    """Draw thin capsules from each body's origin to what hangs on it; they neither collide nor weigh."""
+    """Draw thin capsules from each body's origin to the bodies that it carries; they neither collide nor weigh."""
     ends = [(joint.antecedent, joint.placement) for joint in robot.joints]
     ends += [(end.body, end.placement) for closure in robot.closures for end in (closure.a, closure.b)]
     look = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": (0.35, 0.45, 0.6, 1.0)}
@@ -212,11 +230,11 @@ def _couplings(spec: Any) -> list[Any]:
     return [tie for tie in spec.equalities if tie.type == mujoco.mjtEq.mjEQ_JOINT]
 
 
-def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> list[str]:
+def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool, delays: bool = False) -> list[str]:
     """List what the file lacks: friction terms, offsets, massless bodies."""
     result = model.result
     unlike = [] if cubic else [Parameter("f3", joint).name for joint in model.cubics]
-    said = term_notes(model, "MJCF", [*unlike, *terms_left_out(model)])
+    said = term_notes(model, "MJCF", [*unlike, *terms_left_out(model)], delays)
     unable = [name for name, value in model.standard.items() if name not in expressed and value]
     if unable:
         said.append(f"these offsets are not part of the file: {', '.join(unable)}")

@@ -34,7 +34,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     ------
     GtauError
         Where the result has no physically consistent parameters, the file is not that of its robot, or its bodies do
-        not stand in it one by one.
+        not appear in it one by one.
     """
     mujoco = imported()
     model = consistent_model(result, "MJCF")

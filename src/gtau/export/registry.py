@@ -7,16 +7,19 @@ from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 
-from gtau.documents.arguments import PATH, TEXT, takes
+from gtau.documents.arguments import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.payload_body import PayloadBody
 from gtau.estimation.results.result import Result
-from gtau.export.exported import Exported
+from gtau.export.exported import Exported, written
 from gtau.robots.floating import refuse_floating
 
 KINDS = {
     "c": "C99 source of torques, currents, gravity, friction, inertia and regressor, with a controller",
     "mjcf": "MuJoCo model whose ctrl is the motors' current",
+    "mujoco-actuators": "actuators for MuJoCo in a file that the model of the bodies includes",
+    "mjlab": "actuators for mjlab as YAML, and the bodies as MJCF",
+    "isaaclab": "actuators for Isaac Lab as YAML, and the bodies as URDF",
     "urdf": "URDF with inertias and friction, loops and drives in YAML files beside it",
     "yaml": "gains, friction and base parameters with intervals and regroupings, for a controller",
     "csv": "the same as one table",
@@ -38,12 +41,34 @@ PAYLOAD_KINDS = {
 }
 """Kinds of files for a weighed payload."""
 
+SAMPLED = ("mjcf", "urdf", "mujoco-actuators", "mjlab", "isaaclab")
+"""Kinds that simulate, of which draws can be made."""
+
+MODELS = 16
+"""Draws that are written as models where nobody says how many."""
+
 INTO = ("urdf", "mjcf")
 """Kinds that can be put back into the robot's own file."""
 
 
-@takes(model=("a result or the path of its file", (Result, str, Path)), kind=TEXT, out=PATH, into=PATH)
-def export_model(model: Result | str | Path, kind: str, out: str | Path, into: str | Path | None = None) -> Exported:
+@takes(
+    model=("a result or the path of its file", (Result, str, Path)),
+    kind=TEXT,
+    out=PATH,
+    into=PATH,
+    samples=WHOLE,
+    models=WHOLE,
+    seed=WHOLE,
+)
+def export_model(
+    model: Result | str | Path,
+    kind: str,
+    out: str | Path,
+    into: str | Path | None = None,
+    samples: int = 0,
+    models: int = MODELS,
+    seed: int = 0,
+) -> Exported:
     """Write an identified model in the form that a controller, simulator or paper takes.
 
     Parameters
@@ -57,6 +82,11 @@ def export_model(model: Result | str | Path, kind: str, out: str | Path, into: s
     into : path, optional
         For the kinds ``urdf`` and ``mjcf``: the robot's own file, of which a copy with the identified parameters
         and everything else as it was is written.
+    samples : int
+        Also draw this many models from what was identified, see :func:`gtau.export.samples.draw`: ``samples.npz``, and
+        for the kinds that simulate the first ``models`` of them, each in a folder of its own (``samples/0000``).
+    models, seed : int
+        How many draws are written as models, and the seed of the draws.
 
     Returns
     -------
@@ -72,11 +102,28 @@ def export_model(model: Result | str | Path, kind: str, out: str | Path, into: s
     result = model if isinstance(model, Result) else Result.load(model)
     if kind not in OF_FLOATING:
         refuse_floating(result.robot, f"export to '{kind}' is")
-    if into is None:
-        return import_module(f"gtau.export.{kind}").export(result, Path(out))
-    if kind not in INTO:
+    if into is not None and kind not in INTO:
         raise GtauError(f"--into puts a model back into a URDF or MJCF file, not into '{kind}'; leave it out.")
-    return import_module(f"gtau.export.{kind}_into").export(result, Path(into), Path(out))
+    if samples and kind not in SAMPLED:
+        raise GtauError(
+            f"draws are models for simulators ({', '.join(SAMPLED)}), not for '{kind}'; leave out --samples."
+        )
+
+    def one(each: Result, folder: Path) -> Exported:
+        module = kind.replace("-", "_")
+        if into is None:
+            return import_module(f"gtau.export.{module}").export(each, folder)
+        return import_module(f"gtau.export.{module}_into").export(each, Path(into), folder)
+
+    exported = one(result, Path(out))
+    if not samples:
+        return exported
+    drawn = import_module("gtau.export.samples").draw(result, samples, seed)
+    files = [*exported.files, *written(Path(out), {"samples.npz": drawn.npz()})]
+    for k, each in zip(range(models), drawn.results(), strict=False):
+        files += one(each, Path(out) / "samples" / f"{k:04d}").files
+    figures = {**exported.figures, "moved_share": drawn.moved_share}
+    return Exported(tuple(files), (*exported.notes, drawn.note), figures)
 
 
 @takes(payload=("what PayloadEstimate.in_frame returns", (PayloadBody,)), kind=TEXT, out=PATH)

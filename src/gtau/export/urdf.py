@@ -40,7 +40,7 @@ from gtau.robots.robot import (
     Robot,
     Spring,
 )
-from gtau.robots.units import torque_unit, unit_of
+from gtau.robots.units import gain_unit, torque_unit, unit_of
 
 ROOT = "base"
 UNLIMITED = 1e6  # rad, m: the format wants limits of slides
@@ -49,7 +49,7 @@ UNLIMITED = 1e6  # rad, m: the format wants limits of slides
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME.urdf``, ``NAME.yaml`` where the robot has loops, and ``NAME_drives.yaml`` into ``out``.
 
-    A platform hangs on a chain of one passive joint a degree of freedom, with massless links in between.
+    A platform is the end of a chain with one passive joint per degree of freedom, with massless links in between.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def notes(model: ConsistentModel, name: str) -> list[str]:
-    """List what the URDF lacks and where it stands instead."""
+    """List what the URDF lacks and where it is written instead."""
     robot = model.result.robot
     sprung = bool(robot.springs) or any(joint.spring is not None for joint in robot.joints)
     springs = " and springs" if sprung else ""
@@ -109,7 +109,7 @@ def robot_element(model: ConsistentModel) -> Element:
 
 
 def link(name: str) -> str:
-    """Name of the link of a joint, platform or closure's end, which bears its name in gtau."""
+    """Name of the link of a joint, platform or closure's end, which has its name in gtau."""
     return f"link_{name}"
 
 
@@ -214,7 +214,10 @@ def drives_text(model: ConsistentModel) -> str:
         unit = torque_unit(model.result.robot, joint.name)
         entry: dict[str, object] = {}
         if joint.name in model.gains:
-            entry["drive_gain"] = {"value": model.gains[joint.name], "unit": f"{unit}/A"}
+            entry["drive_gain"] = {
+                "value": model.gains[joint.name],
+                "unit": gain_unit(model.result.robot, joint.name, model.result.kind),
+            }
         turns = joint.kind == "revolute"
         if armature := model.of("ia", joint.name):
             entry["armature"] = {"value": armature, "unit": "kg m2" if turns else "kg"}

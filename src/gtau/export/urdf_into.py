@@ -68,7 +68,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
 
 
 def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
-    """Find each link's joint of the robot that moves it, and whether the link hangs on it directly."""
+    """Find each link's joint of the robot that moves it, and whether the joint carries the link directly."""
     above: dict[str, tuple[str, str]] = {}
     for joint in file.root.findall("joint"):
         parent, child = joint.find("parent"), joint.find("child")

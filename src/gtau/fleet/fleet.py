@@ -196,11 +196,6 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
     (member, known), begun = item, time.perf_counter()
     try:
         experiment = member.read()
-        if experiment.signals.kind == "torque":
-            raise GtauError(
-                f"{member.experiment}: the logs hold torques, so there are no drive gains to compare; use "
-                "'gtau identify'."
-            )
         key = inputs_key(experiment, method)
         if key == known:
             return Identified(key)

@@ -109,7 +109,7 @@ def base_parameters(
     seed : int
         Of the random states.
     sensors : sequence of str
-        Joints with a torque sensor: their rows without the drive's parameters stand beside the others, and separate the
+        Joints with a torque sensor: their rows without the drive's parameters are added to the others, and separate the
         inertia of a rotor from that of the link.
     progress : callable
         Called as the work goes on.

@@ -202,7 +202,7 @@ def closure_maps(layout: Coordinates) -> ClosureMaps:
 
 
 def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Express the closures and couplings symbolically, eqs. (3) and (4) in one; all else of the loops is derived.
+    """Express the closures and couplings symbolically, eqs. (3) and (4) in one; the rest of the loops is derived.
 
     ``G = jacobian(velocity, yd)``, and accelerations obey ``G ydd + gamma = 0``. Where the loops are closed velocity
     and gamma are the time derivatives of the residual, so that derivatives along the closed loops may be taken of any

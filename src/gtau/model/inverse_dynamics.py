@@ -30,7 +30,7 @@ BLOCK = 2048  # samples whose motion is computed together: enough to amortise Py
 class Regressor:
     """Chosen columns of ``IDM_st``: their structurally non-zero entries.
 
-    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J. Entry k stands in
+    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J. Entry k is in
     row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``). ``compiled`` is its program, where
     ``matrix`` has symbols beside the inputs.
     """

@@ -21,7 +21,7 @@ from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint
 
 @dataclass(frozen=True)
 class PlatformSlots:
-    """Where a platform's numbers stand in ``c`` and ``yd``."""
+    """Where a platform's numbers are in ``c`` and ``yd``."""
 
     platform: Platform
     position: slice
@@ -30,18 +30,19 @@ class PlatformSlots:
 
     def rotation(self, c: np.ndarray) -> np.ndarray:
         """Compute the orientation (3, 3) of the platform at a configuration (n_c,)."""
-        from scipy.spatial.transform import Rotation
-
         if self.quaternion is None:
             return self.platform.home.rotation
+        from scipy.spatial.transform import Rotation
+
         return np.asarray(Rotation.from_quat(c[self.quaternion], scalar_first=True).as_matrix())
 
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Compute the platform's displacement between configurations (n_c,), in its degrees of freedom, m and rad."""
-        from scipy.spatial.transform import Rotation
+        shifted, turned = after[self.position] - before[self.position], np.zeros(3)
+        if self.quaternion is not None:
+            from scipy.spatial.transform import Rotation
 
-        turned = Rotation.from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
-        shifted = after[self.position] - before[self.position]
+            turned = Rotation.from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
         whole = dict(zip(TRANSLATIONS + ROTATIONS, (*shifted, *turned), strict=True))
         return np.array([whole[dof] for dof in self.platform.dof])
 

@@ -7,12 +7,15 @@ followed at once, each in a lane of its own.
 
 from __future__ import annotations
 
+from functools import lru_cache
+from threading import get_ident
+
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.interpreter.kernel import MACHINE, Follower, advance_to, follow_path
-from gtau.model.interpreter.lanes import LANES
-from gtau.model.interpreter.program import Bound, addresses, aligned
+from gtau.model.interpreter.compiled import loops as compiled
+from gtau.model.interpreter.layout import FOLLOWER, LANES, TILE
+from gtau.model.interpreter.program import Bound, address, addresses, aligned
 from gtau.model.interpreter.threads import share
 from gtau.model.loops import Labels, Loops, Numbers, pose_words
 
@@ -24,9 +27,10 @@ SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samp
 SEGMENT = 16
 
 
-def _follower(loops: Loops, shortest: float) -> Follower:
-    """Make what the compiled loops work with; memory of its own for each thread."""
-    equations, n_c = loops.equations, loops.layout.n_c
+@lru_cache(maxsize=16)  # short paths, as hypotheses look at, are many
+def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, list[object]]:
+    """Make what the compiled loops work with, and what it points to; memory of its own for each thread."""
+    equations, n_c, n = loops.equations, loops.layout.n_c, len(loops.layout.actuated)
     trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
     trial[:], made[:] = 0.0, 0.0
     at, to = addresses(trial), addresses(made)
@@ -35,9 +39,14 @@ def _follower(loops: Loops, shortest: float) -> Follower:
         Bound(equations.fast_step, at, to[: n_c + 1]),
         Bound(equations.gap, at, to[n_c + 2 :]),
     )
-    programs = [part for each in bound for part in (each.code, each.rows, each.memory)]
-    parameters = (loops.layout.actuated, equations.scale, shortest, RESIDUAL, CONTRACTION, REACH)
-    return Follower._make([MACHINE, *programs, trial, made, *parameters])
+    programs = [part for each in bound for part in each.run()[1:4]]
+    scale, actuated = np.ascontiguousarray(equations.scale, float), np.array(loops.layout.actuated, np.int64)
+    tables = (np.zeros((rows, LANES)) for rows in (n_c, n_c, 2 * n_c, TILE * n_c, n, n))
+    pointed = [trial, made, scale, actuated, *tables]
+    where = [address(each) for each in pointed]
+    parameters = shortest, RESIDUAL, CONTRACTION, REACH
+    follower = np.array((compiled().machine, *programs, *where[:4], n_c, n, *where[4:], *parameters), dtype=FOLLOWER)
+    return follower, [bound, *pointed]
 
 
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +60,9 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTE
     reached = np.zeros(c.shape[1], dtype=bool)
 
     def run(start: int, stop: int) -> None:
-        advance_to(_follower(loops, shortest), c, q, start, stop, reached)
+        follower, _pointed = _follower(loops, shortest, get_ident())
+        where = address(follower), address(c), address(q), c.shape[1]
+        compiled().advance_to(*where, start, stop, address(reached))
 
     share(run, c.shape[1], LANES)
     return c, reached
@@ -127,10 +138,13 @@ def follow(
 def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
     """Fill ``c`` from each of ``starts`` for ``length`` samples; return those that were not reached."""
     ends = np.minimum(starts + length, q.shape[1])
-    filled = np.zeros(starts.size, dtype=np.int64)
+    begins, filled = starts.astype(np.int64), np.zeros(starts.size, dtype=np.int64)
 
     def run(first: int, last: int) -> None:
-        follow_path(_follower(loops, SHORTEST), c, q, starts[first:last], length, filled[first:last])
+        follower, _pointed = _follower(loops, SHORTEST, get_ident())
+        where = address(follower), address(c), address(q), c.shape[1]
+        parts, mine = begins[first:last], filled[first:last]
+        compiled().follow_path(*where, address(parts), parts.size, length, address(mine))
 
     share(run, starts.size, LANES)
     lost: set[int] = set()

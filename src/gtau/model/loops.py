@@ -60,7 +60,7 @@ def joined(parts: Sequence[Motion]) -> Motion:
     return Motion(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Loops:
     """The closures of a robot and its solved home configuration ``home`` (n_c,)."""
 

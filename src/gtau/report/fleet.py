@@ -34,7 +34,7 @@ from gtau.report.page import (
 )
 from gtau.signals.samples import counted
 
-LISTED = 20  # outliers, or robots that were refused; the others stand in the table
+LISTED = 20  # outliers, or robots that were refused; the others are in the table
 NAMED = 40  # robots whose names find room below the axis
 
 

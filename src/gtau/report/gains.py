@@ -35,9 +35,11 @@ def gains_section(
 ) -> Section:
     """Show drive gains with their 95 % intervals, beside the prior ones, and what their scale rests on."""
     estimated = any(gain.std is not None for gain in result.drive_gains.values())
-    words = "±: half the 95 % interval; random, model: standard deviations; % of the gain"
+    of_torques = result.kind == "torque"
+    words = "±: half the 95 % interval; random, model: standard deviations; % of the "
+    words += "scale, true over reported torque" if of_torques else "gain"
     return section(
-        "Drive gains",
+        "Torque scale" if of_torques else "Drive gains",
         gains_table(result, prior or {}),
         Text(words, style="soft") if estimated else None,
         reasons_table(result),
@@ -52,7 +54,8 @@ def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
     """Tabulate drive gains: verdict, value, interval with its two parts, delay, and the prior gain."""
     estimated = any(gain.std is not None for gain in result.drive_gains.values())
     accuracy = 100 * result.statistics.get("accuracy", ACCURACY)
-    columns = [Column("joint"), Column("verdict", Kind.BADGE), Column("gain", Kind.NUMBER, 5), Column("unit")]
+    name = "scale" if result.kind == "torque" else "gain"
+    columns = [Column("joint"), Column("verdict", Kind.BADGE), Column(name, Kind.NUMBER, 5), Column("unit")]
     if estimated:
         columns += [
             Column("±95 %", Kind.NUMBER),

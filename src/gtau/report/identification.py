@@ -19,6 +19,7 @@ from gtau.report.findings import findings_section, same_in_several
 from gtau.report.friction import friction_section
 from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.geometry import geometry_section
+from gtau.report.inertias import inertias_section
 from gtau.report.logs import logs_section
 from gtau.report.motion import distances_panels, paths_chart, singularities_section
 from gtau.report.page import Chart, Column, Drawing, Facts, Item, Kind, Page, Section, Text, page, section, table
@@ -38,7 +39,6 @@ NOTES = 5  # that the short page shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
 PATHS = 8  # runs whose path is drawn
-OF_TORQUES = " (the logs hold torques, whose gain is 1)"
 
 
 def summary_page(result: IdentifiedModel) -> Page:
@@ -53,6 +53,7 @@ def summary_page(result: IdentifiedModel) -> Page:
         gains_section(result, charts=False, short=True),
         section("", masses_table(result.payloads)),
         section("Torque fit", *_fit_words(result)),
+        inertias_section(result.audit, short=True),
         findings_section(notes, NOTES) if notes else None,
         _draft_section(result),
         section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
@@ -83,6 +84,7 @@ def full_page(result: IdentifiedModel) -> Page:
         payloads_section(unknown_payloads(result)),
         parameters_section(result),
         friction_section(result),
+        inertias_section(result.audit),
         section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if words else None),
         section("Singularities", *_only(singularities_section(result.singularities))),
         geometry_section(result.geometry),
@@ -104,6 +106,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         residuals_section(result, runs),
         parameters_section(result),
         friction_section(result, runs),
+        inertias_section(result.audit),
         correlation_section(result),
         singular_values_section(result),
         motion_section(result, runs),
@@ -142,8 +145,8 @@ def counts(result: IdentifiedModel) -> str:
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
     missing = len(missed(result))
     required = f" {missing} of {len(result.requirements)} requirements missed." if missing else ""
-    total = len(result.drive_gains)
-    return f"{count} of {total} drive gains {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
+    total, what = len(result.drive_gains), "torque scales" if result.kind == "torque" else "drive gains"
+    return f"{count} of {total} {what} {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
 
 
 def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[str, str]:
@@ -172,7 +175,7 @@ def _settings(result: IdentifiedModel) -> Facts:
     given = f"; by hand: {', '.join(preparation.given)}" if preparation.given else ""
     return Facts(
         {
-            "Method": ESTIMATORS[result.method].description + (OF_TORQUES if result.kind == "torque" else ""),
+            "Method": ESTIMATORS[result.method].description,
             "Runs": ", ".join(result.runs),
             **({"Payload": f"on '{result.robot.tool}'"} if result.payloads else {}),
             "Signals": f"bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, decimation "

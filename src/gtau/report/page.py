@@ -52,8 +52,8 @@ NUMERIC = (Kind.NUMBER, Kind.SHARE, Kind.INTERVAL, Kind.SPREAD)
 class Column:
     """A column: title, kind of its cells, and how numbers are written.
 
-    ``digits`` are significant ones; with ``decimals`` a number has so many instead. A number above ``most`` is written
-    as ``> most``. A ``wide`` column is left out on a terminal.
+    ``digits`` are significant ones; ``decimals`` fixes the number of decimals instead. A number above ``most`` is
+    written as ``> most``. A ``wide`` column is left out on a terminal.
     """
 
     title: str
@@ -91,7 +91,7 @@ class Column:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """Write a number to so many significant digits, as people write it."""
+    """Write a number to the given significant digits, as people write it."""
     if isinstance(value, (int, np.integer)):
         return str(value)
     return f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e")

@@ -91,7 +91,7 @@ def correlation_of(result: IdentifiedModel) -> tuple[tuple[str, ...], np.ndarray
 
 
 def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
-    """Draw a correlation matrix; names stand beside it where they fit."""
+    """Draw a correlation matrix; names are beside it where they fit."""
     shown = {float(k): name for k, name in enumerate(names)} if len(names) <= SHOWN else {}
     label = "" if shown else "number of the estimate"
     return Chart((Panel(Axis(label, names=shown), Axis(label, names=shown), matrix=matrix, height=5.2),))

@@ -31,7 +31,7 @@ def write_report(
 
 
 def write_identification(result: Result, path: Path, folder: Path, seconds: float, progress: Progress = silent) -> Path:
-    """Write the report of an identification from the experiment file at ``path``, which took so many seconds.
+    """Write the report of an identification from the experiment file at ``path``, which took ``seconds``.
 
     The runs kept for validation are read and predicted too; one that cannot be is listed with the reason.
     """

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Robot, base_rows
 
 WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
@@ -80,6 +81,7 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
         closures=tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.closures),
         springs=tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.springs),
         floating=name,
+        inertias=tuple((_own(name, each), value) for each, value in robot.inertias),
     )
 
 
@@ -110,6 +112,11 @@ def refuse_floating(robot: Robot, what: str) -> None:
             f"robot '{robot.name}': its base '{robot.floating}' floats, and {what} not supported there; where "
             "the base did not move, fix it by 'robot: {file: ..., base: fixed}', or --base fixed."
         )
+
+
+def _own(name: str, parameter: str) -> str:
+    kind, body, _ = parameter_of(parameter)
+    return Parameter(kind, _on(name, body)).name
 
 
 def _on(name: str, body: str) -> str:

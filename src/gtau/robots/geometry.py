@@ -38,7 +38,7 @@ def rounded_pose(xyz: Iterable[float], rpy: Iterable[float]) -> Pose:
 
 def angles_of(rotation: np.ndarray) -> tuple[float, float, float]:
     """Compute roll, pitch and yaw, rad, of an orientation (3, 3)."""
-    # Whatever the yaw where the angles are degenerate, what is left over then gives matching pitch and roll.
+    # Whatever the yaw where the angles are degenerate, the remainder then gives matching pitch and roll.
     yaw = atan2(rotation[1, 0], rotation[0, 0])
     c, s = cos(yaw), sin(yaw)
     pitch = atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])

@@ -11,7 +11,9 @@ import numpy as np
 from gtau.documents.validation import unknown
 from gtau.errors import GtauError
 from gtau.robots.geometry import compose, pose_of, turn
-from gtau.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Placement, Pose, Robot
+from gtau.robots.parameter import parameter_of
+from gtau.robots.rigid_body import lumped, rigid_body
+from gtau.robots.robot import GROUND, INERTIAL, Attachment, Closure, Coupling, Joint, Placement, Pose, Robot
 
 NAMED = 6  # joints that a note lists
 
@@ -110,7 +112,19 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
         springs=tuple(each for each in springs if each.a.body != each.b.body),
         named_tool="" if tool == GROUND else tool,
         floating="" if robot.floating in positions else robot.floating,
+        inertias=_inertias(robot, carried),
     )
+
+
+def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
+    """Add the stated inertias of locked links to those of the links that carry them; their rotors no longer turn."""
+    stated = dict(robot.inertias)
+    bodies = dict.fromkeys(parameter_of(name).body for name in stated if parameter_of(name).kind in INERTIAL)
+    rotors = {name: value for name, value in stated.items() if parameter_of(name).kind not in INERTIAL}
+    turning = {body for body, at in carried.items() if at.body == body}
+    kept = ((name, value) for name, value in rotors.items() if parameter_of(name).body in turning)
+    summed = lumped((carried[body], rigid_body(stated, body)) for body in bodies)
+    return (*summed.items(), *kept)
 
 
 def _after(joint: Joint, placement: Placement, position: float) -> Placement:

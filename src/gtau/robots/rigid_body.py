@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import INERTIAL
+from gtau.robots.robot import INERTIAL, Attachment
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,3 +46,14 @@ def inertial_parameters(body: RigidBody) -> dict[str, float]:
     about_origin = body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))
     values = (*about_origin[np.triu_indices(3)], *(body.mass * c), body.mass)
     return dict(zip(INERTIAL, map(float, values), strict=True))
+
+
+def lumped(parts: Iterable[tuple[Attachment, RigidBody]]) -> dict[str, float]:
+    """Add up rigid bodies by the body that each is attached to: standard parameters by name, in the order of parts."""
+    found: dict[str, float] = {}
+    for at, part in parts:
+        rotation = at.placement.rotation
+        for kind, value in inertial_parameters(part.seen_from(rotation.T, -rotation.T @ at.placement.position)).items():
+            name = Parameter(kind, at.body).name
+            found[name] = found.get(name, 0.0) + value
+    return found

@@ -107,7 +107,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Joint:
-    """A one-dof joint and the link it moves; both bear the joint's name.
+    """A one-dof joint and the link it moves; both have the joint's name.
 
     The link's frame sits at ``placement`` in the antecedent's frame when the coordinate is zero,
     and turns about (or slides along) ``axis``, a unit vector of its own frame. ``parameters`` says which
@@ -154,7 +154,7 @@ RATIO = 1e6  # of a coupling: a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 
 
 
 def base_rows(name: str) -> tuple[str, ...]:
-    """Name the six joints by which a floating base moves in the world; the last bears the name of the base."""
+    """Name the six joints by which a floating base moves in the world; the last has the name of the base."""
     return (*(f"{name}_{kind}" for kind in TRANSLATIONS + ROTATIONS[:2]), name) if name else ()
 
 
@@ -207,12 +207,13 @@ class Spring:
 class Robot:
     """A spanning tree of joints, platforms and closures, and springs between its bodies.
 
-    Joints stand in an order in which every antecedent precedes its followers. ``gravity`` is the
+    Joints are ordered so that every antecedent precedes its followers. ``gravity`` is the
     acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
     file names it, see :attr:`tool`. ``notes`` say what a reader found odd in the robot's file or decided for the user,
     a sentence each. Without ``home_given`` the joints' and platforms' homes are only where the search for one begins.
     ``floating`` names the link that is a floating base, see :mod:`gtau.robots.floating`, and ``constants`` are the
-    numbers that the robot's file names.
+    numbers that the robot's file names. ``inertias`` are the inertial parameters of bodies, and the rotor inertias,
+    that the file states, by name, SI units: estimates are compared with them.
     """
 
     name: str
@@ -228,6 +229,7 @@ class Robot:
     home_given: bool = field(default=True, compare=False)
     springs: tuple[Spring, ...] = ()
     constants: tuple[tuple[str, float], ...] = field(default=(), compare=False)
+    inertias: tuple[tuple[str, float], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         _check(self)

@@ -47,3 +47,8 @@ def command_unit(robot: Robot, joint: str, kind: str) -> str:
 def torque_unit(robot: Robot, joint: str) -> str:
     """Return N m for a revolute joint, N for a prismatic one."""
     return "N m" if robot.joint(joint).kind == "revolute" else "N"
+
+
+def gain_unit(robot: Robot, joint: str, kind: str) -> str:
+    """Return the unit of a gain: N m/A or N/A of a ``current``; 1 of torques, the true one over the one reported."""
+    return f"{torque_unit(robot, joint)}/A" if kind == "current" else "1"

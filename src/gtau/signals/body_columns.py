@@ -243,7 +243,7 @@ class Angles(Keys):
 
 
 class PoseColumns(Keys):
-    """The pose of a ``body`` (the tool, if left out), as far as it is logged.
+    """The logged components of the pose of a ``body`` (the tool, if left out).
 
     ``source`` says whose pose it is: of the body in the base (``controller``), of a tool whose place on the body is
     not known in the base (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), which both

@@ -60,7 +60,7 @@ UNITS |= {"us": "us", "ns": "ns", "nm": "N m", "n m": "N m", "n": "N"}
 
 @dataclass(frozen=True)
 class ColumnName:
-    """A column's ``name`` taken apart: what is left without its joint, the joint's label, the kind and the unit.
+    """A parsed column ``name``: its remainder without the joint, the joint's label, the kind and the unit.
 
     ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), ``sensor`` (of torque), or None;
     ``motor`` is a torque of a motor, or what is only named after it;

@@ -138,7 +138,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         torques = {}
     unsure += ["torques"] if torques else []
     masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
-    weighed = ["mass", *["weighed"] * (kind == "torque")] if masses else []
+    weighed = ["mass"] if masses else []
     used = {positions.listed, commands.listed, *(each.listed for each in command_log.groups if each.kind == "sensor")}
     used |= {
         group.listed for group in command_log.groups if torques and set(torques.values()) <= set(group.columns.values())

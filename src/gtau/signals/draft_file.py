@@ -20,8 +20,6 @@ UNSURE = {
     "rate": "write the sampling rate, which the log does not hold (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
     "mass": "confirm the masses of the payloads, from the names of the files: the scale of all drive gains",
-    "weighed": "confirm that these are torques: if they are currents, or computed from them by nominal constants, "
-    "write 'current:', and the weighed payload gives their factors, the drive gains",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
     "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
     "clock": "confirm the time column, as others grow, too",
@@ -63,7 +61,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     matched = why.get("position", "")
     lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
     found = why.get("velocity", "")
-    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference", "weighed") if key in draft.open), "")
+    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference") if key in draft.open), "")
     lines += _by_joint(draft.kind, draft.command, doubt)
     if draft.temperature is not None:
         lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
@@ -132,10 +130,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
     }
     other = "torque" if draft.kind == "current" else "current"
     advice = UNSURE | {"kind": f"if they are {other}s, state it (--kind {other})"}
-    if draft.kind == "torque":
-        advice["kind"] = "if they are currents, or computed from them by nominal constants, state it (--kind current)"
-    doubted = draft.open if "weighed" not in draft.open else ("kind", *(key for key in draft.open if key != "kind"))
-    found = [(taken[key], advice[key]) for key in doubted if key in taken]
+    found = [(taken[key], advice[key]) for key in draft.open if key in taken]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
     loads = [f"{path.name} {draft.masses[path]:g} kg" for path in named if path in draft.masses]
     if loads:

@@ -68,7 +68,7 @@ def draft_logs(
 
 def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
     """Return the draft with commands of a kind that is known."""
-    settled = {"kind", "motor", *(["weighed"] if kind == "current" else [])}
+    settled = {"kind", "motor"}
     units = {key: unit for key, unit in draft.units.items() if key in ("time", "position", kind)}
     return replace(draft, kind=kind, units=units, open=tuple(key for key in draft.open if key not in settled))
 

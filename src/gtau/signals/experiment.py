@@ -74,7 +74,8 @@ class Experiment(Keys):
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
     ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
-    by joint, ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
+    by joint, ``prior_inertias`` the relative standard deviation with which the inertias of the robot's file are priors,
+    ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
     """
 
     robot: AnySource
@@ -82,6 +83,7 @@ class Experiment(Keys):
     units: Units = Units()
     prior_gains: dict[str, Annotated[StatedGain, BeforeValidator(_with_std)]] = Field(default_factory=dict)
     priors: dict[str, Prior] = Field(default_factory=dict)
+    prior_inertias: Positive | None = None
     drives: dict[str, Drive] = Field(default_factory=dict)
     preparation: PreparationSettings = CHOSEN
     require: Requirements = Requirements()
@@ -139,8 +141,6 @@ class Experiment(Keys):
         signals: Signals | None = info.data.get("signals")
         if signals is None or not gains:
             return gains
-        if signals.kind == "torque":
-            raise ValueError("the signals hold torques, which need no gains; remove 'prior_gains'")
         _known_joints(gains, signals)
         missing = [joint for joint in signals.position if joint not in gains]
         if missing:
@@ -160,7 +160,8 @@ class Experiment(Keys):
         for joint, drive in drives.items():
             if drive.gain is not None and signals.kind == "torque":
                 raise ValueError(
-                    f"the signals hold torques, which need no gains; remove the 'torque_constant' of '{joint}'"
+                    "the signals hold torques, which need no torque constant; remove the 'torque_constant' of "
+                    f"'{joint}'"
                 )
             if drive.gain is not None and joint in info.data.get("prior_gains", {}):
                 raise ValueError(f"joint '{joint}' has a 'prior_gains' too; remove it, or its 'torque_constant' here")
@@ -168,17 +169,9 @@ class Experiment(Keys):
                 raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
         return drives
 
-    @field_validator("require")
-    @classmethod
-    def _gains_to_require(cls, require: Requirements, info: ValidationInfo) -> Requirements:
-        signals: Signals | None = info.data.get("signals")
-        if signals is not None and signals.kind == "torque" and require.gain_interval is not None:
-            raise ValueError("the signals hold torques, which have no drive gains; remove 'gain_interval'")
-        return require
-
     @property
     def expected_gains(self) -> dict[str, float]:
-        """Gains known beforehand, N m/A or N/A: ``prior_gains``, and those of data sheets."""
+        """Gains known beforehand, N m/A or N/A, of torques 1: ``prior_gains``, and those of data sheets."""
         sheets = {joint: drive.gain[0] for joint, drive in self.drives.items() if drive.gain is not None}
         return {joint: gain.value for joint, gain in self.prior_gains.items()} | sheets
 

@@ -142,7 +142,7 @@ def _placed(folder: Path, path: Path) -> Path:
 
 
 def _logs_at(path: Path) -> list[Path]:
-    """List what a path or a pattern stands for; patterns match no YAML files, as the one they stand in is no log."""
+    """List the files that a path or a pattern matches; patterns skip YAML files such as the experiment file."""
     return [each for each in matching(path) if each == path or each.suffix not in (".yaml", ".yml")]
 
 

@@ -137,7 +137,7 @@ def read_run(
     Returns
     -------
     Run
-        Its ``notes`` say what was repaired. The joints stand in the order of `signals`.
+        Its ``notes`` say what was repaired. The joints are in the order of `signals`.
 
     Raises
     ------

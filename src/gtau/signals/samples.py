@@ -1,4 +1,4 @@
-"""The samples of a log as they stand in it, those that are complete."""
+"""The complete samples of a log as logged."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Source:
 
     ``columns`` are the names of the position columns, the command columns, those of the torque ``sensors`` (by joint),
     those behind the ``components`` of wrenches and the time column; ``texts`` their first entries that are no numbers,
-    as far as they have been read. Row 0 stands in ``first_line``. The joints of a floating ``base`` stand first; their
+    as far as they have been read. Row 0 is in ``first_line``. The joints of a floating ``base`` are first; their
     commands are forces from outside.
     """
 
@@ -43,7 +43,7 @@ class Source:
         return (*commands, *(f"the torque sensor of joint '{joint}'" for joint in self.sensors))
 
     def places(self, rows: Sequence[int], count: int) -> str:
-        """Find where ``count`` rows stand in the file, of which ``rows`` are the first."""
+        """Find where ``count`` rows are in the file, of which ``rows`` are the first."""
         listed = ", ".join(str(int(row) + self.first_line) for row in rows[:5])
         return f"{self.line_word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
 
@@ -62,7 +62,7 @@ class Samples:
     command: np.ndarray
 
     def place(self, sample: int) -> str:
-        """Find where a sample stands in the file."""
+        """Find where a sample is in the file."""
         return self.source.places([self.rows[sample]], 1)
 
 

@@ -13,7 +13,7 @@ from gtau.documents.yaml_document import Document
 
 
 class PreparationSettings(Keys):
-    """The key ``preparation`` of an experiment file; what is left out is chosen from the logs.
+    """The key ``preparation`` of an experiment file; missing entries are chosen from the logs.
 
     Attributes
     ----------

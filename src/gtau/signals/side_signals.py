@@ -33,7 +33,7 @@ class LoggedPoses:
 
 
 def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> LoggedPoses:
-    """Read the poses of a run, which stand in the log of its positions.
+    """Read the poses of a run from the log of its positions.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Temperature:
 
 
 def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> Temperature | None:
-    """Read the temperatures of a run, which stand in the log of its positions; None where the signals have none.
+    """Read the temperatures of a run from the log of its positions; None where the signals have none.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def spans(samples: int, size: int = 0) -> Iterator[tuple[int, int]]:
 class Store:
     """An array that grows by blocks; a long one lies in a file that is gone with it.
 
-    The file has no name: it stands in the folder for temporary files (``TMPDIR``), and even a killed program leaves
+    The file has no name: it is in the folder for temporary files (``TMPDIR``), and even a killed program leaves
     nothing there.
 
     Parameters

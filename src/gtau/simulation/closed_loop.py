@@ -48,7 +48,7 @@ class Sensors:
 
 @dataclass(frozen=True, eq=False)
 class Hardware:
-    """Drives and sensors of all actuated joints: every field of theirs as an array (n,)."""
+    """Drives and sensors of all actuated joints: each field as an array (n,)."""
 
     gain: np.ndarray
     current_limit: np.ndarray

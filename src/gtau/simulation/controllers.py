@@ -114,7 +114,7 @@ def computed_torque(
 
 
 def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
-    """Return the base parameters (n_b,) of the identified robot with what is known of its payload."""
+    """Return the base parameters (n_b,) of the identified robot with the known parameters of its payload."""
     model, base = result.model, result.base
     chi = np.array([result.params[name] for name in base.names])
     if payload is not None:

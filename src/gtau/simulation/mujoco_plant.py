@@ -151,7 +151,7 @@ def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.nd
 
 
 def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:
-    """Build the ``MjSpec`` of a robot without Coulomb friction and actuators; every link bears its joint's name."""
+    """Build the ``MjSpec`` of a robot without Coulomb friction and actuators; every link has its joint's name."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False  # ranges and rest positions of springs would count in degrees
     spec.option.gravity = robot.gravity

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gtau.estimation.diagnostics.common_scale import common_scale
 from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
@@ -108,6 +109,7 @@ def diagnose(
         *repeated_motion_findings(fit, examined.alternatives),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
         *(gains_apart(fit, uncertainty) if fit.free_gains else []),
+        *(common_scale(fit, uncertainty, accuracy) if fit.free_gains else []),
         *examined.untested,
     ]
     against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))

@@ -50,6 +50,7 @@ class FindingKind(StrEnum):
     # notes
     UNLIKE_LEGS = "unlike legs"
     PRIOR = "contradictory prior"
+    PRIOR_INERTIA = "contradictory inertias of the robot's file"
     GAINS_APART = "gains far apart"
     POSITION_NOISE = "position noise"
     RIPPLE = "position ripple"
@@ -63,6 +64,8 @@ class FindingKind(StrEnum):
     NOT_SEPARATED = "parameters not separated"
     MASS_UNSEEN = "payload mass not identifiable"
     FEW_ROWS = "too few rows for tests"
+    SCALE_UNTESTED = "torque scale not tested"
+    COMMON_SCALE = "common torque scale"
     COMMAND_LAG = "command lag"
     SLIGHT_COMMAND_LAG = "slight command lag"
     # what the model may lack, or the description have wrong

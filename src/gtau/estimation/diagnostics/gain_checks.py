@@ -38,7 +38,7 @@ from gtau.estimation.thresholds.estimates import (
     PRIOR_FACTOR,
 )
 from gtau.model.base_parameters import whole_mass
-from gtau.robots.units import torque_unit
+from gtau.robots.units import gain_unit, torque_unit
 
 
 def estimated_gains(
@@ -80,7 +80,7 @@ def estimated_gains(
                 values = {"size": each.size, "unit": each.unit, "share": each.share, "move": float(each.moves[j])}
                 yield Finding(F.REFUTED, mine, values=values, causes=each.causes, severity=each.share)
         if misfits[j] > MISFIT:
-            values = {"share": float(misfits[j]), "kind": "current", "given": False}
+            values = {"share": float(misfits[j]), "kind": fit.dataset.runs[0].kind, "given": False}
             yield Finding(F.UNEXPLAINED, mine, values=values)
         if half >= 1:  # an interval that includes zero leaves not even the sign
             yield Finding(F.SIGN_OPEN, mine)
@@ -98,13 +98,13 @@ def estimated_gains(
 
 def gains_apart(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
     """Find joints whose gains are further apart than motors and gears of one robot make them; those lost are none."""
-    known, robot = half_widths(fit, uncertainty) < 1, fit.dataset.robot
+    known, robot, kind = half_widths(fit, uncertainty) < 1, fit.dataset.robot, fit.dataset.runs[0].kind
     joints = zip(fit.system.problem.joints, np.abs(fit.gains), known & ~np.isin(fit.system.problem.joints, robot.base),
                  strict=True)  # fmt: skip
     of_unit: dict[str, list[tuple[float, str]]] = {}
     for joint, gain, judged in joints:
         if judged:
-            of_unit.setdefault(f"{torque_unit(robot, joint)}/A", []).append((float(gain), joint))
+            of_unit.setdefault(gain_unit(robot, joint, kind), []).append((float(gain), joint))
     for unit, gains in of_unit.items():
         for (smaller, below), (larger, above) in pairwise(sorted(gains)):
             if larger > GAINS_APART * smaller:
@@ -166,7 +166,8 @@ def prior_gains_off(fit: Fit, priors: Mapping[str, float]) -> Iterator[Finding]:
     for joint, gain in zip(fit.system.problem.joints, fit.gains, strict=True):
         ratio = abs(gain / priors[joint]) if joint in priors else 1.0
         if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
-            values = {"ratio": float(ratio), "prior": priors[joint], "unit": torque_unit(robot, joint)}
+            unit = gain_unit(robot, joint, fit.dataset.runs[0].kind)
+            values = {"ratio": float(ratio), "prior": priors[joint], "unit": unit}
             yield Finding(F.PRIOR_GAIN, (joint,), values=values)
 
 

@@ -63,10 +63,10 @@ def other_length(fit: Fit, progress: Progress = silent) -> OtherLength | None:
 def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
     robot = fit.dataset.robot
     windows = central_windows(fit.dataset)
-    before, _ = _left(fit, windows, fit.dataset.model)
     longer, shorter = list(_longer(robot, STEP)), list(_longer(robot, -STEP))
     if not longer:
         return
+    before, _ = _left(fit, windows, fit.dataset.model)
     models = models_alike([other for _, other in (*longer, *shorter)], fit.dataset.base.standard)
     lengths = list(zip((cause for cause, _ in longer), models, models[len(longer) :], strict=False))
     for k, (cause, *pair) in enumerate(lengths):

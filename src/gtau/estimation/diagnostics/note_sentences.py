@@ -64,6 +64,24 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "check that they are built alike",
     ),
     F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
+    F.SCALE_UNTESTED: (
+        "the torques are taken as true, as their scale could not be tested: {why}",
+        "add runs with a heavier payload of known mass, or longer ones",
+    ),
+    F.COMMON_SCALE: (
+        "one factor, {scale:.3g} (standard deviation {std:.2g}), explains the torque scale of all joints: so would a "
+        "mass of {mass:.3g} kg of payload '{subject}', stated as {declared:.4g} kg",
+        "weigh the payload again before the torques are corrected",
+    ),
+    F.PRIOR_INERTIA: lambda values: (
+        "the inertias of '{subject}' in the robot's file, taken as priors to {std:.0f%}, contradict the data: "
+        + "; ".join(
+            f"{name} is {found:.3g} {unit} from the data (standard deviation {std:.2g}), {stated:.3g} in the file"
+            for name, found, std, stated, unit in values["parameters"][:LISTED]
+        )
+        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
+        "give 'prior_inertias' a larger value, or correct the file",
+    ),
     F.GAINS_APART: (
         "the gains of '{joint}' and '{other}' are a factor of {ratio:.2g} apart ({smaller:.3g} and {larger:.3g} "
         "{unit}), which motors and gears of one robot hardly are",
@@ -129,6 +147,7 @@ NOTES: Mapping[F, Kind] = {
     F.SLIGHT_COMMAND_LAG: Kind.READING,
     F.UNTESTED: Kind.READING,
     F.GAINS_APART: Kind.UNIT,
+    F.SCALE_UNTESTED: Kind.READING,
     F.WEAK_INSTRUMENTS: Kind.READING,
     F.NOT_SEPARATED: Kind.SEPARATION,
 }

@@ -133,7 +133,7 @@ def _prior_gain(values: Values) -> Sentence:
         )
     if 0.001 / THOUSAND < values["ratio"] < 0.001 * THOUSAND:
         to_do = "check the unit of the currents, which looks like mA taken for A, and the payload's mass in kg"
-    return "it is {ratio:.4g} times its prior of {prior:.4g} {unit}/A", to_do
+    return "it is {ratio:.4g} times its prior of {prior:.4g} {unit}", to_do
 
 
 def _lost(why: str) -> Callable[[Values], Sentence]:
@@ -188,7 +188,7 @@ def _given_scale(values: Values) -> str:
     if not values.get("given"):
         return ""
     scale = "the unit and scale of the torques" if values["given"] == "torque" else "the gains that are given"
-    way = "declare torques of doubtful scale as 'current'" if values["given"] == "torque" else "identify the gains"
+    way = "leave out --method" if values["given"] == "torque" else "identify the gains"
     return (
         f"check which runs carry the payload, its mass (kg) and {scale}; where the mass is certain, {way}, and it "
         "gives their scale"

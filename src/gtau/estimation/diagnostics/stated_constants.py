@@ -259,7 +259,7 @@ def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> l
         Relative difference that does not matter.
     """
     parameters, base, found = fit.system.problem.parameters, fit.dataset.base.names, []
-    priors = {name: prior for name, prior in fit.dataset.priors.items() if name in base and name in parameters}
+    priors = {name: prior for name, prior in fit.dataset.stated_priors.items() if name in base and name in parameters}
     limit = -ndtri(ndtr(-APART) / max(len(priors), 1))  # of many priors some are further off
     for name, prior in priors.items():
         if prior.value is None or prior.std is None:

@@ -92,7 +92,7 @@ class Gains(Enum):
 
     ESTIMATED = "estimated"
     GIVEN = "given"
-    EITHER = "estimated from currents, 1 for torques"
+    EITHER = "estimated, 1 for torques of which nothing tests the scale"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class Given:
     Attributes
     ----------
     gains : ndarray, optional
-        Drive gains (n,), N m/A or N/A, 1 for torques; None where they are to be estimated.
+        Drive gains (n,), N m/A or N/A, of torques true ones over those logged; None where they are to be estimated.
     priors : Mapping
         Parameter to what is known of it, as in the equations of the dataset; with its bounds.
     progress : Progress

@@ -85,9 +85,12 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
 
         price = max(np.log(rows), -2 * rows * np.log(1 - FRICTION_TERM_GAIN))
 
+        # all that is always there is eliminated once; what it leaves of the terms and the current has few columns
+        columns = problem.triangles[j][:, [*rest, *(position[name] for name in offered)]]
+        few = triangle(np.column_stack([columns, current]))[len(rest) :, len(rest) :]
+
         def criterion(terms: tuple[str, ...]) -> float:
-            columns = problem.triangles[j][:, [*rest, *(position[name] for name in terms)]]  # noqa: B023
-            left = triangle(np.column_stack([columns, current]))[-1, -1]  # noqa: B023
+            left = triangle(few[:, [*(offered.index(name) for name in terms), -1]])[-1, -1]  # noqa: B023
             return float(rows * np.log(max(left**2, 1e-300)) + len(terms) * price)  # noqa: B023
 
         subsets: list[tuple[str, ...]] = [()]

@@ -1,8 +1,8 @@
 """Ordinary and weighted least squares with given drive gains (eqs. 24 to 28).
 
-Choose ``wls`` for logs of torques, or where the gains are known better than a payload can show: each joint counts by
-its own residual standard deviation (eq. 28). ``ols`` (eq. 24) lets every joint's torque error count alike; it is there
-to compare with. All noise is taken to be the current's, of its own standard deviation in every joint,
+Choose ``wls`` for logs of torques that are true, or where the gains are known better than a payload can show: each
+joint counts by its own residual standard deviation (eq. 28). ``ols`` (eq. 24) lets every joint's torque error count
+alike; it is there to compare with. All noise is the current's, of its own standard deviation in every joint,
 
     e_j = v(t - d_j) - (W_theta theta + known) / g_j .
 """

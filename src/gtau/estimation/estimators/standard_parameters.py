@@ -76,7 +76,7 @@ def standard_unknowns(
         S[row[name], column[name]] = 1.0
     length = characteristic_length(robot)
     mass = _mass_scale(robot, problem, solution, length)
-    unit = np.array([_natural_size(name, robot, mass, length) for name in names])
+    unit = np.array([natural_size(name, robot, mass, length) for name in names])
     centre, spread = np.zeros(len(names)), LOOSE * unit
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for body in bodies:
@@ -95,11 +95,11 @@ def standard_unknowns(
         upper[k] = upper[k] if prior.max is None else prior.max
         if prior.value is not None and prior.std is not None:
             centre[k], spread[k] = prior.value, prior.std
-    within = _within_reach(robot, bodies[: len(bodies) - len(system.payloads)], len(names)) / (mass * length**2)
+    within = within_reach(robot, bodies[: len(bodies) - len(system.payloads)], len(names)) / (mass * length**2)
     return StandardUnknowns(tuple(names), S, tuple(bodies), lower, upper, centre, spread, unit, within, mass, length)
 
 
-def _within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray:
+def within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray:
     """Build rows (bodies, count) that keep the mass of each body within reach of its frames; see :func:`extent`."""
     longest, rows = longest_placement(robot), np.zeros((len(bodies), count))
     for row, body in zip(rows, bodies, strict=True):
@@ -115,7 +115,8 @@ def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: floa
     return float(np.max(torques / np.array(lever)) / STANDARD_GRAVITY)
 
 
-def _natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
+def natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
+    """Return a size of a standard parameter that a robot of this ``mass`` (kg) and ``length`` (m) might have."""
     kind, body, _ = parameter_of(name)
     if kind in INERTIAL:
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2

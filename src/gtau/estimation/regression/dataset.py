@@ -14,6 +14,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.doubtful_currents import doubtful_currents
 from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
 from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
+from gtau.estimation.regression.file_inertias import inertia_priors
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
 from gtau.estimation.regression.motion_limits import within_limits
 from gtau.estimation.regression.repeated_runs import Place, edges_in_step, find_places
@@ -41,7 +42,8 @@ def model_of(robot: Robot) -> InverseDynamics:
 class Dataset:
     """All runs of an experiment, read and reduced, before any estimation, and what is known beside them.
 
-    ``priors`` are those of standard or base parameters, by name.
+    ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them,
+    ``prior_inertias`` is their relative standard deviation, else 0.
     """
 
     robot: Robot
@@ -51,6 +53,13 @@ class Dataset:
     prepared: tuple[PreparedRun, ...]
     factors: tuple[Factors, ...]
     priors: Mapping[str, Prior] = field(default_factory=dict)
+    prior_inertias: float = 0.0
+
+    @property
+    def stated_priors(self) -> Mapping[str, Prior]:
+        """The priors without the inertias of the robot's file."""
+        of_file = inertia_priors(self.robot, self.prior_inertias) if self.prior_inertias else {}
+        return {name: prior for name, prior in self.priors.items() if of_file.get(name) != prior}
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -152,10 +161,11 @@ def reduce_runs(
     decimator: Literal["fir", "chebyshev"] = "fir",
     progress: Progress = silent,
     priors: Mapping[str, Prior] | None = None,
+    prior_inertias: float = 0.0,
 ) -> Dataset:
     """Prepare all runs and reduce them to triangular factors.
 
-    ``priors`` are what is known of parameters.
+    ``priors`` are what is known of parameters; see :class:`Dataset`.
 
     Raises
     ------
@@ -175,7 +185,8 @@ def reduce_runs(
     progress("base parameters", 0, 1)
     base = base_parameters(model, sensors=sensors_of(robot, runs))
     prepared = prepare_runs(model, runs, preparation)
-    return Dataset(robot, model, base, preparation, prepared, (), priors or {}).reduced(progress=progress)
+    dataset = Dataset(robot, model, base, preparation, prepared, (), priors or {}, prior_inertias)
+    return dataset.reduced(progress=progress)
 
 
 def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 
+SHORT = 16384  # samples of a run that is prepared once: longer ones would fill the memory
 ALL_SAMPLES = 4096  # of a block that is not decimated
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
@@ -162,6 +163,13 @@ def stream_torques(
         yield Torques(of.time[block.first : block.first + count], filtered[0], filtered[1], filtered[2:])
 
 
+def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tuple[SampleWindow, Motion]]:
+    """Compute the motion at every sample of a run, behind no low-pass but that of the positions; raises GtauError."""
+    blocks = (Block(slice(a, b), slice(a, b), 0) for a, b in spans(len(prepared), ALL_SAMPLES))
+    for _, of, c in _along(idm, prepared, blocks):
+        yield of, idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(prepared.run.name, of.time))
+
+
 def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
     """Compute what the wrenches of a run add to the torques of the actuated joints, ``J^T w`` (3, n, M).
 
@@ -195,12 +203,20 @@ def _configurations(idm: InverseDynamics, whole: InMemoryRun) -> np.ndarray:
     return idm.path(of.q.T.copy(), Labels(whole.run.name, of.time))
 
 
+@lru_cache(maxsize=8)  # of few runs: the factors and then friction are streamed along the same ones
+def _along_short(idm: InverseDynamics, prepared: PreparedRun) -> tuple[SampleWindow, np.ndarray]:
+    of = prepared.samples()
+    return of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+
+
 def _along(
     idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block]
 ) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
     """Stream the blocks with samples and configurations; these are made for longer stretches, which is faster."""
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
+    if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
+        end, (of, c) = len(prepared), _along_short(idm, prepared)
     for block in blocks:
         at = block.samples
         if at.stop > end:

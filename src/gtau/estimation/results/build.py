@@ -9,6 +9,7 @@ import numpy as np
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination, Uncertainty
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -34,7 +35,7 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
-from gtau.robots.units import position_unit, torque_unit, unit_of
+from gtau.robots.units import gain_unit, position_unit, torque_unit, unit_of
 
 NO_FRICTION = FrictionStep()
 
@@ -48,6 +49,7 @@ def build_result(
     diagnosis: Diagnosis,
     consistency: Consistency | None = None,
     friction: FrictionStep = NO_FRICTION,
+    audit: InertiaAudit | None = None,
 ) -> Result:
     """Build the result of an identification.
 
@@ -67,6 +69,8 @@ def build_result(
         Physically consistent standard parameters.
     friction : FrictionStep
         Friction on all samples; nothing where the plain law is to predict.
+    audit : InertiaAudit, optional
+        What the data say of the inertias of the robot's file.
     """
     dataset, system, solution = fit.dataset, fit.system, fit.solution
     covariance, freedom = uncertainty.covariance, uncertainty.effective_freedom
@@ -76,7 +80,6 @@ def build_result(
     std, model_std = (np.sqrt(np.diag(each)) for each in (covariance, uncertainty.model))
     gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
     units = [torque_unit(robot, joint) for joint in joints]
-    of_current = dataset.runs[0].kind == "current"
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
@@ -117,7 +120,7 @@ def build_result(
                 joint,
                 float(solution.gains[k]),
                 float(gain_std[k]) if gain_std.any() else None,
-                f"{units[k]}/A" if of_current else "1",
+                gain_unit(robot, joint, dataset.runs[0].kind),
                 verdict=diagnosis.gains[joint],
                 freedom=None if freedom is None else float(freedom[n_theta + k]),
                 model_std=float(model_std[n_theta + k]) if gain_std.any() else None,
@@ -175,6 +178,7 @@ def build_result(
         runs=tuple(run.name for run in dataset.runs),
         notes=(*dataset.notes, *diagnosis.notes),
         consistency=consistency,
+        audit=audit,
         alternatives=tuple(_moves(each, robot) for each in examined.alternatives),
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),

@@ -9,6 +9,7 @@ from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.torque_scale import torque_headline
 
 RANKED = (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE, Outcome.WEAK, Outcome.GOOD, Outcome.GIVEN)
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
@@ -27,12 +28,10 @@ class Reason:
 def headline(result: IdentifiedModel) -> str:
     """Say what can be believed of the gains: how many are known how well, and which contradict the description."""
     gains = list(result.drive_gains.values())
+    if result.kind == "torque":
+        return torque_headline(result)
     if all(gain.verdict.outcome == Outcome.GIVEN for gain in gains):
-        return (
-            "The logs hold torques, so no drive gains were identified."
-            if result.kind == "torque"
-            else "The drive gains were given, not identified."
-        )
+        return "The drive gains were given, not identified."
     accuracy = result.statistics.get("accuracy", 0.0)
     estimated = any(gain.std is not None for gain in gains)
     sentences = [_good(gains, accuracy)] if estimated else []

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
@@ -87,6 +88,9 @@ class IdentifiedModel:
     singular_values : tuple of float
         Of ``W_tot`` (eq. 33) in falling order, rows weighted by the residuals and columns of unit length; empty where
         the gains were given, and not held by ``model.json``.
+    audit : InertiaAudit, optional
+        How well the inertias of the robot's file predict the torques, and which of them the data contradict; None where
+        the file states none.
     requirements : tuple of Requirement
         What the experiment file requires, and what was found of it.
     known : tuple of InverseDynamics and BaseParameters, optional
@@ -120,6 +124,7 @@ class IdentifiedModel:
     temperatures: ReferenceTemperatures | None = None
     curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
     requirements: tuple[Requirement, ...] = ()
+    audit: InertiaAudit | None = None
     known: tuple[InverseDynamics, BaseParameters] | None = None
 
     def __post_init__(self) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from gtau.estimation.diagnostics.finding import finding_document
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.grades import to_document as note_document
@@ -70,11 +71,16 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "singularities": [asdict(each) for each in result.singularities],
         "temperatures": result.temperatures and asdict(result.temperatures),
         "geometry": result.geometry and geometry_document(result.geometry),
+        "audit": result.audit and _audit(result.audit),
         "notes": [note_document(note) for note in result.notes],
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
         "robot_file": native_text(result.robot),
         "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
     }
+
+
+def _audit(audit: InertiaAudit) -> dict[str, Any]:
+    return asdict(audit) | {"stated_error": audit.stated_error, "identified_error": audit.identified_error}
 
 
 def _curve(curve: FrictionCurve) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.sentences import advice, reason
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
@@ -231,6 +232,7 @@ class _Model(_Group):
     alternatives: tuple[AlternativeMoves, ...]
     singularities: tuple[NearestPose, ...]
     requirements: tuple[Requirement, ...] = ()
+    audit: InertiaAudit | None = None
 
     def made(self, path: Path, make: type[Model]) -> Model:
         """Put the result together."""
@@ -259,6 +261,7 @@ class _Model(_Group):
             alternatives=self.alternatives,
             singularities=self.singularities,
             requirements=self.requirements,
+            audit=self.audit,
         )
 
 

@@ -20,31 +20,40 @@ from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
-from gtau.signals.preparation import prepare
+from gtau.signals.preparation import PreparedRun, prepare
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import spans
 
 
-def predict(result: IdentifiedModel, run: Run) -> Prediction:
-    """Predict torques at every sample of a run, beside the measured ones; see :meth:`gtau.Result.predict`."""
+def suited(result: IdentifiedModel, run: Run) -> Run:
+    """Order the columns of a run as the model's joints; raises GtauError where it is of another kind."""
     if not isinstance(run, Run):
         raise GtauError(
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
             "its columns."
         )
-    model, base = result.model, result.base
-    run = arrange(run, model.actuated)
+    run = arrange(run, result.model.actuated)
     if run.kind != result.kind:
         raise GtauError(
             f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "
             "same kind."
         )
+    return run
+
+
+def prepared_for(result: IdentifiedModel, run: Run) -> tuple[PreparedRun, range]:
+    """Prepare all samples of a run as for identification; also say in which of them the robot moves."""
+    run = suited(result, run)
     check_wrenches(result.robot, run)
-    preparation = at_rate_of([run], result.preparation)
-    prepared = prepare(run, preparation, motor_to_joint_speed(model))
-    moving = prepared.kept
-    prepared = replace(prepared, kept=range(len(run.time)))
-    decimator = preparation.decimator
+    prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.model))
+    return replace(prepared, kept=range(len(run.time))), prepared.kept
+
+
+def predict(result: IdentifiedModel, run: Run) -> Prediction:
+    """Predict torques at every sample of a run, beside the measured ones; see :meth:`gtau.Result.predict`."""
+    model, base = result.model, result.base
+    prepared, moving = prepared_for(result, run)
+    run, decimator = prepared.run, prepared.preparation.decimator
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     regressor, gains = model.columns(base.standard), result.gains
     delays = np.array([[result.delays[joint].value] for joint in model.actuated])

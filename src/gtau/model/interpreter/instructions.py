@@ -7,7 +7,7 @@ from collections.abc import Collection
 import casadi as ca
 import numpy as np
 
-from gtau.model.interpreter.kernel import NOWHERE, OPERATIONS
+from gtau.model.interpreter.layout import NOWHERE, OPERATIONS
 
 CODE = {name: code for code, name in enumerate(OPERATIONS)}
 _SAME = {getattr(ca, f"OP_{name}"): name for name in OPERATIONS if hasattr(ca, f"OP_{name}")}
@@ -46,7 +46,7 @@ def instructions(
     used = {value for each in listing for value in each.operands} & constants.keys()
     place = {value: k for k, value in enumerate(sorted(used))}
     made = {value for each in listing for value in each.results}
-    # A value that is an output stands in the output's row from the first; other outputs are copies.
+    # A value that is an output is in the output's row from the first; other outputs are copies.
     home: dict[int, int] = {}
     for k, value in enumerate(outputs):
         if value in made and value not in home:
@@ -63,7 +63,7 @@ def instructions(
     row |= {value: first + registers + inputs + k for value, k in home.items()}
     code = np.zeros((len(listing), 5), dtype=np.uint32)
     for line, each in zip(code, listing, strict=True):
-        # the second result of SINE_COSINE stands in the place of a second operand
+        # the second result of SINE_COSINE takes the place of a second operand
         rows = [row.get(value, NOWHERE) for value in (each.results[0], *each.operands, *each.results[1:])]
         line[: len(rows) + 1] = CODE[each.operation], *rows
     values = np.array([constants[value] for value in sorted(used)])

@@ -1,29 +1,20 @@
-"""Compiled loops: of :mod:`gtau.model.interpreter.program`, and of continuation, which closes loops along paths."""
+"""Compiled loops: of :mod:`gtau.model.interpreter.program`, and of continuation, which closes loops along paths.
+
+Numba compiles them, for :mod:`gtau.model.interpreter.compiled`, which alone imports this module. They take addresses
+and whole numbers and allocate nothing, so that their machine code needs nothing of Numba. All arrays are in C order.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-from numba import carray, types  # type: ignore[attr-defined]
+from numba import carray  # type: ignore[attr-defined]
 
 from gtau.model.interpreter import lanes
-from gtau.model.interpreter.compiled import compiled, compiled_once
-from gtau.model.interpreter.lanes import LANES, WIDE, lane
+from gtau.model.interpreter.lanes import compiled, lane, to_addresses, to_doubles, to_flags, to_followers
+from gtau.model.interpreter.layout import LANES, NOWHERE, ROW, TILE, WIDE
 
-OPERATIONS = (
-    *("MUL", "ADD", "SUB", "MULTIPLY_ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT"),
-    *("MUL last", "ADD last", "SUB last", "SUB from last", "MULTIPLY_ADD last", "MULTIPLY_SUBTRACT last"),
-    *("SUBTRACT_PRODUCT last", "MULTIPLY_ADD by last", "MULTIPLY_SUBTRACT by last", "SUBTRACT_PRODUCT by last"),
-    *("NEG", "DIV", "SQRT", "ASSIGN", "SIGN", "FABS", "FMAX", "SINE_COSINE"),
-)
-"""Operations of the interpreter; the index in this tuple is the operation code."""
-
-NOWHERE = 2**32 - 1
-"""Row of a result that only the next instruction needs."""
+ITERATIONS = 8
 
 
-@compiled_once(types.void(types.int64, types.int64, types.int64))
 def run_machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Run ``count`` instructions, at the address ``code``, on one lane of the rows whose addresses are at ``rows``.
 
@@ -86,116 +77,80 @@ def run_machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: n
             lanes.store(row[to], last)
 
 
-MACHINE: int = run_machine.address
-
-
 @compiled
-def execute(machine, code, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run ``code`` (instructions, 5) on one lane of each row; ``machine`` is MACHINE."""
-    lanes.call(machine, code.ctypes.data, code.shape[0], rows.ctypes.data)
+def _run(machine, code, count, rows, size, own, long, moved, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Run ``count`` instructions of ``code`` on the lane at ``start``."""
+    rows, there = carray(to_addresses(rows), (size,)), carray(to_addresses(moved), (size,))
+    for k in range(size):
+        there[k] = rows[k] + 8 * start if own <= k < long else rows[k]
+    lanes.call(machine, code, count, moved)
 
 
-@compiled
-def _run(machine, code, rows, own, long, moved, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run ``code`` on the lane at ``start``."""
-    for k in range(rows.size):
-        moved[k] = rows[k] + 8 * start if own <= k < long else rows[k]
-    execute(machine, code, moved)
+def interpret(machine, code, count, rows, size, own, long, moved, start, stop):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Run ``code`` (count, 5) over the samples ``start`` to ``stop``, at least LANES of them.
 
-
-@compiled
-def interpret(machine, code, rows, own, long, start, stop):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run ``code`` over the samples ``start`` to ``stop``, at least LANES of them.
-
-    The ``rows`` from ``own`` to ``long`` are as long as the data, the others are of one lane.
+    ``machine`` is the address of :func:`run_machine`. Of the ``rows`` (size,), those from ``own`` to ``long`` are as
+    long as the data, the others are of one lane. ``moved`` (size,) is memory to work with.
     """
-    moved = np.empty(rows.size, np.int64)
     while start < stop:
         start = min(start, stop - LANES)  # the last lane ends where the data do, and repeats some samples
-        _run(machine, code, rows, own, long, moved, start)
+        _run(machine, code, count, rows, size, own, long, moved, start)
         start += LANES
 
 
-@compiled
-def scatter(machine, code, rows, own, long, start, stop, made, order, places, table):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run as :func:`interpret`, and put the outputs ``made`` (outputs, LANES) at ``places`` of the rows of ``table``.
+def scatter(  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    machine, code, count, rows, size, own, long, moved, start, stop, made, order, places, outputs, table, stride
+):
+    """Run as :func:`interpret`, and put the outputs ``made`` (outputs, ROW) at ``places`` of the rows of ``table``.
 
-    ``table`` is (N, columns); ``places`` (outputs,) rise, and are those of the outputs in the ``order`` (outputs,).
+    ``table`` is (N, columns), a row ``stride`` bytes; ``places`` (outputs,) rise, and are those of the outputs in the
+    ``order`` (outputs,). ``moved`` (size + 2 WIDE,) is memory to work with.
     """
-    moved = np.empty(rows.size, np.int64)
-    source, target = np.empty(WIDE, np.int64), np.empty(WIDE, np.int64)
-    corner, stride = table.ctypes.data, table.strides[0]
+    order, places = carray(to_addresses(order), (outputs,)), carray(to_addresses(places), (outputs,))
+    source, target = moved + 8 * size, moved + 8 * (size + WIDE)
+    sources, targets = carray(to_addresses(source), (WIDE,)), carray(to_addresses(target), (WIDE,))
+    made_rows = carray(to_addresses(rows), (size,))
     while start < stop:
         start = min(start, stop - LANES)
-        _run(machine, code, rows, own, long, moved, start)
+        _run(machine, code, count, rows, size, own, long, moved, start)
         for first in range(0, LANES, WIDE):  # a cache line of each output
             k = 0
-            while k < order.size:
-                if k + WIDE <= order.size and places[k + WIDE - 1] == places[k] + WIDE - 1:
+            while k < outputs:
+                if k + WIDE <= outputs and places[k + WIDE - 1] == places[k] + WIDE - 1:
                     for i in range(WIDE):
-                        source[i] = rows[long + order[k + i]] + 8 * first
-                        target[i] = corner + (start + first + i) * stride + 8 * places[k]
-                    lanes.transpose(source.ctypes.data, target.ctypes.data)
+                        sources[i] = made_rows[long + order[k + i]] + 8 * first
+                        targets[i] = table + (start + first + i) * stride + 8 * places[k]
+                    lanes.transpose(source, target)
                     k += WIDE
                 else:
+                    values = carray(to_doubles(made + 8 * ROW * order[k]), (LANES,))
                     for n in range(first, first + WIDE):
-                        table[start + n, places[k]] = made[order[k], n]
+                        carray(to_doubles(table + (start + n) * stride + 8 * places[k]), (1,))[0] = values[n]
                     k += 1
         start += LANES
 
 
-ITERATIONS = 8
-TILE = 8  # samples of a path that are put into the results together: a cache line of each row
-
-
-class Follower(NamedTuple):
-    """Programs that read ``trial`` (n_c, LANES) and write ``made``: n_c rows, then size, condition and gap.
-
-    The programs' rows point into ``memory``. ``actuated`` (n,) are rows of the configuration, and ``scale``
-    (n_c,) is what its entries are multiplied by to become rad or lengths over the characteristic length, zero for the
-    actuated. The rest are the parameters of the continuation.
-    """
-
-    machine: int
-    step: np.ndarray
-    step_rows: np.ndarray
-    step_memory: np.ndarray
-    fast_step: np.ndarray
-    fast_step_rows: np.ndarray
-    fast_step_memory: np.ndarray
-    gap: np.ndarray
-    gap_rows: np.ndarray
-    gap_memory: np.ndarray
-    trial: np.ndarray
-    made: np.ndarray
-    actuated: np.ndarray
-    scale: np.ndarray
-    shortest: float
-    residual: float
-    contraction: float
-    reach: float
-
-
 @compiled
-def _newton(f, now, going):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Close the loops from the initial guess ``f.trial`` in the lanes ``going``; return where that succeeded.
+def _newton(f, now, going, good, share):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Close the loops from the initial guess ``f.trial`` in the lanes ``going``; ``good`` becomes where that succeeded.
 
-    ``now`` is the previous closed configuration. Also return the share of the way to a singular pose.
+    ``now`` is the previous closed configuration, ``share`` becomes the share of the way to a singular pose.
     """
-    n_c = f.trial.shape[0]
-    size, condition, gap = f.made[n_c], f.made[n_c + 1], f.made[n_c + 2]
-    good, done, step = np.empty(LANES, np.bool_), np.zeros(LANES, np.bool_), np.empty(LANES, np.bool_)
-    last, ahead, share = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    trial, made = carray(to_doubles(f.trial), (f.n_c, ROW)), carray(to_doubles(f.made), (f.n_c + 3, ROW))
+    scale = carray(to_doubles(f.scale), (f.n_c,))
+    size, condition, gap = made[f.n_c], made[f.n_c + 1], made[f.n_c + 2]
+    done, step = carray(lanes.flags(), (LANES,)), carray(lanes.flags(), (LANES,))
+    last, ahead = carray(lanes.doubles(), (LANES,)), carray(lanes.doubles(), (LANES,))
     for n in range(LANES):
-        good[n] = going[n]
-    for i in range(n_c):
+        good[n], done[n], last[n], ahead[n], share[n] = going[n], False, 0.0, 0.0, 0.0
+    for i in range(f.n_c):
         for n in range(LANES):
-            ahead[n] = max(ahead[n], f.scale[i] * abs(f.trial[i, n] - now[i, n]))
+            ahead[n] = max(ahead[n], scale[i] * abs(trial[i, n] - now[i, n]))
     for iteration in range(ITERATIONS):
         if iteration == 0:
-            execute(f.machine, f.step, f.step_rows)
+            lanes.call(f.machine, f.step, f.step_count, f.step_rows)
         else:
-            execute(f.machine, f.fast_step, f.fast_step_rows)
+            lanes.call(f.machine, f.fast_step, f.fast_step_count, f.fast_step_rows)
         busy = False
         for n in range(LANES):
             step[n] = False
@@ -209,46 +164,49 @@ def _newton(f, now, going):  # type: ignore[no-untyped-def]  # pragma: no cover 
                 step[n] = good[n]
                 done[n] = size[n] < 1e-7  # it is squared by the step; the gap shows whether that is enough
                 busy |= good[n] and not done[n]
-        for i in range(n_c):
+        for i in range(f.n_c):
             for n in range(LANES):
-                f.trial[i, n] = f.made[i, n] if step[n] else f.trial[i, n]
+                trial[i, n] = made[i, n] if step[n] else trial[i, n]
         if not busy:
             break
-    execute(f.machine, f.gap, f.gap_rows)
+    lanes.call(f.machine, f.gap, f.gap_count, f.gap_rows)
     for n in range(LANES):
         good[n] = good[n] and done[n] and gap[n] < f.residual
-    return good, share
 
 
 @compiled
-def _go(f, now, guess, guessed, target, going):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Move ``now`` (n_c, LANES) straight to ``target`` (n, LANES) in the lanes ``going``; return which arrived.
+def _go(f, now, guess, guessed, target, going, arrived):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Move ``now`` (n_c, LANES) straight to ``target`` (n, LANES) in the lanes ``going``; ``arrived`` becomes which do.
 
     In the lanes ``guessed`` the configuration there is tried to be ``guess``; where that was in one step,
     ``guessed`` is True afterwards.
     """
-    begin, travelled, stride, there = np.empty(target.shape), np.zeros(LANES), np.ones(LANES), np.empty(LANES)
-    moving, first, arrived = np.empty(LANES, np.bool_), np.empty(LANES, np.bool_), np.empty(LANES, np.bool_)
+    trial, actuated = carray(to_doubles(f.trial), (f.n_c, ROW)), carray(to_addresses(f.actuated), (f.n,))
+    begin = carray(to_doubles(f.begin), (f.n, LANES))
+    travelled, stride = carray(lanes.doubles(), (LANES,)), carray(lanes.doubles(), (LANES,))
+    there, share = carray(lanes.doubles(), (LANES,)), carray(lanes.doubles(), (LANES,))
+    moving, first = carray(lanes.flags(), (LANES,)), carray(lanes.flags(), (LANES,))
+    closed = carray(lanes.flags(), (LANES,))
     busy = False
     for n in range(LANES):
-        moving[n], first[n] = going[n], guessed[n]
+        moving[n], first[n], travelled[n], stride[n] = going[n], guessed[n], 0.0, 1.0
         busy |= going[n]
-        for j in range(f.actuated.size):
-            begin[j, n] = now[f.actuated[j], n]
+        for j in range(f.n):
+            begin[j, n] = now[actuated[j], n]
     while busy:
-        for i in range(now.shape[0]):
+        for i in range(f.n_c):
             for n in range(LANES):
-                f.trial[i, n] = guess[i, n] if first[n] else now[i, n]
+                trial[i, n] = guess[i, n] if first[n] else now[i, n]
         for n in range(LANES):
             there[n] = min(travelled[n] + stride[n], 1.0)
-        for j in range(f.actuated.size):
+        for j in range(f.n):
             for n in range(LANES):
                 if moving[n]:  # exact at the ends
-                    f.trial[f.actuated[j], n] = (1.0 - there[n]) * begin[j, n] + there[n] * target[j, n]
-        closed, share = _newton(f, now, moving)
-        for i in range(now.shape[0]):
+                    trial[actuated[j], n] = (1.0 - there[n]) * begin[j, n] + there[n] * target[j, n]
+        _newton(f, now, moving, closed, share)
+        for i in range(f.n_c):
             for n in range(LANES):
-                now[i, n] = f.trial[i, n] if closed[n] else now[i, n]
+                now[i, n] = trial[i, n] if closed[n] else now[i, n]
         busy = False
         for n in range(LANES):
             if moving[n]:
@@ -263,61 +221,74 @@ def _go(f, now, guess, guessed, target, going):  # type: ignore[no-untyped-def] 
                 busy |= moving[n]
     for n in range(LANES):
         arrived[n] = travelled[n] >= 1.0
-    return arrived
 
 
-@compiled
-def advance_to(f, c, q, begin, end, reached):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def advance_to(follower, c, q, samples, begin, end, reached):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Move the columns ``begin`` to ``end`` of ``c`` (n_c, N) towards those of ``q`` (n, N), in place.
 
-    ``reached`` (N,) becomes True for those that arrive.
+    ``reached`` (N,) becomes True for those that arrive. ``follower`` is a Follower.
     """
-    now, target = np.zeros((c.shape[0], LANES)), np.zeros((q.shape[0], LANES))
-    going, guessed = np.empty(LANES, np.bool_), np.empty(LANES, np.bool_)
+    f = carray(to_followers(follower), (1,))[0]
+    c, q = carray(to_doubles(c), (f.n_c, samples)), carray(to_doubles(q), (f.n, samples))
+    reached = carray(to_flags(reached), (samples,))
+    now, target = carray(to_doubles(f.now), (f.n_c, LANES)), carray(to_doubles(f.target), (f.n, LANES))
+    going, guessed, arrived = (
+        carray(lanes.flags(), (LANES,)),
+        carray(lanes.flags(), (LANES,)),
+        carray(lanes.flags(), (LANES,)),
+    )
     for start in range(begin, end, LANES):
-        lanes = min(LANES, end - start)
+        used = min(LANES, end - start)
         for n in range(LANES):
-            going[n], guessed[n] = n < lanes, False
-        for n in range(lanes):
-            for i in range(c.shape[0]):
+            going[n], guessed[n] = n < used, False
+        for n in range(used):
+            for i in range(f.n_c):
                 now[i, n] = c[i, start + n]
-            for j in range(q.shape[0]):
+            for j in range(f.n):
                 target[j, n] = q[j, start + n]
-        arrived = _go(f, now, now, guessed, target, going)
-        for n in range(lanes):
+        _go(f, now, now, guessed, target, going, arrived)
+        for n in range(used):
             reached[start + n] = arrived[n]
-            for i in range(c.shape[0]):
+            for i in range(f.n_c):
                 c[i, start + n] = now[i, n]
 
 
-@compiled
-def follow_path(f, c, q, starts, length, filled):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def follow_path(follower, c, q, samples, starts, parts, length, filled):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Fill ``c`` (n_c, N) along ``q`` (n, N) from each of ``starts``: ``length`` samples, or as many as can be reached.
 
-    The initial guess extrapolates the parabola through the last three samples.
+    ``starts`` and ``filled``, how many were, are (parts,). The initial guess extrapolates the parabola through the last
+    three samples.
     """
-    n_c, samples = c.shape
-    now, guess, target = np.zeros((n_c, LANES)), np.zeros((n_c, LANES)), np.zeros((q.shape[0], LANES))
-    past = np.zeros((2, n_c, LANES))  # the two samples before ``now``
-    tile = np.zeros((n_c, LANES, TILE))
-    known = np.empty(LANES, np.int64)  # samples before ``now`` that were led on from in one step each
-    going, guessed = np.empty(LANES, np.bool_), np.empty(LANES, np.bool_)
-    for first in range(0, starts.size, LANES):
-        lanes = min(LANES, starts.size - first)
+    f = carray(to_followers(follower), (1,))[0]
+    n_c = f.n_c
+    c, q = carray(to_doubles(c), (n_c, samples)), carray(to_doubles(q), (f.n, samples))
+    starts, filled = carray(to_addresses(starts), (parts,)), carray(to_addresses(filled), (parts,))
+    now, guess = carray(to_doubles(f.now), (n_c, LANES)), carray(to_doubles(f.guess), (n_c, LANES))
+    target = carray(to_doubles(f.target), (f.n, LANES))
+    past = carray(to_doubles(f.past), (2, n_c, LANES))  # the two samples before ``now``
+    tile = carray(to_doubles(f.tile), (n_c, LANES, TILE))
+    known = carray(lanes.doubles(), (LANES,))  # samples before ``now`` that were led on from in one step each
+    going, guessed, arrived = (
+        carray(lanes.flags(), (LANES,)),
+        carray(lanes.flags(), (LANES,)),
+        carray(lanes.flags(), (LANES,)),
+    )
+    for first in range(0, parts, LANES):
+        used = min(LANES, parts - first)
         for n in range(LANES):
-            going[n], known[n] = n < lanes, 0
-        for n in range(lanes):
+            going[n], known[n] = n < used, 0.0
+        for n in range(used):
             filled[first + n] = 1
             for i in range(n_c):
                 now[i, n] = c[i, starts[first + n]]
         busy, offset = True, 0
         while busy and offset < length - 1:
             offset += 1
-            for n in range(lanes):
+            for n in range(used):
                 at = starts[first + n] + offset
                 going[n] = going[n] and at < samples
                 if going[n]:
-                    for j in range(q.shape[0]):
+                    for j in range(f.n):
                         target[j, n] = q[j, at]
             for n in range(LANES):
                 guessed[n] = known[n] >= 2
@@ -326,10 +297,10 @@ def follow_path(f, c, q, starts, length, filled):  # type: ignore[no-untyped-def
                     guess[i, n] = 3.0 * (now[i, n] - past[0, i, n]) + past[1, i, n]
                     past[1, i, n] = past[0, i, n]
                     past[0, i, n] = now[i, n]
-            arrived = _go(f, now, guess, guessed, target, going)
+            _go(f, now, guess, guessed, target, going, arrived)
             busy = False
-            for n in range(lanes):
-                known[n] = known[n] + 1 if guessed[n] else 0
+            for n in range(used):
+                known[n] = known[n] + 1.0 if guessed[n] else 0.0
                 going[n] = going[n] and arrived[n]
                 busy |= going[n]
                 if going[n]:
@@ -340,6 +311,6 @@ def follow_path(f, c, q, starts, length, filled):  # type: ignore[no-untyped-def
             if not busy or offset % TILE == TILE - 1 or offset == length - 1:
                 low = max(offset - offset % TILE, 1)
                 for i in range(n_c):
-                    for n in range(lanes):
+                    for n in range(used):
                         for k in range(low, min(offset + 1, filled[first + n])):
                             c[i, starts[first + n] + k] = tile[i, n, k % TILE]

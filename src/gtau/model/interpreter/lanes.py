@@ -11,13 +11,13 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.extending import intrinsic, register_model
 
-from gtau.model.interpreter.compiled import compiled
+from gtau.model.interpreter.layout import FOLLOWER, LANES, WIDE
 
-LANES = 64
-WIDE = 8  # doubles in a cache line
+compiled: Any = numba.njit(nogil=True, error_model="numpy")
 
 _DOUBLE = ir.DoubleType()
 _LANE = ir.VectorType(_DOUBLE, LANES)
@@ -41,7 +41,7 @@ class _LaneModel(models.PrimitiveModel):
 
 
 def _operation(operands: int, compute: Callable[..., Any]) -> Any:
-    """Make a function of so many lanes that returns a lane."""
+    """Make a function of the given lanes that returns a lane."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return compute(builder, *arguments)
@@ -124,6 +124,21 @@ def _pointer(kind: Any, stored: ir.Type) -> Any:
 to_doubles = _pointer(types.float64, _DOUBLE)
 to_words = _pointer(types.uint32, ir.IntType(32))
 to_addresses = _pointer(types.int64, ir.IntType(64))
+to_flags = _pointer(types.boolean, ir.IntType(8))
+to_followers = _pointer(numba.from_dtype(FOLLOWER), ir.ArrayType(ir.IntType(8), FOLLOWER.itemsize))
+
+
+def _local(kind: Any, stored: ir.Type) -> Any:
+    """Make a function that returns a pointer to LANES numbers of a kind on the stack of its caller."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return cgutils.alloca_once(builder, stored, LANES)
+
+    return _intrinsic(lambda typing: (types.CPointer(kind)(), code))
+
+
+doubles = _local(types.float64, _DOUBLE)
+flags = _local(types.boolean, ir.IntType(8))
 
 
 @_intrinsic

@@ -2,7 +2,7 @@
 
 A symbolic function is turned into a list of instructions on rows; each instruction is carried out for a
 whole lane of samples before the next, so the interpreter's own cost is shared by the lane and the
-registers stay in the cache. One compiled loop (Numba, cached on disk) serves all robots.
+registers stay in the cache. One compiled loop (:mod:`gtau.model.interpreter.compiled`) serves all robots.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from gtau.model.interpreter.compiled import loops
 from gtau.model.interpreter.instructions import instructions
-from gtau.model.interpreter.kernel import MACHINE, interpret, scatter
-from gtau.model.interpreter.lanes import LANES
+from gtau.model.interpreter.layout import LANES, ROW, WIDE
 from gtau.model.interpreter.threads import share
 
-PAD = 8  # strides that are powers of two thrash the cache
 NONE = np.zeros(0)
 
 
@@ -60,7 +59,8 @@ class Program:
 
         def run(start: int, stop: int) -> None:
             bound = Bound(self, _rows(sources), addresses(result), parameters)
-            interpret(MACHINE, bound.code, bound.rows, bound.own, len(bound.rows), start, stop)
+            moved = np.empty(bound.rows.size, dtype=np.int64)
+            loops().interpret(*bound.run(), bound.own, bound.rows.size, address(moved), start, stop)
 
         share(run, result.shape[1])
         return result[:, :samples]
@@ -76,14 +76,17 @@ class Program:
         """
         sources, samples = self._sources(inputs)
         whole = table if samples >= LANES else np.zeros((LANES, table.shape[1]))
+        order, places = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(places, np.int64)
 
         def run(start: int, stop: int) -> None:
             made = aligned(self.outputs)  # it stays in the cache
             outputs, values = self.fixed
             made[outputs] = values[:, None]
             bound = Bound(self, _rows(sources), addresses(made))
+            moved = np.empty(bound.rows.size + 2 * WIDE, dtype=np.int64)
+            where = address(made), address(order), address(places), order.size, address(whole), whole.strides[0]
             long = bound.own + self.inputs
-            scatter(MACHINE, bound.code, bound.rows, bound.own, long, start, stop, made, order, places, whole)
+            loops().scatter(*bound.run(), bound.own, long, address(moved), start, stop, *where)
 
         share(run, len(whole))
         if whole is not table:
@@ -120,17 +123,27 @@ class Bound:
         self.memory[: len(values)] = values[:, None]
         self.rows = np.concatenate([addresses(self.memory), inputs, outputs])
 
+    def run(self) -> tuple[int, int, int, int, int]:
+        """Return what the compiled loops run the program with: they know addresses and sizes alone."""
+        return loops().machine, address(self.code), len(self.code), address(self.rows), self.rows.size
+
 
 def aligned(rows: int) -> np.ndarray:
     """Allocate rows (rows, LANES) aligned to cache lines."""
-    memory = np.empty(rows * (LANES + PAD) + PAD)
-    first = -memory.ctypes.data % 64 // 8
-    return memory[first : first + rows * (LANES + PAD)].reshape(rows, LANES + PAD)[:, :LANES]
+    memory = np.empty((rows + 1) * ROW)
+    first = -address(memory) % 64 // 8
+    return memory[first : first + rows * ROW].reshape(rows, ROW)[:, :LANES]
+
+
+def address(array: np.ndarray) -> int:
+    """Return the address of an array's first entry."""
+    where: int = array.__array_interface__["data"][0]
+    return where
 
 
 def addresses(array: np.ndarray) -> np.ndarray:
     """Return the addresses (rows,) of the rows of an array."""
-    return array.ctypes.data + array.strides[0] * np.arange(len(array))
+    return address(array) + array.strides[0] * np.arange(len(array))
 
 
 def _rows(arrays: list[np.ndarray]) -> np.ndarray:

@@ -11,7 +11,7 @@ from functools import cache
 
 from threadpoolctl import threadpool_limits
 
-from gtau.model.interpreter.lanes import LANES
+from gtau.model.interpreter.layout import LANES
 
 _inside = threading.local()
 SHARE = 16 * LANES  # samples that are worth a thread
@@ -22,7 +22,10 @@ def threads() -> int:
     try:
         return max(int(os.environ["GTAU_THREADS"]), 1)
     except (KeyError, ValueError):
-        return os.cpu_count() or 1
+        return _cores()
+
+
+_cores = cache(lambda: os.cpu_count() or 1)
 
 
 def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:

@@ -15,7 +15,7 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
     Parameters
     ----------
     body : str
-        The joint or platform that bears the body's name.
+        The joint or platform that has the body's name.
     frame : str or Pose
         Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw``
         (m, rad) from the body's frame, or these as a pose.

@@ -73,7 +73,7 @@ def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, A
     Raises
     ------
     GtauError
-        A row's antecedent stands in none of the rows before it.
+        A row's antecedent is in none of the rows before it.
     """
     frames = {GROUND: Attachment(GROUND)}
     joints = []

@@ -19,6 +19,7 @@ from gtau.errors import GtauError
 from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed
 from gtau.robots.readers.idle_joints import without_idle_pins
+from gtau.robots.readers.inertias import mjcf_inertias
 from gtau.robots.readers.mjcf_bodies import fixed_tendons, read_bodies, read_ties, site_springs
 from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, name_in
 from gtau.robots.readers.source import Base, BaseChoice
@@ -102,6 +103,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         floating=bodies.floating,
         home_given=home_given,
         springs=tuple(springs),
+        inertias=mjcf_inertias(file.inertias, bodies.carried, file.armatures),
     )
     return _without_idle_joints(robot, ties.held, motors.pulled, base)
 
@@ -158,7 +160,7 @@ def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: Abstra
 
 
 def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
-    """Note what acts in the simulator and is not modelled, and what in the file may be wrong."""
+    """Note effects of the simulator that are not modelled, and likely errors of the file."""
     model = file.model
     if _weightless(model):
         yield "gravity is switched off in the file, and here; where it acts, write it in a saved robot file"

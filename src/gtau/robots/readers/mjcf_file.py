@@ -21,7 +21,9 @@ from gtau.robots.geometry import (
     short_angles_note,
     smallest_unit,
 )
+from gtau.robots.readers.inertias import mjcf_bodies
 from gtau.robots.readers.xml_document import LARGEST, decimals, line_of, read_xml
+from gtau.robots.rigid_body import RigidBody
 from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
 from gtau.robots.units import in_degrees
 
@@ -133,6 +135,10 @@ class MjcfFile:
     springs : list of SiteSpring
     notes : list of str
         What was left out.
+    inertias : dict
+        Bodies whose inertia the file states, by number.
+    armatures : dict
+        Armature of each joint by name.
     """
 
     model: mujoco.MjModel
@@ -143,6 +149,8 @@ class MjcfFile:
     limited_tendons: list[LimitedTendon]
     springs: list[SiteSpring]
     notes: list[str]
+    inertias: dict[int, RigidBody]
+    armatures: dict[str, float]
 
 
 def _name_tendons(spec: mujoco.MjSpec, elements: list[Element]) -> None:
@@ -302,10 +310,14 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
                 site.material = ""
             else:
                 spec.delete(site)
+        stated = mjcf_bodies(spec)
         for body in spec.bodies[1:]:
             body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
             body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
-        return MjcfFile(spec.compile(), elements, keys, actuators, lengths, limits, springs, notes)
+        model = spec.compile()
+        inertias = {body.id: found for body, found in stated}
+        armatures = {joint.name: float(joint.armature) for joint in spec.joints}
+        return MjcfFile(model, elements, keys, actuators, lengths, limits, springs, notes, inertias, armatures)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None

@@ -1,6 +1,6 @@
 """URDF files of serial arms and trees: their geometry and limits.
 
-Masses and inertias in the file are left aside: they are what is to be identified.
+Masses and inertias in the file are what is to be identified: they are kept beside the robot, to compare with.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
+from gtau.robots.readers.inertias import urdf_inertias
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.urdf_base import without_motors_of_base
 from gtau.robots.readers.xml_document import (
@@ -46,7 +47,7 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True)
 class _Edge:
-    """A URDF joint as it stands in the file."""
+    """A URDF joint as written in the file."""
 
     name: str
     kind: Kind | None  # None where nothing moves
@@ -73,13 +74,14 @@ class UrdfTree:
     notes: tuple[str, ...]
     root: Element
     carried: Mapping[str, str]
+    inertias: tuple[tuple[str, float], ...]
 
 
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from a URDF file.
 
-    Links that hang on fixed joints become part of the link that carries them. Joints stand depth first in the order
-    of the file; each keeps its name, and its link bears the name too. A joint that mimics another is passive and
+    Links on fixed joints become part of the link that carries them. Joints are listed depth first in the order
+    of the file; each keeps its name, and its link has the same name. A joint that mimics another is passive and
     coupled to it. Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths
     below 1e-10 m, are taken as exact, and angles written short (1.5708) as the multiples they stand for, with a note.
     With a ``base`` a floating joint is fixed, its child then being the ground, which may float.
@@ -108,7 +110,14 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
             "(base: floating) if it moved",
         )
     try:
-        robot = Robot(tree.name, tree.joints, couplings=tree.couplings, source=path.name, notes=notes)
+        robot = Robot(
+            tree.name,
+            tree.joints,
+            couplings=tree.couplings,
+            source=path.name,
+            notes=notes,
+            inertias=tree.inertias,
+        )
         return without_motors_of_base(robot, tree.root, tree.carried)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
@@ -118,7 +127,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
     """Read the tree of a URDF file, with the joints named in ``types`` read as FIXED or as one of ``TURNS`` instead.
 
     A spherical joint becomes three revolute ones, about x, y and z, a universal joint two; the links in between are
-    massless, and the last one bears the joint's name.
+    massless, and the last one has the joint's name.
     """
     try:
         root = _parse(path)
@@ -142,7 +151,8 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         carried = _carried(ordered)
         notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
         notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried)
+        inertias = urdf_inertias(root, frames)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried, inertias)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 

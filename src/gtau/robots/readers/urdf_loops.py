@@ -89,6 +89,7 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
             source=f"{Path(urdf).name} with {Path(loops).name}",
             notes=tree.notes,
             home_given=False,
+            inertias=tree.inertias,
         )
         return without_idle_pins(robot)
     except GtauError as error:

@@ -20,7 +20,7 @@ NUMERIC = ("double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", 
 def open_mat(path: Path) -> Table:
     """Find the numeric arrays of a MAT file; those of a struct ``log`` are named ``log.q``.
 
-    Only the variables asked for are read, and once each struct, whose fields stand in it alone.
+    Only requested variables are read, and each struct once, since its fields exist only in it.
 
     Raises
     ------

@@ -25,7 +25,7 @@ class Table:
     """Columns of a log, found but not yet read.
 
     ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
-    log that is then read. Row 0 stands in ``first_line`` of a text file; other logs have rows, counted from 1.
+    log that is then read. Row 0 is in ``first_line`` of a text file; other logs have rows, counted from 1.
     ``numbered``: the log has no header, and its columns are named by their number. ``notes`` report what the reader
     left out; ``unusable`` says of columns that hold no numbers what to do. ``episodes`` are the rows of each, by its
     number, where the log is of several.

@@ -61,7 +61,7 @@ def layout_of(path: Path) -> Layout:
     if not written:
         raise GtauError(f"{path} is empty or begins with an empty line; give a log with one sample a line.")
     start = _start(written)
-    if start is None or kind_of(path) is not BINARY:  # zero bytes may stand in the rubble before a table
+    if start is None or kind_of(path) is not BINARY:  # zero bytes may precede a table
         refuse_other_kind(path, LOG)
     first = None if start is None else written[start]
     # Without rows, or with none of numbers, the first line names what the others lack.

@@ -1,0 +1,62 @@
+"""Write ``lookup/commands.md``: every command with its arguments and options, as ``gtau COMMAND --help`` has them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import typer
+from click import Context
+
+from gtau.cli.commands import app
+
+PAGE = Path(__file__).parent / "lookup" / "commands.md"
+HEAD = """# Commands
+
+This page is made by `python docs/make_commands.py` from the help of the commands, which `gtau COMMAND --help` prints.
+
+| command | what it does |
+| --- | --- |
+"""
+
+
+def prose(text: str) -> str:
+    """Write help as Markdown: its paragraphs, what is typed in quotes as code."""
+    text = re.sub(r"'(gtau [^']+)'|'(--[^']+)'", r"`\1\2`", text.replace("\b", ""))
+    return re.sub(r"(?<!`)<(?=\w)", r"\\<", text)
+
+
+def rows(head: str, records: list[tuple[str, str]]) -> str:
+    """Return a table of arguments or options; empty where there are none."""
+    if not records:
+        return ""
+    lines = [f"| {head} | meaning |", "| --- | --- |"]
+    for names, meaning in records:
+        cells = (f"`{names.replace('|', chr(92) + '|')}`", prose(" ".join(meaning.split())).replace("|", "\\|"))
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n\n"
+
+
+def page() -> str:
+    """Return the page."""
+    group = typer.main.get_command(app)
+    context = Context(group, info_name="gtau")
+    text, sections = HEAD, ""
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        inner = Context(command, info_name=name, parent=context)
+        command.get_help(inner)  # which leaves the Python types of arguments out
+        records: dict[bool, list[tuple[str, str]]] = {True: [], False: []}
+        for parameter in command.get_params(inner):
+            record = parameter.get_help_record(inner)
+            if record and "--help" not in record[0]:
+                records[parameter.param_type_name == "argument"].append(record)
+        usage = " ".join(["gtau", name, *command.collect_usage_pieces(inner)])
+        text += f"| [`{name}`](#{name}) | {command.get_short_help_str(100)} |\n"
+        sections += f"\n## {name}\n\n```text\n{usage}\n```\n\n{prose(command.help.strip())}\n\n"
+        sections += rows("argument", records[True]) + rows("option", records[False])
+    return (text + sections).rstrip("\n").replace("\n\n\n", "\n\n") + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

@@ -1,0 +1,121 @@
+"""What the site adds to Sphinx: menus from the lists of the shelves, formulas as MathML, and ``llms.txt``."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from latex2mathml.converter import convert
+from matplotlib.figure import Figure
+from sphinx.application import Sphinx
+from sphinx.ext.napoleon import Config, NumpyDocstring
+from sphinx_gallery.scrapers import figure_rst
+
+NUMPY_STYLE = Config(
+    napoleon_use_param=False, napoleon_use_rtype=False, napoleon_custom_sections=[("Attributes", "params_style")]
+)
+LINK = re.compile(r"\]\(([\w./-]+?)(?:\.md|\.html)(?:#[\w-]*)?\)")
+ITEM = re.compile(r"^- \[(?P<title>[^]]+)\]\((?P<page>[^)]+)\.\w+\): (?P<text>.+)\n", re.MULTILINE)
+CARD = ":::{{grid-item-card}} {title}\n:link: {page}\n:link-type: doc\n\n{text}\n:::\n\n"
+ELSEWHERE = {r"README\.md": "index.md", r"examples/gallery/README\.rst": "gallery/index.rst"}
+SHELVES = ("start/index", "do/index", "lookup/index", "evidence/index", "gallery/index")
+
+
+def add_menu(app: Sphinx, name: str, content: list[str]) -> None:
+    """Add to an index the menu of the pages of its folder, in the order of its links; on the first page, cards.
+
+    A directive in the file would show as a block of code where the file is read without Sphinx.
+    """
+    for outside, page in ELSEWHERE.items():
+        content[0] = re.sub(rf"\((?:\.\./)+{outside}(?:#[\w-]*)?\)", f"(/{page})", content[0])
+    if name == "index":
+        pages = list(SHELVES)
+        cards = "".join(CARD.format(**each.groupdict()) for each in ITEM.finditer(content[0]))
+        content[0] = ITEM.sub("", content[0]) + f"\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}::::\n"
+    elif name.endswith("/index") and name != "gallery/index":
+        here = Path(app.srcdir, name).parent
+        listed = [page for page in LINK.findall(content[0]) if (here / f"{page}.md").is_file()]
+        pages = list(dict.fromkeys(page for page in listed if not page.startswith("..")))
+    else:
+        return
+    content[0] += "\n```{toctree}\n:hidden:\n\n" + "\n".join(pages) + "\n```\n"
+
+
+def read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Read a docstring in NumPy style; the types in it, which have shapes and units, are words and no references.
+
+    Napoleon itself takes what stands before a colon in the docstring of a property for a type.
+    """
+    what = "method" if what == "property" else what
+    lines[:] = NumpyDocstring(lines, NUMPY_STYLE, app, what, name, obj, options).lines()
+
+
+def keep_internal_names(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
+    """Leave a docstring's reference to a name without a page as text, if there is such a name."""
+    target = node.get("reftarget", "")
+    if node.get("refdomain") != "py" or not target.startswith("gtau."):
+        return None
+    module, names = target, []
+    while module:
+        try:
+            found = import_module(module)
+        except ModuleNotFoundError:
+            module, _, last = module.rpartition(".")
+            names.insert(0, last)
+            continue
+        for each in names:
+            found = getattr(found, each, None) or found.__annotations__[each]
+        return content
+    return None
+
+
+def inline_formula(translator: Any, node: nodes.math) -> None:
+    """Write a formula within a line as MathML, which browsers show by themselves."""
+    translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def displayed_formula(translator: Any, node: nodes.math_block) -> None:
+    """Write a formula on lines of its own as MathML."""
+    translator.body.append(f"<p>{convert(node.astext(), display='block')}</p>")
+    raise nodes.SkipNode
+
+
+def draw_figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+    """Draw the figures of ``result.plot`` that a block of a script of the gallery makes; pyplot does not list them."""
+    paths = []
+    for figure in block_vars["example_globals"].values():
+        if isinstance(figure, Figure) and figure.canvas.manager is None and figure.get_gid() is None:
+            path = next(block_vars["image_path_iterator"])
+            figure.savefig(path, dpi=100)
+            figure.set_gid(path)  # drawn
+            paths.append(path)
+    return figure_rst(paths, gallery_conf["src_dir"])
+
+
+def write_llms(app: Sphinx, exception: Exception | None) -> None:
+    """Write ``llms.txt``: the title of every page and its source, shelf by shelf, for language models."""
+    if exception or app.builder.name != "html":
+        return
+    titles = app.env.titles
+    lines = ["# gtau", "", "> Drive gains and dynamic parameters of robots, from logged positions and currents."]
+    for shelf in SHELVES:
+        folder = shelf.partition("/")[0]
+        lines += ["", f"## {titles[shelf].astext()}", ""]
+        for page in sorted(each for each in titles if each.startswith(f"{folder}/")):
+            suffix = Path(app.env.doc2path(page)).suffix
+            lines.append(f"- [{titles[page].astext()}](_sources/{page}{suffix})")
+    Path(app.outdir, "llms.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Connect the additions."""
+    app.connect("source-read", add_menu)
+    app.connect("autodoc-process-docstring", read_docstring)
+    app.connect("missing-reference", keep_internal_names)
+    app.connect("build-finished", write_llms)
+    app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,165 @@
+"""The command that watches a robot log by log."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import deque
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gtau.cli.console import ModelFile, progress_bar, refusals, show
+from gtau.documents.files import folder_of, refuse_as_folder
+from gtau.errors import GtauError
+
+if TYPE_CHECKING:
+    from gtau.signals.run import Run
+    from gtau.watch.follow import Skipped
+    from gtau.watch.watch import Status
+
+REPORTED = 1000  # last logs that a report draws
+
+
+def watch(
+    model: ModelFile,
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="LOG...", help="Finished logs, oldest first, or folders of them.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder of the history, which is gone on with; report.html.")
+    ] = Path("history"),
+    experiment: Annotated[
+        Path | None,
+        typer.Option("--experiment", metavar="EXPERIMENT.yaml", help="Take columns and units from an experiment file."),
+    ] = None,
+    payload: Annotated[
+        str | None, typer.Option("--payload", metavar="NAME", help="Payload of the model that the robot carries.")
+    ] = None,
+    baseline: Annotated[
+        str,
+        typer.Option(
+            "--baseline", metavar="N|DIR", help="Number of healthy logs that set what is normal, or a folder of them."
+        ),
+    ] = "10",
+    false_alarms: Annotated[
+        float,
+        typer.Option("--false-alarms-per-year", min=1e-6, metavar="NUMBER", help="Of all charts of the whole fleet."),
+    ] = 1.0,
+    robots: Annotated[int, typer.Option("--robots", min=1, metavar="NUMBER", help="Robots of the fleet.")] = 1,
+    logs_per_year: Annotated[
+        float, typer.Option("--logs-per-year", min=1.0, metavar="NUMBER", help="Logs of each robot.")
+    ] = 365.0,
+    reset: Annotated[
+        str | None,
+        typer.Option("--reset", metavar="DATE", help="Begin a new baseline with the first new log from this date on."),
+    ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option("--follow", help="Follow one folder of finished logs, or a text log that grows, until Ctrl-C."),
+    ] = False,
+    block: Annotated[
+        float,
+        typer.Option(
+            "--block", min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a log that grows."
+        ),
+    ] = 30.0,
+    json_: Annotated[bool, typer.Option("--json", help="Print a line of JSON a log instead of a table.")] = False,
+) -> None:
+    """Watch a robot: compare its logs with what is normal, and name what has changed.
+
+    The first healthy logs of a repeated motion set what is normal between days; every further log is compared with
+    them: payload, drive gains at fixed inertia, friction, encoder zeros, delays and residuals. Logs that are in the
+    history already are skipped. With --follow a robot in production is followed block by block.
+
+    The exit code is 3 while there is an alarm. It is no safety function.
+    """
+    with refusals(json_):
+        refuse_as_folder(out)
+        start = perf_counter()
+        from gtau.estimation.experiment_runs import carrying, read_log
+        from gtau.estimation.results.result import Result
+        from gtau.report.watch import watch_page, watch_report
+        from gtau.report.write import write_report
+        from gtau.watch.follow import follow as follow_source
+        from gtau.watch.logs import date_of, logs_of
+        from gtau.watch.state import HISTORY, digest_of, open_history
+        from gtau.watch.watch import Status, Watch
+
+        healthy, count = _baseline(baseline)
+        sources = logs or []
+        if follow and len(sources) != 1:
+            raise GtauError("--follow takes one folder, or one text log that grows; give it alone.")
+        given = logs_of([*healthy, *([] if follow else sources)])
+        if not (given or follow):
+            raise GtauError("there is no log to compare; give logs, oldest first.")
+        result = Result.load(model)
+        watched = Watch(result, out, count, false_alarms, robots, logs_per_year)
+        if reset is not None:
+            watched.reset(reset)
+
+        def read(log: Path) -> Run:
+            run = read_log(result, log, experiment)
+            return run if payload is None else carrying(result, run, payload)
+
+        def report(last: Status | None) -> Path:
+            """Write the report of the last logs."""
+            entries = deque(open_history(folder_of(out), watched.settings), maxlen=REPORTED)
+            page = watch_report(watched, last, list(entries))
+            return write_report(page, out, perf_counter() - start, (("model", model), *(("log", log) for log in given)))
+
+        last = None
+        with progress_bar() as progress:
+            for k, log in enumerate(given):
+                progress("logs", k, len(given))
+                if (digest := digest_of(log)) in watched.seen:
+                    continue
+                last = watched.update(read(log), digest, date_of(log))
+                if json_:
+                    typer.echo(last.entry.model_dump_json())
+        if follow:
+            try:
+                for status in follow_source(watched, sources[0], read, block):
+                    _say(status, json_)
+                    if isinstance(status, Status) and not status.healthy and (last is None or last.healthy):
+                        report(status)
+                    last = status if isinstance(status, Status) else last
+            except KeyboardInterrupt:
+                report(last)
+                raise KeyboardInterrupt(f"all finished blocks are in {out / HISTORY}") from None
+        written = [report(last)]
+        if not json_:
+            show(watch_page(watched, last), [*written, out / HISTORY])
+        if watched.alarm is not None:
+            raise typer.Exit(3)
+
+
+def _say(status: Status | Skipped, as_json: bool) -> None:
+    """Print a line for a block."""
+    from gtau.report.watch import alarm_words
+    from gtau.watch.follow import Skipped
+
+    if isinstance(status, Skipped):
+        line = json.dumps({"log": status.log, "skipped": status.why}) if as_json else f"{status.log}: {status.why}"
+    elif as_json:
+        line = status.entry.model_dump_json()
+    else:
+        said = "no change" if status.entry.alarm is None else alarm_words(status.entry.alarm)[0]
+        line = f"{status.entry.log}: {'baseline' if status.entry.phase == 'baseline' else said}"
+    typer.echo(line)
+    sys.stdout.flush()
+
+
+def _baseline(text: str) -> tuple[list[Path], int]:
+    """Read ``--baseline``: a number of logs, or a folder whose logs they are."""
+    from gtau.watch.logs import logs_of
+
+    if text.isdigit():
+        return [], int(text)
+    folder = Path(text)
+    if not folder.is_dir():
+        raise GtauError(f"--baseline is '{text}'; write a number of healthy logs, or the folder that holds them.")
+    return [folder], len(logs_of([folder]))

@@ -1,0 +1,337 @@
+"""The inertias of the robot's file held against the data: how well they predict, and what contradicts them.
+
+The file's parameters are summed to base parameters, which the motions determine. Where motions leave some of these
+open, the file's are regrouped with the others as the data regroup them. Friction, offsets, payloads and gains are as
+identified on both sides. A rotor inertia that the file does not state may take any value that is not negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.estimators.estimator import Fit, Iterate, Solution
+from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
+from gtau.estimation.regression.equations import MODEL
+from gtau.estimation.regression.file_inertias import inertia_priors, sizes_of, stated_inertias
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.scale_source import require_scale
+from gtau.estimation.regression.system import System
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.robot import DRIVE, INERTIAL
+from gtau.robots.units import unit_of
+
+ROTORS = "the rotor inertias"
+Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]
+CHANCE = 0.05  # that a file which is right has any parameter contradicted: all are tested together
+EXPLAINED = 0.95  # of the torque variance that the file's inertias add: links are named until they explain this much
+"""A link whose mass is 30 % wrong explains all of it (tests/estimation/test_inertia_audit.py); UR10e's URDF takes two
+links, the Panda of MuJoCo Menagerie its rotors and two links, and the rest there is the data's noise."""
+
+
+@dataclass(frozen=True)
+class AuditedParameter:
+    """A base parameter by the file and from the data.
+
+    Attributes
+    ----------
+    name, link, unit : str
+        The link is the body of its first standard parameter.
+    standing : {"agrees", "contradicted", "not identifiable", "not stated"}
+        Not identifiable where its 95 % interval is wider than +-100 % of what the file's link weighs there (m, m r or
+        m r^2), or there is none; not stated where it regroups a rotor inertia that the file does not state.
+    stated : float or None
+        What the file's parameters add up to; None of a rotor inertia that it does not state.
+    value, std : float or None
+        From the data alone.
+    interval : tuple of float or None
+        95 %.
+    z : float or None
+        Difference from the file over its standard deviation, with that of a prior where the file was one.
+    """
+
+    name: str
+    link: str
+    unit: str
+    standing: Standing
+    stated: float | None
+    value: float | None = None
+    std: float | None = None
+    interval: tuple[float, float] | None = None
+    z: float | None = None
+
+
+@dataclass(frozen=True)
+class AuditedLink:
+    """A link, or all rotors: with its parameters freed, and those before it, the file's torque error is ``error``.
+
+    That is the rms over the joints of their relative torque errors, per cent.
+    """
+
+    name: str
+    error: float
+
+
+@dataclass(frozen=True)
+class InertiaAudit:
+    """What the data say of the inertias of the robot's file.
+
+    Attributes
+    ----------
+    stated, identified : dict
+        Torque error of each joint with the file's inertias and with the identified ones, per cent of its rms torque,
+        over the rows used.
+    parameters : tuple of AuditedParameter
+        All base parameters that regroup inertias.
+    links : tuple of AuditedLink
+        Links that explain why the file predicts worse, the first explains most; none where nothing is contradicted.
+    prior : float
+        Relative standard deviation of the file's inertias where they were priors, else 0.
+    """
+
+    stated: Mapping[str, float]
+    identified: Mapping[str, float]
+    parameters: tuple[AuditedParameter, ...]
+    links: tuple[AuditedLink, ...]
+    prior: float = 0.0
+
+    @property
+    def stated_error(self) -> float:
+        """Rms over the joints of ``stated``, per cent."""
+        return _rms(self.stated)
+
+    @property
+    def identified_error(self) -> float:
+        """Rms over the joints of ``identified``, per cent."""
+        return _rms(self.identified)
+
+    def of(self, standing: Standing) -> tuple[AuditedParameter, ...]:
+        """Return the parameters of this standing."""
+        return tuple(each for each in self.parameters if each.standing == standing)
+
+
+def _rms(errors: Mapping[str, float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(errors.values())))))
+
+
+def without_file_inertias(
+    fit: Fit, covariance: np.ndarray, freedom: np.ndarray | None
+) -> tuple[Fit, np.ndarray, np.ndarray | None] | None:
+    """Fit again without the inertias of the robot's file, where they were priors: what the data say without them.
+
+    Returns
+    -------
+    tuple or None
+        The fit, its covariance by the jackknife and its degrees of freedom; those given where the file's inertias were
+        no priors, None where nothing else gives the scale.
+    """
+    if not fit.dataset.prior_inertias:
+        return fit, covariance, freedom
+    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
+    system = dataset.system(fit.system.friction, fit.system.problem.slowest > 0)
+    payloads = [run.payload for run in dataset.runs]
+    try:
+        if fit.free_gains:
+            require_scale(dataset.robot, system, payloads, "ml")
+        solution = fit.solve(system.problem)
+    except GtauError:
+        return None
+    bare = replace(fit, dataset=dataset, system=system, solution=solution, unrefined=solution)
+    return bare, solution.jackknife, degrees_of_freedom(system.problem, solution, fit.free_gains)
+
+
+def audit_inertias(
+    fit: Fit, covariance: np.ndarray, freedom: np.ndarray | None, prior: float = 0.0
+) -> InertiaAudit | None:
+    """Hold the inertias of the robot's file against a fit without them; None where the file states none.
+
+    Parameters
+    ----------
+    fit : Fit
+        What was estimated.
+    covariance, freedom : ndarray
+        Of (theta, gains, delays), (k, k) and (k,).
+    prior : float
+        Relative standard deviation with which the file's inertias are taken; 0 where they are taken as written.
+    """
+    stated = stated_inertias(fit.dataset.robot)
+    if not stated:
+        return None
+    comparison = _Comparison.of(fit, stated)
+    found = tuple(_parameters(fit, comparison, stated, covariance, freedom, prior))
+    wrong = [each for each in found if each.standing == "contradicted"]
+    return InertiaAudit(
+        comparison.errors(comparison.file),
+        comparison.errors(comparison.identified),
+        found,
+        tuple(_links(fit, comparison, stated)) if wrong else (),
+        prior,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """Parameters of the whole problem, (n_whole,), as ``identified`` and by the ``file``; which are ``inertial``.
+
+    ``open`` are those that regroup a rotor inertia which the file does not state.
+    """
+
+    system: System
+    solution: Solution
+    identified: np.ndarray
+    file: np.ndarray
+    inertial: np.ndarray
+    open: np.ndarray
+
+    @classmethod
+    def of(cls, fit: Fit, stated: Mapping[str, float]) -> _Comparison:
+        system, base, names = fit.system, fit.dataset.base, fit.dataset.model.parameter_names
+        identified = system.full(fit.solution.theta)[:-1]
+        values = np.array([stated.get(name, 0.0) for name in names])
+        unstated = np.array([parameter_of(name).kind == "ia" and name not in stated for name in names])
+        of_bodies = np.array([parameter_of(name).kind in (*INERTIAL, "ia") for name in names])
+        of_drives = np.array([parameter_of(name).kind in DRIVE[1:] for name in names])
+        inertial = np.zeros(len(identified), dtype=bool)
+        inertial[: base.count] = np.any(base.matrix[:, of_bodies], axis=1) & ~np.any(base.matrix[:, of_drives], axis=1)
+        unknown = np.zeros_like(inertial)
+        unknown[: base.count] = np.any(base.matrix[:, unstated], axis=1)
+        file = identified.copy()
+        file[: base.count][inertial[: base.count]] = (base.matrix @ values)[inertial[: base.count]]
+        raised = np.zeros_like(inertial)
+        raised[: base.count] = np.all(base.matrix[:, unstated] >= 0, axis=1)
+        file = np.where(unknown & raised, np.maximum(file, identified), np.where(unknown, identified, file))
+        return cls(system, fit.solution, identified, file, inertial, unknown & inertial)
+
+    def errors(self, theta: np.ndarray) -> dict[str, float]:
+        """Compute the torque errors of the joints, per cent of their rms torque."""
+        whole, solution = self.system.whole, self.solution
+        left = residuals(stacked(whole), Iterate(theta, 1 / solution.gains, solution.delays))
+        rms = np.sqrt(np.sum(left**2, axis=-1) / whole.total_rows)
+        share = 100 * rms / whole.balance(theta)
+        return {joint: float(share[k]) for k, joint in enumerate(whole.joints)}
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Weighted rows of the whole problem's parameters, (., n_whole): what a change of each adds to residuals."""
+        return _rows(self.system.whole, self.solution)
+
+
+def _rows(problem: Problem, solution: Solution) -> np.ndarray:
+    weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
+    return np.concatenate([w * R[:, MODEL] for w, R in zip(weights, problem.triangles, strict=True)])
+
+
+def _parameters(
+    fit: Fit,
+    comparison: _Comparison,
+    stated: Mapping[str, float],
+    covariance: np.ndarray,
+    freedom: np.ndarray | None,
+    prior: float,
+) -> list[AuditedParameter]:
+    """Compare each base parameter that regroups inertias."""
+    from scipy.special import stdtrit
+
+    base, robot, names = fit.dataset.base, fit.dataset.robot, fit.dataset.model.parameter_names
+    kept, whole = fit.system.problem.parameters, fit.system.whole.parameters
+    # what the motions do not separate adds to the parameters that stay: the same sums of the file's
+    rows = comparison.rows
+    places = [whole.index(name) for name in kept]
+    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
+    T = T * scale / scale[places][:, None]
+    file, own = T @ comparison.file, (base.matrix @ [stated.get(name, 0.0) for name in names]).tolist()
+    spread = np.zeros(len(kept))
+    if prior:
+        stds = inertia_priors(robot, prior)
+        sigma = np.array([(stds[name].std or 0.0) if name in stds else 0.0 for name in names])
+        spread = np.sqrt(np.sum((T[:, : base.count] @ base.matrix * sigma) ** 2, axis=1))
+    tested: list[tuple[int, AuditedParameter, float]] = []
+    found: dict[str, AuditedParameter] = {}
+    for k, name in enumerate(base.names):
+        if not comparison.inertial[k]:
+            continue
+        kind, body, _ = parameter_of(base.standard[k])
+        each = AuditedParameter(name, body, unit_of(kind, robot, body), "not identifiable", float(comparison.file[k]))
+        found[name] = each
+        if name not in kept:
+            continue
+        place = kept.index(name)
+        value, std = float(fit.solution.theta[place]), float(np.sqrt(covariance[place, place]))
+        nu = np.inf if freedom is None else float(freedom[place])
+        half = std * float(stdtrit(nu, 0.975))
+        each = replace(each, stated=float(file[place]), value=value, std=std, interval=(value - half, value + half))
+        sizes = sizes_of(dict(stated), body) if Parameter("m", body).name in stated else None
+        size = abs(file[place]) if kind == "ia" else (sizes or {}).get(kind, 0.0)
+        if comparison.open[k]:
+            found[name] = replace(each, standing="not stated", stated=own[k] if kind in INERTIAL else None)
+        elif half > max(size, abs(file[place])):
+            found[name] = each
+        else:
+            z = (value - float(file[place])) / float(np.hypot(std, spread[place]))
+            tested.append((k, replace(each, z=z), nu))
+    for _, each, nu in tested:
+        limit = float(stdtrit(nu, 1 - CHANCE / (2 * len(tested))))
+        standing: Standing = "contradicted" if abs(each.z or 0.0) > limit else "agrees"
+        found[each.name] = replace(each, standing=standing)
+    return list(found.values())
+
+
+def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> list[AuditedLink]:
+    """Name the links that explain why the file predicts worse, one after the other."""
+    base, names = fit.dataset.base, fit.dataset.model.parameter_names
+    rows, difference = comparison.rows, comparison.identified - comparison.file
+    torque = rows @ difference
+    members: dict[str, list[int]] = {}
+    for k, (kind, body, _) in enumerate(map(parameter_of, names)):
+        if kind in INERTIAL or Parameter(kind, body).name in stated:
+            members.setdefault(ROTORS if kind == "ia" else body, []).append(k)
+    bodies = {body: base.matrix[:, columns] for body, columns in members.items()}
+    found: list[AuditedLink] = []
+    # rotor inertias that the file leaves open adapt to any change of links
+    freed = base.matrix[:, [k for k, name in enumerate(names) if name[:3] == "ia_" and name not in stated]]
+    least, total = float(torque @ torque), float(torque @ torque)
+    while len(found) < len(bodies) and least > (1 - EXPLAINED) * total:
+        tried = {body: _freed(rows, torque, np.hstack([freed, G])) for body, G in _left(bodies, found)}
+        body = min(tried, key=lambda name: tried[name][0])
+        least, change = tried[body]
+        freed = np.hstack([freed, bodies[body]])
+        theta = comparison.file.copy()
+        theta[: base.count] += change
+        found.append(AuditedLink(body, _rms(comparison.errors(theta))))
+    return found
+
+
+def _left(bodies: Mapping[str, np.ndarray], found: Sequence[AuditedLink]) -> list[tuple[str, np.ndarray]]:
+    return [(body, G) for body, G in bodies.items() if body not in {each.name for each in found}]
+
+
+def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:
+    """Explain ``torque`` by changes along ``G`` (n_b, c): what is left, squared, and the change (n_b,)."""
+    A = rows[:, : len(G)] @ G
+    norms = np.linalg.norm(A, axis=0)
+    norms[norms == 0] = 1.0
+    x = np.linalg.lstsq(A / norms, torque, rcond=1e-9)[0] / norms
+    rest = torque - A @ x
+    return float(rest @ rest), G @ x
+
+
+def prior_findings(audit: InertiaAudit | None) -> list[Finding]:
+    """Find the links whose inertias in the file, taken as priors, the data contradict."""
+    if audit is None or not audit.prior:
+        return []
+    wrong = audit.of("contradicted")
+    listed = {
+        link: [[each.name, each.value, each.std, each.stated, each.unit] for each in wrong if each.link == link]
+        for link in dict.fromkeys(each.link for each in wrong)
+    }
+    return [
+        Finding(F.PRIOR_INERTIA, (), link, {"std": audit.prior, "parameters": parameters})
+        for link, parameters in listed.items()
+    ]

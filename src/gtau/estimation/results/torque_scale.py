@@ -1,0 +1,135 @@
+"""Whether the torques that a robot reports are true: the gains of logs of torques, and their correction for people.
+
+The gain of such a joint is its torque scale, the true torque over the one reported; what the arm reports of the torque
+is one over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import yaml
+
+from gtau.estimation.diagnostics.sentences import percent_text
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.thresholds.estimates import APART
+
+KNOWN = (Outcome.GOOD, Outcome.WEAK)
+HEAD = """\
+# Torque scale of '{robot}', identified by gtau from {runs}.
+# true torque = factor x reported torque; a command for a wanted torque is the torque divided by the factor.
+# Correct the factors whose state is 'wrong'; leave the others at 1. Intervals: 95 %. Docs: torque-scale.md
+"""
+
+
+@dataclass(frozen=True)
+class TorqueScale:
+    """The torque scale of a joint, and whether it is wrong: known, and not 1.
+
+    ``state`` is ``wrong`` or ``consistent with 1``, else the outcome of the verdict.
+    """
+
+    gain: Estimate
+    state: str
+
+    @property
+    def joint(self) -> str:
+        """Its name."""
+        return self.gain.name
+
+    @property
+    def reported(self) -> float:
+        """What the joint reports of its torque."""
+        return 1 / (self.gain.value or 1.0)
+
+    @property
+    def reported_interval(self) -> tuple[float, float]:
+        """The ends of its 95 % interval, of a scale that is known."""
+        low, high = sorted(1 / end for end in self.gain.interval() or (1.0, 1.0))
+        return low, high
+
+
+def torque_scales(result: IdentifiedModel) -> tuple[TorqueScale, ...]:
+    """List the torque scales of all joints; empty where logs hold currents, or nothing tests the torques.
+
+    A scale is wrong where it differs from 1 by more than the accuracy asked for, and by 3.5 standard deviations: of
+    many joints some are outside their 95 % interval by chance.
+    """
+    gains = list(result.drive_gains.values())
+    if result.kind != "torque" or all(gain.std is None for gain in gains):
+        return ()
+    accuracy = result.statistics["accuracy"]
+
+    def state(gain: Estimate) -> str:
+        if gain.verdict.outcome not in KNOWN or gain.value is None:
+            return gain.verdict.outcome.value
+        return "wrong" if abs(gain.value - 1) > max(APART * (gain.std or 0.0), accuracy) else "consistent with 1"
+
+    return tuple(TorqueScale(gain, state(gain)) for gain in gains)
+
+
+def torque_headline(result: IdentifiedModel) -> str:
+    """Say whether the torques of the logs are true, joint by joint, or that nothing tested it, and what would."""
+    if not (scales := torque_scales(result)):
+        if any(gain.value != 1 for gain in result.drive_gains.values()):
+            return "The torque scales were given, not identified."
+        return (
+            "The logs hold torques, taken as true: their scale was not tested. A run with a payload of known mass, "
+            "beside one without, tests it."
+        )
+    return " ".join(_sentences(scales))
+
+
+def _sentences(scales: Sequence[TorqueScale]) -> Iterator[str]:
+    wrong = [each for each in scales if each.state == "wrong"]
+    if wrong:
+        parts = [f"{_reported(each)}{' of the torque' * (k == 0)} at '{each.joint}'" for k, each in enumerate(wrong)]
+        yield f"The arm reports {_listed(parts)} (95 % intervals)."
+    right = [each for each in scales if each.state == "consistent with 1"]
+    if right:
+        widest = percent_text(max(each.gain.half_width or 0.0 for each in right))
+        known = f"consistent with 1, known to within {widest} %"
+        names = "every joint" if len(right) == len(scales) > 1 else _names(right)
+        yield f"The torque scale of {names} is {known}{'' if wrong else ' (95 % intervals)'}."
+    for outcome, words in (
+        (Outcome.CONTRADICTORY, "contradicts the description of robot and logs"),
+        (Outcome.NOT_IDENTIFIABLE, "is not identifiable"),
+    ):
+        if members := [each for each in scales if each.state == outcome.value]:
+            yield f"The torque scale of {_names(members)} {words}."
+
+
+def _reported(each: TorqueScale) -> str:
+    low, high = each.reported_interval
+    shown = ".2f" if 0.1 <= abs(each.reported) < 10 else ".3g"
+    return f"{each.reported:{shown}} ({low:{shown}} to {high:{shown}})"
+
+
+def _names(members: Sequence[TorqueScale]) -> str:
+    return _listed([f"'{each.joint}'" for each in members])
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + f" and {parts[-1]}"
+
+
+def torque_scale_text(result: IdentifiedModel) -> str:
+    """Write the correction of the torques as YAML: a factor for each joint, with its interval and state."""
+    joints: dict[str, dict[str, object]] = {}
+    for each in torque_scales(result):
+        value, interval = each.gain.value, each.gain.interval()
+        known = each.gain.verdict.outcome in KNOWN and value is not None and interval is not None
+        joints[each.joint] = {
+            "factor": _rounded(value) if known and value is not None else None,
+            "interval": [_rounded(end) for end in interval] if known and interval is not None else None,
+            "state": each.state,
+        }
+    head = HEAD.format(robot=" ".join(result.robot.name.split()), runs=", ".join(result.runs))
+    return head + str(yaml.safe_dump({"torque_scale": joints}, sort_keys=False, default_flow_style=None, width=120))
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -1,0 +1,243 @@
+"""A watched robot: the table on the screen, the report with the history of each joint, and the document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gtau.report.page import (
+    Axis,
+    Chart,
+    Column,
+    Kind,
+    Page,
+    Panel,
+    Rule,
+    Section,
+    Series,
+    Table,
+    Text,
+    page,
+    section,
+    table,
+)
+from gtau.watch.state import Alarm, Entry, Explained
+from gtau.watch.watch import Status, Watch
+
+SAFETY = (
+    "It is no safety function: it finds wear and mistakes between logs, and protects nobody. Keep the robot's own "
+    "safety functions."
+)
+WORDS = {
+    "gain": "drive gain",
+    "load": "load",
+    "friction": "friction",
+    "zero": "encoder zero",
+    "delay": "delay of the current",
+    "clock": "clock of the log",
+    "contact": "contact",
+}
+TODO = {
+    "gain": "check motor, belt and gear, then identify the robot again",
+    "load": "compare what is mounted with what the controller was given, and weigh it by 'gtau payload'",
+    "friction": "check temperature, lubrication, brake and gear",
+    "zero": "check the encoder's zero against its mark, and the coupling",
+    "delay": "check what logs the currents, and its filters",
+    "clock": "check how the time of the log was stamped",
+    "contact": "check cables and what the robot may touch, and run the motion again",
+}
+KINDS = {
+    "m": "payload, mass",
+    "mx": "payload, first moment x",
+    "my": "payload, first moment y",
+    "mz": "payload, first moment z",
+    "gain": "drive gain, relative",
+    "zero": "encoder zero",
+    "delay": "delay",
+    "fv": "viscous friction",
+    "fs": "Coulomb friction",
+    "rms": "residual, logarithm",
+}
+STRONGEST = 12  # charts on a terminal
+
+
+def explained_words(each: Explained) -> str:
+    """Put an explanation into words, with its interval."""
+    of = f" of {each.joint}" if each.joint else ""
+    if each.kind == "contact":
+        return f"contact{of} (residual {each.size:.3g} times as uneven as in any healthy log)"
+    if each.kind == "gain":
+        size = f"{100 * each.size:+.2g} ± {100 * each.half:.2g} %"
+    elif each.kind == "delay" or each.kind == "clock":
+        size = f"{1000 * each.size:+.3g} ± {1000 * each.half:.2g} ms"
+    else:
+        size = f"{each.size:+.3g} ± {each.half:.2g} {each.unit}"
+    more = "" if each.relative is None else f", {100 * each.relative:+.0f} % of the model's"
+    which = {"fv": "viscous ", "fs": "Coulomb "}.get(each.quantity, "")
+    part = f" (first moment {each.quantity[1]})" if each.quantity in ("mx", "my", "mz") else ""
+    return f"{which}{WORDS[each.kind]}{of}{part} {size}{more}"
+
+
+def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
+    """Say what has changed since when, and what to do."""
+    span = alarm.since
+    if alarm.earliest != alarm.latest:
+        span += f" (between {alarm.earliest} and {alarm.latest})"
+    if not alarm.explanations:
+        return (
+            f"The robot has changed since {span}; no single explanation fits.",
+            (f"Largest changes: {', '.join(alarm.charts)}.", "Identify the robot again, and compare both models."),
+        )
+    said = [explained_words(each) for each in alarm.explanations]
+    if len(said) == 1:
+        head = f"The robot has changed since {span}: {said[0]}."
+    else:
+        head = f"The robot has changed since {span}; these explanations cannot be distinguished: {'; or '.join(said)}."
+    todo = dict.fromkeys(TODO[each.kind] for each in alarm.explanations)
+    points = [f"{each[0].upper()}{each[1:]}." for each in todo]
+    if len(said) > 1:
+        points.append("A reference motion from 'gtau excite' distinguishes more than this motion.")
+    points.append("After maintenance begin a new baseline by --reset DATE.")
+    return head, tuple(points)
+
+
+def verdict_text(watch: Watch, entry: Entry | None) -> Text:
+    """State whether the robot is the one that was identified."""
+    rate = watch.settings
+    promise = (
+        f"False alarms: at most {rate.false_alarms:g} a year among {rate.robots} robot"
+        f"{'s' * (rate.robots != 1)} with {rate.logs_per_year:g} logs a year each."
+    )
+    if watch.alarm is not None:
+        head, points = alarm_words(watch.alarm)
+        return Text(head, (*points, promise, SAFETY), "bad")
+    if entry is None or watch.phase == "baseline" or entry.phase == "baseline":
+        left = max(watch.settings.baseline - watch.count, 0)
+        return Text(
+            f"Baseline of {watch.count} of {watch.settings.baseline} healthy logs; "
+            + (f"{left} more are needed." if left else "the next log is compared with it."),
+            (promise, SAFETY),
+            "neutral",
+        )
+    return Text(f"No change since the baseline, {watch.count} logs.", (promise, SAFETY), "good")
+
+
+def watch_page(watch: Watch, last: Status | None, count: int | None = STRONGEST) -> Page:
+    """Show the state after the last log: verdict and one table of the ``count`` charts that changed most, or of all."""
+    entry = watch.recent[-1] if watch.recent else None
+    return page(
+        f"Watching {watch.model.robot.name}",
+        section("Verdict", verdict_text(watch, entry), id="verdict"),
+        None
+        if last is None
+        else section(
+            "Charts", _table(last, count), Text(_legend(watch, last, count)), _not_shown(last.entry), id="charts"
+        ),
+        lead=[] if entry is None else [f"Last log {entry.log} of {entry.date}."],
+    )
+
+
+def _table(last: Status, count: int | None) -> Table:
+    low, high = last.baseline.bands()
+    columns = (
+        Column("chart", Kind.NAME),
+        Column("this log", Kind.SPREAD, 3),
+        Column("healthy, 95 %", Kind.INTERVAL),
+        Column("e", decimals=1, kind=Kind.NUMBER, most=1e6),
+        Column("CUSUM", decimals=2, kind=Kind.NUMBER),
+    )
+    rows: list[tuple[Any, ...]] = []
+    faint = set()
+    strongest = sorted(range(len(last.charts)), key=lambda k: -last.evidences[k].log_e)
+    for k in strongest[:count]:
+        chart = last.charts[k]
+        value = last.entry.values.get(chart.name)
+        if value is None:
+            continue
+        band = (float(low[k]), float(high[k])) if np.isfinite(low[k]) else None
+        strength = float(np.exp(min(last.evidences[k].log_e, 30.0)))
+        if band is not None and band[0] <= value <= band[1] and strength < 10:
+            faint.add(len(rows))
+        unit = "1" if chart.kind == "rms" else chart.unit
+        spread = (value, 1.96 * last.entry.std[chart.name])
+        rows.append(
+            (chart.name if unit == "1" else f"{chart.name}, {unit}", spread, band, strength, float(last.cusums[k]))
+        )
+    return table(columns, rows, name="charts", faint=frozenset(faint))
+
+
+def _legend(watch: Watch, last: Status, count: int | None) -> str:
+    """Say what the columns are."""
+    listed = ""
+    if count is not None and len(last.charts) > count:
+        listed = f"The {count} of {len(last.charts)} charts that changed most; all are in report.html. "
+    return (
+        f"{listed}This log: value ± half a 95 % interval. e: e-detector; an alarm where its mean over all charts "
+        f"reaches {watch.limit:g}. CUSUM: over its limit for the same rate of false alarms."
+    )
+
+
+def _not_shown(entry: Entry) -> Text | None:
+    if not entry.not_shown:
+        return None
+    return Text(
+        f"Not shown by this motion: {', '.join(entry.not_shown)}. A reference motion from 'gtau excite' shows them.",
+        style="soft",
+    )
+
+
+def watch_report(watch: Watch, last: Status | None, entries: Sequence[Entry]) -> Page:
+    """Add the history of each joint, with the bands of the baseline, and the events."""
+    short = watch_page(watch, last, None)
+    groups: dict[str, list[str]] = {}
+    for name in watch.names:
+        joint = name.partition("_")[2]
+        groups.setdefault("payload" if joint == "load" else joint, []).append(name)
+    baseline = watch.baseline
+    low, high = baseline.bands()
+    place = {name: k for k, name in enumerate(watch.names)}
+    resets = [k for k, entry in enumerate(entries) if entry.begins]
+    alarms = [k for k, entry in enumerate(entries) if entry.alarm is not None and not _alarmed(entries, k - 1)]
+    panels: dict[str, list[Panel]] = {}
+    for joint, names in groups.items():
+        for name in sorted(names, key=lambda each: list(KINDS).index(each.partition("_")[0])):
+            x = np.array([k for k, entry in enumerate(entries) if name in entry.values], dtype=float)
+            if not len(x):
+                continue
+            y = np.array([entry.values[name] for entry in entries if name in entry.values])
+            half = np.array([1.96 * entry.std[name] for entry in entries if name in entry.values])
+            k = place[name]
+            band = (float(low[k]), float(high[k])) if np.isfinite(low[k]) else None
+            rules = [Rule(x=each, label="reset") for each in resets] + [Rule(x=each, label="alarm") for each in alarms]
+            panels.setdefault(joint, []).append(
+                Panel(
+                    Axis("log"),
+                    Axis(KINDS[name.partition("_")[0]]),
+                    (Series("", x, y, "predicted", "disc", half=half, upright=True),),
+                    rules=tuple(rules),
+                    band=band,
+                    height=1.2,
+                )
+            )
+    sections = [
+        section(joint if joint == "payload" else f"Joint {joint}", Chart(tuple(found), columns=2))
+        for joint, found in panels.items()
+    ]
+    return Page(short.title, (*short.sections, *_events(entries), *sections), short.lead)
+
+
+def _alarmed(entries: Sequence[Entry], k: int) -> bool:
+    return k >= 0 and entries[k].alarm is not None
+
+
+def _events(entries: Sequence[Entry]) -> tuple[Section, ...]:
+    rows = []
+    for k, entry in enumerate(entries):
+        if entry.begins:
+            rows.append((entry.date, entry.log, "a new baseline begins"))
+        if entry.alarm is not None and not _alarmed(entries, k - 1):
+            rows.append((entry.date, entry.log, alarm_words(entry.alarm)[0]))
+    columns = (Column("date"), Column("log", Kind.NAME), Column("event"))
+    return (section("Events", table(columns, rows), id="events"),) if rows else ()

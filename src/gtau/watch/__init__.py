@@ -1,0 +1,1 @@
+"""Watching a robot: whether it is still the one that was identified."""

@@ -1,0 +1,191 @@
+"""Sequential detection of a change of one chart, with a stated time between false alarms.
+
+A chart is a quantity from log to log, ``x_i = mu + sigma sqrt(w_i) u_i``, where mu and sigma are not known, ``w_i``
+says how much less than others the motion of log i shows of it, and u is Gaussian with the correlation ``MEMORY``
+between one log and the next, as friction follows the weather. From log j on the mean may have moved by ``delta sigma``.
+For each j the likelihood ratio of all logs so far, with the scale-invariant priors on mu and sigma (the right Haar
+measure) and ``delta`` Gaussian with the standard deviation ``KAPPA``, has a closed form (the Bayes factor of the t-test
+of Goenen et al., The American Statistician 59, 2005):
+
+    Lambda_j = (1 + r k^2)^(-1/2) [S0 / (S0 - b^2 r k^2 / (1 + r k^2))]^((n - 1) / 2),
+
+with S0 the squares about the mean, b^2 those that the step at j explains and r its information. Its distribution
+without a change depends neither on mu nor on sigma, so Lambda_j is a martingale that begins with 1 at log j: an
+e-process that is valid for a baseline of few logs, whose mean and scale are not known. Their sum over all j is an
+e-detector of the kind Shiryaev-Roberts (Shin, Ramdas and Rinaldo, E-detectors, arXiv:2203.03532, definition 2.2):
+``E[M_T] <= E[T]`` for every stopping time T, so that an alarm at ``M >= A`` comes after at least A logs on average, and
+so does one of the mean of several charts' detectors, however these depend on each other.
+
+Beside it stands a classic CUSUM of the normal scores of recursive residuals, which are independent and standard normal
+without a change (Quesenberry, Journal of Quality Technology 23, 1991), with the limit by Siegmund's formula.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import ndtri, stdtr
+
+MEMORY = 0.7  # correlation from log to log that counts as healthy; a smaller one makes alarms rarer
+KAPPA = 4.0  # standard deviation of a change, in those between logs
+WINDOW = 400  # logs at which a change may have begun; older ones are condensed
+REFERENCE = 0.5  # of the CUSUM, in standard deviations: half the change that it finds soonest
+OVERSHOOT = 1.166  # 2 * 0.583, by which Siegmund's formula allows for discrete time
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """A chart: its last logs, and sums over those before them.
+
+    ``x`` and ``w`` (m,) are values and relative variances of the last logs, after ``count`` others with the sums
+    ``hh``, ``hy`` and ``yy`` of whitened constants and values; ``before`` are value and weight of the last of these.
+    ``cusum`` are the upper and the lower sum, and ``learning`` how many of the first logs are the baseline. Of a chart
+    that is ``rising`` only growth counts: a residual that becomes smaller is no fault.
+    """
+
+    learning: int
+    rising: bool = False
+    x: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    w: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    count: int = 0
+    hh: float = 0.0
+    hy: float = 0.0
+    yy: float = 0.0
+    before: tuple[float, float] | None = None
+    cusum: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def total(self) -> int:
+        """Number of logs."""
+        return self.count + len(self.x)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a chart says: logarithm of its e-detector, the likeliest first log of the change and the interval of it.
+
+    Logs are counted from the first one of the chart; None without any evidence.
+    """
+
+    log_e: float = -np.inf
+    start: int | None = None
+    earliest: int | None = None
+    latest: int | None = None
+
+
+def add(chart: Chart, x: float, weight: float = 1.0) -> Chart:
+    """Add a log to a chart."""
+    added = replace(chart, x=np.append(chart.x, x), w=np.append(chart.w, weight))
+    if added.total > max(chart.learning, 2):
+        h, y = _whitened(added)
+        hh, hy, yy = chart.hh + h[:-1] @ h[:-1], chart.hy + h[:-1] @ y[:-1], chart.yy + y[:-1] @ y[:-1]
+        freedom = added.total - 2
+        scale = np.sqrt(max((yy - hy**2 / hh) / freedom, 1e-300) * (1 + h[-1] ** 2 / hh))
+        score = float(np.clip(ndtri(stdtr(freedom, (y[-1] - h[-1] * hy / hh) / scale)), -8.0, 8.0))
+        up, down = chart.cusum
+        down = 0.0 if chart.rising else max(down - score - REFERENCE, 0.0)
+        added = replace(added, cusum=(max(up + score - REFERENCE, 0.0), down))
+    return _condensed(added) if len(added.x) > max(WINDOW, chart.learning) + WINDOW // 4 else added
+
+
+def evidence(chart: Chart) -> Evidence:
+    """Compute the e-detector of a chart; see the head of this module."""
+    first = max(chart.learning - chart.count, 0)
+    n, m = chart.total, len(chart.x)
+    if m <= first or n < 4:
+        return Evidence()
+    h, y = _whitened(chart)
+    hh, hy, yy = chart.hh + h @ h, chart.hy + h @ y, chart.yy + y @ y
+    S0 = yy - hy**2 / hh
+    if 1e-12 * yy >= S0 or S0 <= 0:
+        return Evidence()  # a chart that never moves has no scale
+    # a step at j is the constant's own column from j + 1 on, and the whole of it, unlagged, at j
+    begin = 1 / np.sqrt(chart.w * (1 - MEMORY**2))
+    begin[0] = begin[0] if chart.count else h[0]
+
+    def from_each(product: np.ndarray, first_term: np.ndarray) -> np.ndarray:
+        after = np.append(np.cumsum(product[::-1])[::-1][1:], 0.0)
+        return np.asarray(first_term + after)
+
+    cc, ch, cy = from_each(h * h, begin**2), from_each(h * h, begin * h), from_each(h * y, begin * y)
+    r = np.maximum(cc - ch**2 / hh, 0.0)[first:]
+    b2 = np.divide((cy - ch * hy / hh)[first:] ** 2, r, out=np.zeros_like(r), where=r > 0)
+    shrink = r * KAPPA**2 / (1 + r * KAPPA**2)
+    left = np.maximum(S0 - b2 * shrink, 1e-12 * S0)
+    ratios = -0.5 * np.log1p(r * KAPPA**2) + (n - 1) / 2 * np.log(S0 / left)
+    if chart.rising:  # leaving out what falls makes the sum smaller, so that the statement holds all the more
+        ratios = np.where((cy - ch * hy / hh)[first:] > 0, ratios, -np.inf)
+    top = float(ratios.max())
+    if not np.isfinite(top):
+        return Evidence()
+    shares = np.exp(ratios - top)
+    along = np.cumsum(shares) / shares.sum()
+    offset = chart.count + first
+    return Evidence(
+        top + float(np.log(shares.sum())),
+        offset + int(np.argmax(ratios)),
+        offset + int(np.searchsorted(along, 0.025)),
+        offset + min(int(np.searchsorted(along, 0.975)), len(along) - 1),
+    )
+
+
+def combined(log_e: np.ndarray) -> float:
+    """Take the logarithm of the mean of several charts' e-detectors (k,), which is one itself."""
+    if not len(log_e) or not np.isfinite(log_e).any():
+        return -np.inf
+    top = float(np.max(log_e))
+    return top + float(np.log(np.mean(np.exp(log_e - top))))
+
+
+def run_length(limit: float, reference: float = REFERENCE, shift: float = 0.0) -> float:
+    """Compute the average run length of a one-sided CUSUM of standard normal scores, by Siegmund's formula.
+
+    Parameters
+    ----------
+    limit, reference : float
+        At which it alarms, and what is taken off each score.
+    shift : float
+        Mean of the scores.
+    """
+    drift, height = shift - reference, limit + OVERSHOOT
+    if abs(drift) < 1e-9:
+        return height**2
+    return float((np.exp(-2 * drift * height) + 2 * drift * height - 1) / (2 * drift**2))
+
+
+def cusum_limit(logs: float) -> float:
+    """Find the limit at which a two-sided CUSUM alarms once in so many logs on average."""
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda limit: run_length(limit) / 2 - logs, 0.0, 60.0))
+
+
+def _whitened(chart: Chart) -> tuple[np.ndarray, np.ndarray]:
+    """Compute constants h and values y (m,) of the last logs with independent errors of equal variance."""
+    before, one = chart.before, 1 / np.sqrt(chart.w)
+    u = chart.x * one
+    lag_u = np.append(0.0 if before is None else before[0] / np.sqrt(before[1]), u[:-1])
+    lag_one = np.append(0.0 if before is None else 1 / np.sqrt(before[1]), one[:-1])
+    scale = np.sqrt(1 - MEMORY**2)
+    h, y = (one - MEMORY * lag_one) / scale, (u - MEMORY * lag_u) / scale
+    if before is None:
+        h[0], y[0] = one[0], u[0]
+    return h, y
+
+
+def _condensed(chart: Chart) -> Chart:
+    """Move all but the last logs into the sums."""
+    h, y = _whitened(chart)
+    old = len(chart.x) - WINDOW
+    h, y = h[:old], y[:old]
+    return replace(
+        chart,
+        x=chart.x[old:],
+        w=chart.w[old:],
+        count=chart.count + old,
+        hh=chart.hh + float(h @ h),
+        hy=chart.hy + float(h @ y),
+        yy=chart.yy + float(y @ y),
+        before=(float(chart.x[old - 1]), float(chart.w[old - 1])),
+    )

@@ -1,0 +1,159 @@
+"""Following a robot in production: a folder that fills with finished logs, or a text log that grows, block by block.
+
+Each block goes through the batch pipeline as a log of its own, so that its numbers are those of finished logs; they
+come as soon as the block is whole. Blocks are recognised by their content: after an end at any moment, following the
+same folder or file again goes on behind the last block of the history.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from gtau.errors import GtauError
+from gtau.signals.formats.text_layout import layout_of
+from gtau.signals.run import Run
+from gtau.watch.logs import date_of, logs_of
+from gtau.watch.state import digest_of
+from gtau.watch.watch import Status, Watch, now
+
+SETTLED = 1.0  # s for which a log of a folder has not changed before it counts as finished
+POLL = 0.5  # s between looks
+FIRST_LINES = 500  # of a log that grows, from which its rate is found
+HEADED = 250  # lines, among which the table has begun
+CHUNK = 1 << 20  # bytes read at once
+
+Read = Callable[[Path], Run]
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A block that says nothing, such as of a robot at rest, and why."""
+
+    log: str
+    why: str
+
+
+def follow(
+    watch: Watch, source: Path, read: Read, seconds: float, ended: Callable[[], bool] = lambda: False
+) -> Iterator[Status | Skipped]:
+    """Follow a folder of finished logs, or a text log that grows, for ever.
+
+    Parameters
+    ----------
+    watch : Watch
+        What is fed.
+    source : path
+        The folder, or the log.
+    read : callable
+        Reads the log at a path.
+    seconds : float
+        Length of the blocks of a log that grows.
+    ended : callable
+        Says, where nothing new is there, whether nothing more will come.
+
+    Raises
+    ------
+    GtauError
+        Where the source is not there or becomes shorter, or cannot be read.
+    """
+    if source.is_dir():
+        yield from _folder(watch, source, read, ended)
+    elif source.is_file():
+        yield from _growing(watch, source, read, seconds, ended)
+    else:
+        raise GtauError(f"there is nothing to follow at {source}; give a folder, or a text log that grows.")
+
+
+def _folder(watch: Watch, folder: Path, read: Read, ended: Callable[[], bool]) -> Iterator[Status | Skipped]:
+    done: dict[Path, tuple[int, float]] = {}
+    while True:
+        idle = True
+        for log in logs_of([folder]) if any(folder.iterdir()) else []:
+            stamp = (log.stat().st_size, log.stat().st_mtime)
+            if done.get(log) == stamp or time.time() - stamp[1] < SETTLED:
+                idle = idle and done.get(log) == stamp
+                continue
+            idle, done[log] = False, stamp
+            if (digest := digest_of(log)) not in watch.seen:
+                yield _update(watch, log, read, digest, log.stem, date_of(log))
+        if idle:
+            if ended():
+                return
+            time.sleep(POLL)
+
+
+def _growing(
+    watch: Watch, log: Path, read: Read, seconds: float, ended: Callable[[], bool]
+) -> Iterator[Status | Skipped]:
+    while _lines_of(log) < HEADED:
+        if ended():
+            return
+        time.sleep(POLL)
+    layout = layout_of(log)
+    with TemporaryDirectory() as temporary, log.open("rb") as file:
+        head = file.read(layout.first_byte)
+        part = Path(temporary) / f"{log.stem}{log.suffix or '.csv'}"
+        lines = _Lines()
+        wanted, number = 0, 0
+        while True:
+            if log.stat().st_size < file.tell():
+                raise GtauError(
+                    f"{log} has become shorter while it was followed; follow the new log from its beginning."
+                )
+            read_now = file.read(CHUNK)
+            lines.add(read_now)
+            if not wanted and lines.count >= FIRST_LINES:
+                part.write_bytes(head + lines.peek(FIRST_LINES))
+                wanted = max(round(read(part).rate * seconds), FIRST_LINES)
+            while wanted and lines.count >= wanted:
+                block, number = lines.take(wanted), number + 1
+                digest = hashlib.sha256(block).hexdigest()
+                if digest not in watch.seen:
+                    part.write_bytes(head + block)
+                    yield _update(watch, part, read, digest, f"{log.stem} block {number}", now())
+            if not read_now:
+                if ended():
+                    return
+                time.sleep(POLL)
+
+
+def _update(watch: Watch, log: Path, read: Read, digest: str, name: str, date: str) -> Status | Skipped:
+    try:
+        return watch.update(replace(read(log), name=name), digest, date)
+    except GtauError as refusal:
+        watch.seen.add(digest)
+        return Skipped(name, str(refusal))
+
+
+def _lines_of(log: Path) -> int:
+    with log.open("rb") as file:
+        return file.read(CHUNK).count(b"\n")
+
+
+class _Lines:
+    """Whole lines of a text that comes in pieces."""
+
+    def __init__(self) -> None:
+        self._whole: list[bytes] = []
+        self._torn = b""
+
+    @property
+    def count(self) -> int:
+        return len(self._whole)
+
+    def add(self, text: bytes) -> None:
+        *whole, self._torn = (self._torn + text).split(b"\n")
+        self._whole += whole
+
+    def peek(self, count: int) -> bytes:
+        return b"\n".join(self._whole[:count]) + b"\n"
+
+    def take(self, count: int) -> bytes:
+        block = self.peek(count)
+        del self._whole[:count]
+        return block

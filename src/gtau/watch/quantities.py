@@ -1,0 +1,240 @@
+"""What may have changed since the identification, as columns of torque along a log, and their normal equations.
+
+The residual of the identified model along a log, ``y = g v(t - d) - tau_model`` (eq. 16), is held against one column a
+quantity: the torque that one unit of its change adds. The rows are those of the identification: the same filters,
+decimation and rows left out at reversals, behind the friction law with which the model predicts.
+
+======  ===========================================  ==============================
+kind    change                                       column
+======  ===========================================  ==============================
+load    mass, first moments, inertia on the tool     those of the payload (eq. 18)
+gain    drive gain, at fixed inertia                 ``-tau_model``
+zero    encoder zero                                 ``d tau / d q``
+delay   delay of the current                         ``g v'``
+fv, fs  viscous and Coulomb friction                 ``qd``, ``sign(qd)``
+off     offset of the current                        1
+======  ===========================================  ==============================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.friction.law import carried
+from gtau.estimation.regression.column_blocks import carried_payload
+from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, prepare_runs
+from gtau.estimation.regression.equations import STRETCHES, delayed
+from gtau.estimation.regression.rows import Labels, Rows, stream_rows
+from gtau.estimation.regression.stretches import stretch_edges, stretch_of
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.prediction import check_temperature_unit, friction_values, loaded_parameters
+from gtau.model.loops import Motion
+from gtau.robots.parameter import Parameter
+from gtau.robots.units import unit_of
+from gtau.signals.payload import Payload
+from gtau.signals.run import Run, arrange, without_sensors
+
+FRICTION = ("fv", "fs", "off")
+STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this
+FEWEST_ROWS = 50  # of a joint in a log, as in an identification
+ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One thing that may change: its kind (that of a payload's parameter for the load), joint and unit."""
+
+    kind: str
+    joint: str
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """Its name in tables and files, such as ``gain_elbow``."""
+        return Parameter(self.kind, self.joint or "load").name
+
+    @property
+    def group(self) -> str:
+        """``load``, or the kind itself."""
+        return self.kind if self.joint else "load"
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Normal equations of a log, ``A^T A`` with ``A = [columns | y]``, rows divided by the model's own residual.
+
+    ``G`` (stretches, n, p + 1, p + 1) of the equations of each joint in each stretch that the jackknife leaves out;
+    ``rows`` (stretches, n) behind them; ``tau`` (n,) rms torque of each joint, and ``sigma`` (n,) the residual by which
+    its rows are divided, N m or N.
+    """
+
+    quantities: tuple[Quantity, ...]
+    G: np.ndarray
+    rows: np.ndarray
+    tau: np.ndarray
+    sigma: np.ndarray
+
+
+def quantities_of(model: IdentifiedModel) -> tuple[Quantity, ...]:
+    """List what is watched of a model, in the order of the columns."""
+    robot, idm = model.robot, model.model
+    payload = carried_payload(idm, model.base, 0, Payload(name="load"))
+    load = (Quantity(kind, "", unit_of(kind, robot, robot.tool)) for kind in payload.unknown.values())
+    motors = robot.motors
+    kinds = {joint: robot.joint(joint).kind for joint in motors}
+    drives = [
+        *(Quantity("gain", joint, "1") for joint in motors),
+        *(Quantity("zero", joint, ZERO_UNITS[kinds[joint]][0]) for joint in motors),
+        *(Quantity("delay", joint, "s") for joint in motors),
+    ]
+    names = model.base.standard
+    rubbing = [
+        Quantity(kind, joint, unit_of(kind, robot, joint))
+        for kind in FRICTION
+        for joint in motors
+        if Parameter(kind, joint).name in names
+    ]
+    return (*load, *drives, *rubbing)
+
+
+def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
+    """Reduce a log to the normal equations of what may have changed.
+
+    Raises
+    ------
+    GtauError
+        Where the log does not suit the model, no joint of it moves, or the model refuses a sample.
+    """
+    if model.robot.floating:
+        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
+    if run.kind != model.kind:
+        raise GtauError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
+            "same kind."
+        )
+    idm, base = model.model, model.base
+    run = without_sensors(arrange(run, idm.actuated))
+    check_wrenches(model.robot, run)
+    check_temperature_unit(model, run)
+    preparation = at_rate_of([run], model.preparation)
+    (prepared,) = prepare_runs(idm, [run], preparation)
+    decimator, n = preparation.at(run.rate).decimator, len(idm.actuated)
+    chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
+    load, law = np.array(carried(np, base.standard, chi)), model.friction_law
+    states = law.followers()
+
+    def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
+        return law.torques(motion, friction_values(model, chi, run, at), effort, states(at, motion))
+
+    quantities, sigma = quantities_of(model), _sigma(model)
+    places = _Places.of(model, quantities)
+    p = len(quantities)
+    G, rows = np.zeros((STRETCHES, n, p + 1, p + 1)), np.zeros((STRETCHES, n), dtype=int)
+    power = np.zeros(n)
+    stretches = stretch_of(stretch_edges(prepared), decimator.outputs(len(prepared)))
+    regressor = idm.columns(base.standard)
+    for part in stream_rows(idm, regressor, prepared, decimator, load, friction=friction):
+        A, tau = _columns(model, part, load, places, p, run.name)
+        stretch = stretches[part.outputs]
+        for s in range(stretch[0], stretch[-1] + 1):
+            for j in range(n):
+                kept = (stretch == s) & part.keep[j]
+                of = A[j, kept] / sigma[j]
+                G[s, j] += of.T @ of
+                rows[s, j] += len(of)
+                power[j] += float(np.sum(tau[j, kept] ** 2))
+    count = rows.sum(axis=0)
+    if not (count >= FEWEST_ROWS).any():
+        raise GtauError(
+            f"run '{run.name}' has at most {count.max()} usable rows a joint, away from its reversals and gaps; give a "
+            "longer log."
+        )
+    return NormalEquations(quantities, G, rows, np.sqrt(power / np.maximum(count, 1)), sigma)
+
+
+def _sigma(model: IdentifiedModel) -> np.ndarray:
+    """Take the torque residual (n,) of the identification; of a joint without one the median of the others."""
+    known = {each.joint: each.rms for each in model.residuals}
+    middle = float(np.median([*known.values()])) if known else 1.0
+    return np.array([known.get(joint) or middle or 1.0 for joint in model.robot.actuated])
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where the columns stand: of the load (n_b, k) in base columns, and by kind and joint."""
+
+    load: np.ndarray
+    own: tuple[tuple[int, str, int], ...]
+    base_column: dict[str, int]
+
+    @staticmethod
+    def of(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> _Places:
+        payload = carried_payload(model.model, model.base, 0, Payload(name="load"))
+        joints = model.robot.actuated
+        own = tuple((k, q.kind, joints.index(q.joint)) for k, q in enumerate(quantities) if q.joint)
+        return _Places(payload.columns, own, {name: k for k, name in enumerate(model.base.standard)})
+
+
+def _columns(
+    model: IdentifiedModel, part: Rows, load: np.ndarray, places: _Places, p: int, run: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Build the rows ``[columns | y]`` (n, K, p + 1) of all joints, and the torques of the model (n, K)."""
+    idm = model.model
+    n, regressor = len(idm.actuated), idm.columns(model.base.standard)
+    W = np.zeros((n, len(part.time), len(regressor.names)))
+    W[regressor.rows, :, regressor.columns] = part.entries
+    assert part.friction is not None
+    tau = W @ load - part.external + part.friction
+    delays = np.array([model.delays[joint].value or 0.0 for joint in idm.actuated])
+    _, v_d, v_dd = part.currents
+    gains = model.gains[:, None]
+    measured = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays))
+    rate = gains * (v_d - delays[:, None] * v_dd)
+    A = np.zeros((n, len(part.time), p + 1))
+    k_load = places.load.shape[1]
+    A[..., :k_load] = W @ places.load
+    zeros = _of_zeros(model, part, load, run)
+    for k, kind, j in places.own:
+        match kind:
+            case "gain":
+                A[j, :, k] = -tau[j]
+            case "delay":
+                A[j, :, k] = rate[j]
+            case "zero":
+                A[:, :, k] = zeros[j]
+            case _:
+                A[:, :, k] = W[:, :, places.base_column[Parameter(kind, idm.actuated[j]).name]]
+    A[..., p] = measured - tau
+    return A, tau
+
+
+def _of_zeros(model: IdentifiedModel, part: Rows, load: np.ndarray, run: str) -> np.ndarray:
+    """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), a degree or a millimetre."""
+    idm = model.model
+    n, actuated = len(idm.actuated), idm.layout.actuated
+    regressor, motion, labels = idm.columns(model.base.standard), part.motion, Labels(run, part.time)
+    q, qd, qdd = (np.ascontiguousarray(each[actuated]) for each in (motion.c, motion.yd, motion.ydd))
+    before = regressor.torques_along(idm.layout, motion, load)
+    columns = np.zeros((n, n, len(part.time)))
+    for j, joint in enumerate(idm.actuated):
+        moved = q.copy()
+        moved[j] += STEP
+        try:
+            c = idm.path(moved, labels, motion.c[:, 0])
+        except GtauError:
+            continue  # the loops do not close there: nothing is said of this zero
+        along = regressor.torques_along(idm.layout, idm.rates(c, qd, qdd, labels), load)
+        columns[j] = (along - before) / STEP * ZERO_UNITS[model.robot.joint(joint).kind][1]
+    return columns
+
+
+def without_inertia(quantities: tuple[Quantity, ...]) -> tuple[int, ...]:
+    """List the quantities that are charted: all but inertia of the load and offsets, which go along with the others."""
+    return tuple(
+        k
+        for k, each in enumerate(quantities)
+        if each.kind != "off" and not (not each.joint and each.kind not in ("m", "mx", "my", "mz"))
+    )

@@ -1,0 +1,182 @@
+"""The history of a watched robot: a line of JSON for each log, from which everything else follows.
+
+A line is added whole and forced to the disk before anything is said of its log, and a line that was cut off by a power
+failure or a kill is dropped when the file is next opened; so whatever happens, the next run goes on with the same
+numbers as if nothing had happened, and a log is either in the history or still to be read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+
+from gtau.documents.files import write_atomically
+from gtau.errors import GtauError
+
+SCHEMA: Literal["gtau-watch/1"] = "gtau-watch/1"
+HISTORY = "history.jsonl"
+
+
+class _Line(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Settings(_Line):
+    """Head of a history: the model, and what stands behind the stated time between false alarms.
+
+    ``baseline`` logs set what is normal; of ``robots`` that send ``logs_per_year`` each there are ``false_alarms`` a
+    year.
+    """
+
+    schema_: Literal["gtau-watch/1"] = SCHEMA
+    model: str
+    robot: str
+    baseline: int = 10
+    false_alarms: FiniteFloat = 1.0
+    robots: int = 1
+    logs_per_year: FiniteFloat = 365.0
+
+    @property
+    def limit(self) -> float:
+        """What the mean of a robot's e-detectors may reach: the average number of logs between its false alarms."""
+        return max(self.robots * self.logs_per_year / self.false_alarms, 1.0)
+
+
+class Explained(_Line):
+    """One explanation of an alarm: size with the half width of its 95 % interval, and its unit."""
+
+    kind: str
+    joint: str
+    quantity: str
+    size: FiniteFloat
+    half: FiniteFloat
+    unit: str
+    relative: FiniteFloat | None = None
+    misfit: FiniteFloat
+
+
+class Alarm(_Line):
+    """What is said of a change: explanations that cannot be distinguished, the best one first, and since which log."""
+
+    explanations: tuple[Explained, ...]
+    since: str
+    earliest: str
+    latest: str
+    charts: tuple[str, ...]
+
+
+class Entry(_Line):
+    """A log in the history.
+
+    ``values``, ``std`` and ``formula`` by chart: estimate, standard deviation by the jackknife and by the formula;
+    ``uneven`` of each joint. ``begins`` is the date of the maintenance, in the first log of a new one. ``log_e`` is
+    the logarithm of the mean e-detector, ``cusum`` the largest sum of a chart over its limit.
+    """
+
+    log: str
+    digest: str
+    date: str
+    begins: str = ""
+    values: dict[str, FiniteFloat]
+    std: dict[str, FiniteFloat]
+    formula: dict[str, FiniteFloat]
+    uneven: dict[str, FiniteFloat]
+    not_shown: tuple[str, ...]
+    phase: Literal["baseline", "watching"]
+    log_e: FiniteFloat | None = None
+    cusum: FiniteFloat | None = None
+    leading: str = ""
+    alarm: Alarm | None = None
+
+
+def digest_of(path: str | Path) -> str:
+    """Compute the SHA-256 of a log, of all files in it where it is a folder; raises GtauError."""
+    path = Path(path)
+    found = hashlib.sha256()
+    try:
+        for each in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if each.is_file():
+                with each.open("rb") as file:
+                    while block := file.read(1 << 20):
+                        found.update(block)
+    except OSError as error:
+        raise GtauError(f"{path} cannot be read ({(error.strerror or str(error)).lower()}); check the path.") from None
+    return found.hexdigest()
+
+
+def open_history(folder: Path, settings: Settings) -> Iterator[Entry]:
+    """Read the entries of a history; begin one where there is none.
+
+    Raises
+    ------
+    GtauError
+        Where the history is damaged, or of another model or other settings.
+    """
+    path = folder / HISTORY
+    if not path.exists():
+        write_atomically(path, settings.model_dump_json() + "\n")
+        return
+    _drop_unfinished(path)
+    with path.open(encoding="utf-8") as file:
+        for number, line in enumerate(file, start=1):
+            try:
+                if number == 1:
+                    _require_same(Settings.model_validate_json(line), settings, path)
+                else:
+                    yield Entry.model_validate_json(line)
+            except ValidationError as error:
+                raise GtauError(
+                    f"{path}, line {number} is damaged ({error.errors()[0]['msg'].lower()}); restore the file from a "
+                    "backup, or begin a new history in another folder."
+                ) from None
+
+
+def append(folder: Path, entry: Entry) -> None:
+    """Add an entry, on the disk when this returns; raises GtauError."""
+    path = folder / HISTORY
+    try:
+        with path.open("ab") as file:
+            file.write(entry.model_dump_json().encode() + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise GtauError(f"{path} cannot be written ({error.strerror}); free some space.") from None
+
+
+def _drop_unfinished(path: Path) -> None:
+    """Cut off a last line without its end, which was being written when the program was killed."""
+    with path.open("rb+") as file:
+        size = file.seek(0, os.SEEK_END)
+        at, tail = size, b""
+        while at > 0 and b"\n" not in tail:
+            at = max(at - (1 << 16), 0)
+            file.seek(at)
+            tail = file.read(size - at)
+        whole = at + tail.rfind(b"\n") + 1
+        if whole < size:
+            file.truncate(whole)
+
+
+def _require_same(found: Settings, wanted: Settings, path: Path) -> None:
+    if found.model != wanted.model:
+        raise GtauError(
+            f"{path} is the history of another model (of robot '{found.robot}'); give that model, or another --out."
+        )
+    words = {
+        "baseline": "--baseline",
+        "false_alarms": "--false-alarms-per-year",
+        "robots": "--robots",
+        "logs_per_year": "--logs-per-year",
+    }
+    for name, option in words.items():
+        before, now = getattr(found, name), getattr(wanted, name)
+        if before != now:
+            raise GtauError(
+                f"{path} was begun with {option} {before:g}, not {now:g}: another value would change what its alarms "
+                "mean; give the same one, or another --out."
+            )

@@ -1,0 +1,270 @@
+"""A watched robot: its charts, log by log, and the alarm that follows from them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from gtau.documents.arguments import NUMBER, TEXT, WHOLE, takes
+from gtau.documents.files import folder_of
+from gtau.errors import GtauError
+from gtau.estimation.results.model_document import to_document
+from gtau.estimation.results.result import Result
+from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.signals.run import Run
+from gtau.watch.alarms import alarm_of
+from gtau.watch.baseline import FEWEST, Baseline, baseline_of
+from gtau.watch.detectors import WINDOW, Chart, Evidence, add, combined, cusum_limit, evidence
+from gtau.watch.logs import reset_date
+from gtau.watch.quantities import Quantity
+from gtau.watch.state import Alarm, Entry, Settings, append, open_history
+from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
+
+
+@dataclass(frozen=True, eq=False)
+class Status:
+    """What is known after a log: the entry of the history, and each chart's evidence.
+
+    ``charts`` (k,) with the ``baseline`` of each, ``evidences`` and ``cusums`` (k,), the larger sum over its limit.
+    """
+
+    entry: Entry
+    charts: tuple[Quantity, ...]
+    baseline: Baseline
+    evidences: tuple[Evidence, ...]
+    cusums: np.ndarray
+
+    @property
+    def healthy(self) -> bool:
+        """Whether there is no alarm."""
+        return self.entry.alarm is None
+
+
+class Watch:
+    """A watched robot: feed it finished logs, oldest first, and it says whether the robot has changed.
+
+    It is no safety function: it finds wear and mistakes between logs, it protects nobody.
+
+    Parameters
+    ----------
+    model : Result
+        From :func:`gtau.identify` or :meth:`gtau.Result.load`.
+    out : path, optional
+        Folder of the history, which is gone on with; in memory if left out.
+    baseline : int
+        Number of healthy logs that set what is normal.
+    false_alarms_per_year : float
+        Of the whole fleet.
+    robots : int
+        Of the fleet.
+    logs_per_year : float
+        Of each robot.
+
+    Raises
+    ------
+    GtauError
+        Where the history is of another model or other settings.
+    """
+
+    @takes(
+        model=("the result of gtau.identify or gtau.Result.load", (Result,)),
+        baseline=WHOLE,
+        false_alarms_per_year=NUMBER,
+        robots=WHOLE,
+        logs_per_year=NUMBER,
+    )
+    def __init__(
+        self,
+        model: Result,
+        out: str | Path | None = None,
+        baseline: int = 10,
+        false_alarms_per_year: float = 1.0,
+        robots: int = 1,
+        logs_per_year: float = 365.0,
+    ):
+        if baseline < FEWEST:
+            raise GtauError(f"a baseline of {baseline} logs is too short; give at least {FEWEST} healthy logs.")
+        if not (false_alarms_per_year > 0 and robots >= 1 and logs_per_year > 0):
+            raise GtauError("false alarms per year, robots and logs per year are positive numbers; correct them.")
+        self.model = model
+        self.settings = Settings(
+            model=model_digest(model),
+            robot=model.robot.name,
+            baseline=baseline,
+            false_alarms=false_alarms_per_year,
+            robots=robots,
+            logs_per_year=logs_per_year,
+        )
+        self.folder = None if out is None else folder_of(out)
+        self.seen: set[str] = set()
+        self.began = self.maintained = ""  # dates of the last maintenance, and of one whose first log is still to come
+        self.alarm: Alarm | None = None
+        self._clear()
+        for entry in () if self.folder is None else open_history(self.folder, self.settings):
+            self._take(entry)
+
+    def _clear(self) -> None:
+        """Begin a baseline."""
+        self.names: tuple[str, ...] = ()
+        self.charts: dict[str, Chart] = {}
+        self.reference: dict[str, float] = {}  # variance by the formula of the first log that shows a chart
+        self.first: list[dict[str, float]] = []  # values of the baseline
+        self.recent: deque[Entry] = deque(maxlen=WINDOW)
+        self.count = 0
+        self.uneven: dict[str, float] = {}
+        self.alarm = None
+
+    @property
+    def limit(self) -> float:
+        """What the mean e-detector may reach: the average number of logs between false alarms of this robot."""
+        return self.settings.limit
+
+    @property
+    def phase(self) -> str:
+        """``baseline`` while what is normal is being learned, then ``watching``."""
+        return "baseline" if self.count < self.settings.baseline else "watching"
+
+    @property
+    def baseline(self) -> Baseline:
+        """What is normal, by ``names``."""
+        table = [[values.get(name, np.nan) for name in self.names] for values in self.first]
+        return baseline_of(np.reshape(np.array(table, dtype=float), (len(table), len(self.names))))
+
+    @takes(date=TEXT)
+    def reset(self, date: str) -> None:
+        """Begin a new baseline with the first further log from a date on, as after maintenance; once for each date.
+
+        Parameters
+        ----------
+        date : str
+            Such as ``2026-03-28``, or with a time, ISO 8601.
+
+        Raises
+        ------
+        GtauError
+            Where that is no date.
+        """
+        date = reset_date(date)
+        self.maintained = date if date > self.began else ""
+
+    @single_threaded_blas()
+    def update(self, run: Run, digest: str = "", date: str = "") -> Status:
+        """Add a finished log.
+
+        Parameters
+        ----------
+        run : Run
+            From :func:`gtau.read_run`. Its payload, if any, is part of what is expected.
+        digest : str
+            By which the log is known again; that of its samples if left out.
+        date : str
+            When it was recorded, ISO 8601; now if left out.
+
+        Returns
+        -------
+        Status
+            What is known now.
+
+        Raises
+        ------
+        GtauError
+            Where the log does not suit the model; nothing has changed then.
+        """
+        return self.update_statistics(statistics_of(self.model, run), digest or run_digest(run), date or now())
+
+    def update_statistics(self, log: LogStatistics, digest: str, date: str) -> Status:
+        """Add the statistics of a log, as :meth:`update` does."""
+        begins = bool(self.maintained) and date >= self.maintained
+        draft = Entry(
+            log=log.name,
+            digest=digest,
+            date=date,
+            begins=self.maintained if begins else "",
+            values=_shown(log, log.values),
+            std=_shown(log, log.std),
+            formula=_shown(log, np.sqrt(np.diag(log.formula))),
+            uneven=dict(zip(log.joints, map(float, log.uneven), strict=True)),
+            not_shown=log.not_shown,
+            phase="baseline" if begins or self.count < self.settings.baseline else "watching",
+        )
+        self._take(draft)
+        evidences = {name: evidence(chart) for name, chart in self.charts.items()}
+        names, cusums = list(evidences), self._cusums()
+        log_e = combined(np.array([each.log_e for each in evidences.values()]))
+        entry = draft
+        if draft.phase == "watching":
+            leading = max(names, key=lambda name: evidences[name].log_e, default="")
+            alarm = self.alarm
+            if log_e >= np.log(self.limit):
+                alarm = alarm_of(self.model, list(self.recent), self.charts, evidences, log, self.uneven)
+            known = {"log_e": log_e if np.isfinite(log_e) else None, "cusum": float(max(cusums.values(), default=0.0))}
+            entry = draft.model_copy(update={**known, "leading": leading, "alarm": alarm})
+            self.recent[-1] = entry
+            self.alarm = alarm
+        if self.folder is not None:
+            append(self.folder, entry)
+        self.names = tuple(names)
+        charts = {each.name: each for each in log.charts}
+        return Status(
+            entry,
+            tuple(charts[name] for name in names if name in charts),
+            self.baseline,
+            tuple(evidences[name] for name in names),
+            np.array([cusums[name] for name in names]),
+        )
+
+    def _take(self, entry: Entry) -> None:
+        """Add an entry to the charts."""
+        if entry.begins:
+            self._clear()
+            self.began, self.maintained = entry.begins, ""
+        learning = self.count < self.settings.baseline
+        for name, value in entry.values.items():
+            chart = self.charts.get(name) or Chart(self.settings.baseline, name.startswith(f"{RESIDUAL}_"))
+            variance = entry.formula[name] ** 2
+            known = self.reference.setdefault(name, variance)
+            self.charts[name] = add(chart, value, max(1.0, variance / known if known > 0 else 1.0))
+        if learning:
+            self.first.append(dict(entry.values))
+            for joint, uneven in entry.uneven.items():
+                self.uneven[joint] = max(self.uneven.get(joint, 1.0), uneven)
+        self.names = tuple(self.charts)
+        self.recent.append(entry)
+        self.seen.add(entry.digest)
+        self.count += 1
+        self.alarm = entry.alarm or self.alarm
+
+    def _cusums(self) -> dict[str, float]:
+        limit = cusum_limit(self.limit * max(len(self.charts), 1))
+        return {name: max(chart.cusum) / limit for name, chart in self.charts.items()}
+
+
+def _shown(log: LogStatistics, values: np.ndarray) -> dict[str, float]:
+    return {chart.name: float(values[k]) for k, chart in enumerate(log.charts) if log.shown[k]}
+
+
+def model_digest(model: Result) -> str:
+    """Compute by which a model is known again: its robot, gains and parameters."""
+    document = to_document(model)
+    known = {key: document[key] for key in ("robot_file", "drive_gains", "parameters") if key in document}
+    return hashlib.sha256(repr(known).encode()).hexdigest()
+
+
+def run_digest(run: Run) -> str:
+    """Compute the SHA-256 of the samples of a run."""
+    found = hashlib.sha256()
+    parts: Iterable[np.ndarray] = (run.time, run.position, run.command)
+    for each in parts:
+        found.update(np.ascontiguousarray(each).tobytes())
+    return found.hexdigest()
+
+
+def now() -> str:
+    """Return the time, ISO 8601, in seconds."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,126 @@
+"""Inertias of the robot's file held against the data, and taken as priors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stated_arm import MASSES, chi, plant, robot, torque_run
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import FindingKind
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.file_inertias import inertia_priors
+from gtau.estimation.results.result import Result
+from gtau.robots.robot import Robot
+
+
+def identified(believed: Robot, made: object, seeds: tuple[int, ...] = (1, 2), **options: object) -> Result:
+    return identify(believed, [torque_run(made, seed) for seed in seeds], **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def true(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return robot(tmp_path_factory.mktemp("true"))
+
+
+def test_a_file_that_is_right_is_not_contradicted(true: Robot) -> None:
+    """All parameters are tested together at 5 %: of three sets of logs at most one may have a contradiction."""
+    audits = [identified(true, plant(true), (seed, seed + 1)).audit for seed in (1, 3, 5)]
+    wrong = [len(audit.of("contradicted")) for audit in audits]
+    assert np.count_nonzero(wrong) <= 1
+    assert sum(wrong) <= 0.05 * sum(len(audit.parameters) for audit in audits)
+    for audit in audits:
+        assert len(audit.of("agrees")) >= 8
+        assert audit.stated_error < 1.2 * audit.identified_error  # noise that 30 parameters fit is small
+        z = [each.z for each in audit.parameters if each.z is not None]
+        assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_the_link_whose_mass_is_wrong_is_named(true: Robot, tmp_path: Path) -> None:
+    result = identified(robot(tmp_path, {"j3": 1.3 * MASSES["j3"]}), plant(true))
+    audit = result.audit
+    assert audit.stated_error > 3 * audit.identified_error
+    assert [each.name for each in audit.links] == ["j3"]
+    assert audit.links[0].error < 1.1 * audit.identified_error
+    assert "j3" in {each.link for each in audit.of("contradicted")}
+    # the value that the file would have to have
+    for each in audit.of("contradicted"):
+        k = result.base.names.index(each.name)
+        truth = float(result.base.matrix[k] @ [chi(true).get(name, 0.0) for name in result.model.parameter_names])
+        assert abs(each.value - truth) < 5 * each.std
+    shown = " ".join(result.summary(verbose=False).split())
+    assert "The file's inertias predict the torques to" in shown
+    assert "j3 (" in shown
+
+
+def test_the_audit_is_in_the_file_of_the_model(true: Robot, tmp_path: Path) -> None:
+    result = identified(robot(tmp_path, {"j3": 1.3 * MASSES["j3"]}), plant(true))
+    result.save(tmp_path / "model.json")
+    assert Result.load(tmp_path / "model.json").audit == result.audit
+
+
+def test_a_file_without_inertias_is_passed_over(true: Robot, tmp_path: Path) -> None:
+    bare = robot(tmp_path, inertias=False)
+    result = identified(bare, plant(true))
+    assert result.audit is None
+    assert "Inertias of the robot file" not in result.summary()
+    with pytest.raises(GtauError, match="states no inertias, which 'prior_inertias' asks for"):
+        identified(bare, plant(true), prior_inertias=0.3)
+
+
+def test_an_estimator_that_takes_no_priors_says_whose_they_are(true: Robot) -> None:
+    with pytest.raises(GtauError, match="'tls' takes no known parameters, and 'prior_inertias' gives some"):
+        identify(true, [plant(true).run(1)], method="tls", prior_inertias=0.3)
+
+
+def test_priors_hold_what_is_not_excited_and_leave_the_rest(true: Robot) -> None:
+    """Joints 1 and 4 hardly move, behind much noise: half of the parameters are open without the file."""
+    quiet = plant(true, (0.01, 0.9, 1.2, 0.01), noise=3.0)
+    priors = inertia_priors(true, 0.3)
+    free, held = identified(true, quiet), identified(true, quiet, prior_inertias=0.3)
+    matrix, names = held.base.matrix, held.model.parameter_names
+    stated = matrix @ [priors[name].value if name in priors else 0.0 for name in names]
+    spread = np.linalg.norm(matrix * [priors[name].std if name in priors else 0.0 for name in names], axis=1)
+    unknown = matrix @ [float(name not in priors and not name.startswith("off_")) for name in names] != 0
+    open_, excited = [], []
+    for k, name in enumerate(held.base.names):
+        before, after = free.parameters[name], held.parameters[name]
+        if unknown[k] or name.startswith("off"):
+            continue
+        if before.value is None or before.std > 10 * spread[k]:
+            open_.append(name)
+            assert abs(after.value - stated[k]) < 0.35 * spread[k], name
+            assert 0.2 * spread[k] < after.std < 1.1 * spread[k], name
+        elif before.std < 0.3 * spread[k]:
+            excited.append(name)
+            pull = (before.std / spread[k]) ** 2 * abs(before.value - stated[k])
+            assert abs(after.value - before.value) < pull + 0.5 * before.std, name
+    assert len(open_) >= 6
+    assert len(excited) >= 3
+    assert "taken as priors to 30 %" in " ".join(held.summary().split())
+    assert not [note for note in held.notes if note.finding == FindingKind.PRIOR_INERTIA]
+
+
+def test_a_wrong_prior_is_contradicted(true: Robot, tmp_path: Path) -> None:
+    wrong = robot(tmp_path, {"j3": 1.3 * MASSES["j3"]})
+    result = identified(wrong, plant(true), prior_inertias=0.02)
+    found = [note for note in result.notes if note.finding == FindingKind.PRIOR_INERTIA]
+    assert any("'j3'" in str(note) for note in found)
+    loose = identified(wrong, plant(true), prior_inertias=0.3)
+    assert not [note for note in loose.notes if note.finding == FindingKind.PRIOR_INERTIA]
+
+
+def test_a_known_payload_gives_the_scale_beside_priors(true: Robot) -> None:
+    """The file's inertias join in the scale of the gains, and are no reference that tests the payload."""
+    from gtau.signals.payload import Payload
+
+    made = replace(plant(true, noise=0.02), gains=np.array([8.0, 8.0, 6.0, 5.0]), tool="j4")
+    steel = {"m": 2.0, "mx": 0.1, "mz": 0.2, "xx": 0.04, "yy": 0.05, "zz": 0.02, "xz": -0.01}
+    runs = [made.run(1), made.run(2, steel, Payload(name="steel", mass=2.0))]
+    result = identify(true, runs, prior_inertias=0.3)
+    for gain, value in zip(result.drive_gains.values(), made.gains, strict=True):
+        assert abs(gain.value - value) < 4 * gain.std + 1e-3 * value
+    assert result.believable

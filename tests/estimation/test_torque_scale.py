@@ -1,0 +1,160 @@
+"""Torques that an arm reports by a factor too large or too small: found, said, written down and used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from five_bar_logs import CHI, STEEL, Plant, five_bar, path
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.identify import identify
+from gtau.estimation.results.headline import headline
+from gtau.estimation.results.result import Result
+from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
+from gtau.estimation.weigh import weigh
+from gtau.export.identified import identified
+from gtau.model.home import load_robot
+from gtau.signals.payload import Payload
+from gtau.signals.run import Run, read_run
+
+ROBOT = five_bar().robot
+KNOWN = Payload(name="steel", mass=STEEL["m"])
+UNTESTED = (
+    "The logs hold torques, taken as true: their scale was not tested. A run with a payload of known mass, beside one "
+    "without, tests it."
+)
+
+
+def torques(scale: Sequence[float], known: Payload | None = KNOWN, mass: float = 1.0) -> list[Run]:
+    """Runs without and with steel whose reported torques are the true ones over ``scale``."""
+    plant = Plant(gains=scale, noise=0.02)
+    load = {kind: mass * value for kind, value in STEEL.items()}
+    return [
+        plant.run("free", seed=1, kind="torque"),
+        replace(plant.run("loaded", payload=load, seed=2, kind="torque"), payload=known),
+    ]
+
+
+@pytest.fixture(scope="module")
+def wrong() -> Result:
+    """The left motor reports 0.78 of its torque."""
+    return identify(ROBOT, torques((1 / 0.78, 1.0)))
+
+
+def test_a_wrong_scale_is_found_and_said_first(wrong: Result) -> None:
+    left, right = wrong.drive_gains.values()
+    assert (wrong.method, wrong.kind, left.unit) == ("ml", "torque", "1")
+    for gain, true in ((left, 1 / 0.78), (right, 1.0)):
+        low, high = gain.interval()
+        assert low < true < high
+    found = torque_scales(wrong)
+    assert [each.state for each in found] == ["wrong", "consistent with 1"]
+    low, high = found[0].reported_interval
+    assert low < 0.78 < high
+    assert headline(wrong).startswith(f"The arm reports 0.78 ({low:.2f} to {high:.2f}) of the torque at 'left'")
+    assert "The torque scale of 'right' is consistent with 1" in headline(wrong)
+    assert wrong.accepted
+
+
+def test_the_correction_is_written_with_intervals(wrong: Result) -> None:
+    left = yaml.safe_load(torque_scale_text(wrong))["torque_scale"]["left"]
+    assert left["state"] == "wrong"
+    assert left["factor"] == pytest.approx(wrong.drive_gains["left"].value, rel=1e-3)
+    assert left["interval"][0] < 1 / 0.78 < left["interval"][1]
+
+
+def test_true_torques_are_said_to_be_consistent_with_1() -> None:
+    found = identify(ROBOT, torques((1.0, 1.0)))
+    assert [each.state for each in torque_scales(found)] == ["consistent with 1"] * 2
+    assert headline(found).startswith("The torque scale of every joint is consistent with 1, known to within")
+
+
+def test_without_a_scale_torques_are_taken_as_true_and_said_to_be_untested() -> None:
+    for runs in (torques((1.2, 1.0))[:1], torques((1.2, 1.0), Payload(name="steel"))):
+        found = identify(ROBOT, runs)
+        assert (found.method, headline(found), torque_scales(found)) == ("wls", UNTESTED, ())
+        assert {(gain.value, gain.std) for gain in found.drive_gains.values()} == {(1.0, None)}
+
+
+def test_known_parameters_alone_test_it_only_where_asked() -> None:
+    runs, priors = torques((1.25, 1.0))[:1], {"ia_left": {"value": CHI["ia_left"], "std": 0.001}}
+    assert identify(ROBOT, runs, priors=priors).method == "wls"
+    with pytest.raises(GtauError, match="'ml' needs a scale"):
+        identify(ROBOT, runs, method="ml")
+
+
+@pytest.mark.parametrize("way", [{"method": "wls"}, pytest.param({"as_paper": True}, marks=pytest.mark.slow)])
+def test_least_squares_and_the_way_of_the_paper_take_torques_as_they_are(way: dict[str, Any]) -> None:
+    found = identify(ROBOT, torques((1 / 0.78, 1.0)), **way)
+    assert (found.method, {gain.value for gain in found.drive_gains.values()}) == ("wls", {1.0})
+    assert found.payloads[0].verdict.outcome == Outcome.CONTRADICTORY  # weighed by torques that are wrong
+
+
+def test_a_payload_that_shows_nowhere_leaves_the_torques_as_they_are() -> None:
+    """A declared load that was never carried: gain 1 as without it, with the reason."""
+    runs = torques((1.0, 1.0), mass=0.0)
+    found = identify(ROBOT, runs)
+    assert found.method == "wls"
+    assert F.SCALE_UNTESTED in [each.finding for each in found.notes]
+
+
+def test_a_mass_that_is_wrong_is_asked_about_before_all_torques_are() -> None:
+    found = identify(ROBOT, torques((1.0, 1.0), mass=0.8))
+    (said,) = (each for each in found.notes if each.finding == F.COMMON_SCALE)
+    assert f"a mass of {0.8 * STEEL['m']:.2g}" in said.what
+    assert not [each for each in identify(ROBOT, torques((1.3, 0.9))).notes if each.finding == F.COMMON_SCALE]
+
+
+def test_prior_gains_scale_torques_of_which_nothing_tests_the_scale() -> None:
+    found = identify(ROBOT, torques((1.25, 1.0))[:1], prior_gains={"left": 1.25, "right": 1.0})
+    assert headline(found) == "The torque scales were given, not identified."
+    truth = {name: CHI[name] for name in ("fs_left", "fv_left")}
+    for name, value in truth.items():
+        assert found.parameters[name].value == pytest.approx(value, abs=0.05)
+
+
+def test_a_model_with_scales_weighs_predicts_and_exports_true_torques(wrong: Result, tmp_path: Path) -> None:
+    """The torques of the model are true ones, and its 'currents' what the arm reports, through a file too."""
+    wrong.save(tmp_path / "model.json")
+    model = Result.load(tmp_path / "model.json")
+    assert headline(model) == headline(wrong)
+    time = np.arange(0.0, 4.0, 0.002)
+    motion = path(time, 7)
+    true = five_bar().torques(*motion, CHI)
+    moving = (np.abs(motion[1]) > 0.3).all(axis=1)
+    for j in range(2):
+        error = (model.torques(*motion) - true)[moving, j]
+        assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(np.mean(true[moving, j] ** 2))
+    assert model.currents(*motion)[:, 0] == pytest.approx(model.torques(*motion)[:, 0] / model.gains[0])
+    assert identified(model).gains == pytest.approx(model.gains)
+    run = torques((1 / 0.78, 1.0))[1]
+    prediction = model.predict(run)
+    true = run.command[:, 0] * 1.282
+    assert np.linalg.norm(prediction.measured[:, 0] - true) < 0.05 * np.linalg.norm(true)
+    assert max(each.relative for each in model.validate(run)) < 3.0
+    (weighed,) = weigh(model, ROBOT, torques((1 / 0.78, 1.0), Payload(name="unknown")))
+    mass = weighed.parameters["m"]
+    assert abs(mass.value - STEEL["m"]) < 2 * mass.half_interval()
+    assert mass.half_interval() < 0.1
+
+
+@pytest.mark.slow
+def test_the_airbot_reports_too_little_at_joints_2_and_3(shared: Path) -> None:
+    folder, joints = shared / "airbot_play", [f"joint{k}" for k in range(1, 7)]
+    signals = {
+        "time": "t",
+        "position": {joint: f"q{k}" for k, joint in enumerate(joints, start=1)},
+        "torque": {joint: f"tau{k}" for k, joint in enumerate(joints, start=1)},
+    }
+    free, loaded = (read_run(folder / f"chirp_{name}.csv", signals) for name in ("unloaded", "loaded_480g"))
+    robot = load_robot(str(folder / "airbot_play_v3_0_gripper.urdf"))
+    found = identify(robot, [free, replace(loaded, payload=Payload(name="load", mass=0.48))])
+    assert [each.joint for each in torque_scales(found) if each.state == "wrong"] == ["joint2", "joint3"]
