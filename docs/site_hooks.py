@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
+from inspect import getdoc
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from sphinx_gallery.scrapers import figure_rst
 NUMPY_STYLE = Config(
     napoleon_use_param=False, napoleon_use_rtype=False, napoleon_custom_sections=[("Attributes", "params_style")]
 )
+ATTRIBUTES = "Attributes\n----------\n"
 LINK = re.compile(r"\]\(([\w./-]+?)(?:\.md|\.html)(?:#[\w-]*)?\)")
 ITEM = re.compile(r"^- \[(?P<title>[^]]+)\]\((?P<page>[^)]+)\.\w+\): (?P<text>.+)\n", re.MULTILINE)
 CARD = ":::{{grid-item-card}} {title}\n:link: {page}\n:link-type: doc\n\n{text}\n:::\n\n"
@@ -49,14 +51,20 @@ def read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
 
     Napoleon itself takes what stands before a colon in the docstring of a property for a type.
     """
+    if what == "class" and "Attributes" not in lines:  # those that it inherits
+        inherited = (getdoc(each) or "" for each in obj.__mro__[1:] if each.__module__.startswith("gtau."))
+        lines += next(
+            (f"{ATTRIBUTES}{text.split(ATTRIBUTES)[1]}" for text in inherited if ATTRIBUTES in text), ""
+        ).split("\n")
     what = "method" if what == "property" else what
-    lines[:] = NumpyDocstring(lines, NUMPY_STYLE, app, what, name, obj, options).lines()
+    found = NumpyDocstring(lines, NUMPY_STYLE, app, what, name, obj, options).lines()
+    lines[:] = [line.replace(" -- ", " – ") for line in found]
 
 
-def keep_internal_names(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
+def keep_names_without_page(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
     """Leave a docstring's reference to a name without a page as text, if there is such a name."""
     target = node.get("reftarget", "")
-    if node.get("refdomain") != "py" or not target.startswith("gtau."):
+    if node.get("refdomain") != "py" or "." not in target:
         return None
     module, names = target, []
     while module:
@@ -97,7 +105,7 @@ def draw_figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str,
 
 
 def write_llms(app: Sphinx, exception: Exception | None) -> None:
-    """Write ``llms.txt``: the title of every page and its source, shelf by shelf, for language models."""
+    """Write ``llms.txt``: the title of every page and its Markdown, shelf by shelf, for language models."""
     if exception or app.builder.name != "html":
         return
     titles = app.env.titles
@@ -106,8 +114,8 @@ def write_llms(app: Sphinx, exception: Exception | None) -> None:
         folder = shelf.partition("/")[0]
         lines += ["", f"## {titles[shelf].astext()}", ""]
         for page in sorted(each for each in titles if each.startswith(f"{folder}/")):
-            suffix = Path(app.env.doc2path(page)).suffix
-            lines.append(f"- [{titles[page].astext()}](_sources/{page}{suffix})")
+            written = Path(app.env.doc2path(page)).suffix == ".md"
+            lines.append(f"- [{titles[page].astext()}]({f'_sources/{page}.md' if written else f'{page}.html'})")
     Path(app.outdir, "llms.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -115,7 +123,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the additions."""
     app.connect("source-read", add_menu)
     app.connect("autodoc-process-docstring", read_docstring)
-    app.connect("missing-reference", keep_internal_names)
+    app.connect("missing-reference", keep_names_without_page)
     app.connect("build-finished", write_llms)
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

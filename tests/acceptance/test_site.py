@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import runpy
+import tempfile
 from pathlib import Path
 from types import ModuleType
 
@@ -43,6 +45,18 @@ def test_every_page_is_on_a_shelf() -> None:
 def test_the_reference_lists_every_public_name() -> None:
     listed = re.findall(r"^   (\w+)$", (DOCS / "lookup" / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(listed) == sorted(gtau.__all__)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "path", sorted((DOCS.parent / "examples" / "gallery").glob("plot_*.py")), ids=lambda path: path.stem
+)
+def test_a_script_of_the_gallery_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It makes a figure; what its page shows is not asserted."""
+    for package in ("rosbags", "mujoco"):
+        pytest.importorskip(package)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert runpy.run_path(str(path))["figure"].axes
 
 
 def test_broken_links_and_anchors_are_found(tmp_path: Path) -> None:

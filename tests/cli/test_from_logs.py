@@ -17,8 +17,9 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.draft_file import guesses
-from gtau.signals.drafting import draft_logs, write_draft
+from gtau.signals.drafting import draft_logs, with_sensors, write_draft
 from gtau.signals.experiment import read_experiment
+from gtau.signals.formats import is_log_folder
 from gtau.signals.run import read_run
 
 LINK = """<link name="{0}"><inertial><origin xyz="{2} 0.01 0.02"/><mass value="{1}"/>
@@ -146,7 +147,7 @@ def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypat
         draft_logs([broken])
 
 
-@pytest.mark.parametrize("compression", ["STORAGE", "MESSAGE", "FILE"])
+@pytest.mark.parametrize("compression", ["STORAGE", "MESSAGE", "FILE", "LZ4"])
 def test_compressed_bags(tmp_path: Path, motion: Any, compression: str) -> None:
     """The numbers of a compressed bag, by the joint's name whatever its place in the message."""
     time, position, current = (each[:300] for each in motion["empty"])
@@ -227,6 +228,75 @@ def test_episodes_of_lists(tmp_path: Path, motion: Any, arrays: bool) -> None:
     (tmp_path / "none.yaml").write_text(text.replace("episode: 3", "episode: 7"))
     with pytest.raises(GtauError, match=r"has no episode 7; its episodes are 0 to 3"):
         _ = read_experiment(tmp_path / "none.yaml").runs[-1].part
+
+
+INFO = {
+    "fps": 200,
+    "features": {
+        "observation.state": {"dtype": "float32", "shape": [2], "names": ["elbow.pos", "shoulder.pos"]},
+        "observation.effort": {"dtype": "float32", "shape": [2], "names": {"motors": ["main_elbow", "main_shoulder"]}},
+        "action": {"dtype": "float32", "shape": [2], "names": ["elbow.pos", "shoulder.pos"]},
+        "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+    },
+}
+
+
+def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> None:
+    """meta/info.json two folders up: joints by name, whatever their order, the rate where no column has the time."""
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
+    (tmp_path / "meta" / "info.json").write_text(json.dumps(INFO))
+    (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
+    log = lerobot(tmp_path / "data" / "chunk-000" / "file-000.parquet", motion["empty"], 2, arrays=False)
+    draft = draft_logs([log], str(tmp_path / "arm.urdf"))
+    assert draft.position == {"shoulder": "observation.state[2]", "elbow": "observation.state[1]"}
+    assert draft.command == {"shoulder": "observation.effort[2]", "elbow": "observation.effort[1]"}
+    assert "joints" not in draft.open
+    assert set(draft_logs([log]).position) == {"elbow", "shoulder"}
+    whole = draft_logs([tmp_path], str(tmp_path / "arm.urdf"))  # the folder of the data set
+    assert whole.command == draft.command
+    assert is_log_folder(tmp_path)
+    pl.read_parquet(log).drop("timestamp").write_parquet(log)
+    timeless = draft_logs([log], str(tmp_path / "arm.urdf"))
+    assert (timeless.time, timeless.rate) == ((), 200.0)
+    assert timeless.reasons["time"] == "no time column; 200 Hz by the description of the data set (meta/info.json)"
+    assert {"rate", "velocities"}.isdisjoint(timeless.open)
+    mixed = {"names": [f"{joint}.{kind}" for joint in ("elbow", "shoulder") for kind in ("pos", "torque")]}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": {"observation.state": mixed}}))
+    pl.DataFrame(
+        {
+            "observation.state": np.stack([motion["empty"][1], motion["empty"][2]], axis=2).reshape(-1, 4).tolist(),
+            "timestamp": motion["empty"][0],
+        }
+    ).write_parquet(log)
+    state = draft_logs([log], str(tmp_path / "arm.urdf"))
+    assert state.position == {"shoulder": "observation.state[3]", "elbow": "observation.state[1]"}
+    assert (state.kind, state.command["elbow"]) == ("torque", "observation.state[2]")
+    (tmp_path / "meta" / "info.json").write_text("[]")
+    with pytest.raises(GtauError, match=r"info.json is no description of a LeRobot data set that can be read"):
+        draft_logs([log])
+
+
+def test_torques_beside_currents_are_sensors_unless_computed_from_them(tmp_path: Path, motion: Any) -> None:
+    """They give the scale where no payload does, and this is said; a multiple of the currents is none."""
+    time, position, current = motion["empty"]
+    (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
+    rubbing = np.sign(np.gradient(position, axis=0)) * 0.6 * current.std(axis=0)
+    drafts = []
+    for name, torque in (("sensed", 50 * (current - rubbing)), ("computed", np.round(8 * current, 1))):
+        log = np.column_stack([time, position, current, torque])
+        head = "t,q_elbow,q_shoulder,motor_elbow,motor_shoulder,torque_elbow,torque_shoulder"
+        np.savetxt(tmp_path / f"{name}.csv", log, delimiter=",", header=head, comments="")
+        drafts.append(with_sensors(draft_logs([tmp_path / f"{name}.csv"], str(tmp_path / "arm.urdf"))))
+    sensed, computed = drafts
+    assert sensed.sensors == {"shoulder": "torque_shoulder", "elbow": "torque_elbow"}
+    said = [note.what for note in guesses(sensed, Path("e.yaml"))]
+    assert "torque_shoulder, torque_elbow are taken as torque sensors behind the gears, which give the scale" in said
+    assert (computed.sensors, set(computed.torques)) == ({}, {"shoulder", "elbow"})
+    (said,) = [note.what for note in guesses(computed, Path("e.yaml")) if note.what.startswith("torque_")]
+    assert said.endswith("are not used: they are a straight line of the currents, from which they may be computed")
+    weighed = draft_logs([tmp_path / "sensed.csv"], str(tmp_path / "arm.urdf"), masses={"sensed": 0.8})
+    assert with_sensors(weighed).sensors == {}
 
 
 def test_goals_alone_are_no_torques(tmp_path: Path, motion: Any) -> None:

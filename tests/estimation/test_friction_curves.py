@@ -13,6 +13,7 @@ from friction_logs import PLAIN, experiment, robot, run
 
 import gtau
 from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.selection import Structure
 from gtau.estimation.friction.stop import Follower, stop
 from gtau.estimation.pipeline import DEFAULT, estimate
 
@@ -123,3 +124,10 @@ def test_friction_of_curves_takes_energy_at_every_speed_and_load(result: gtau.Re
     yd, load = 20 * rng.normal(size=(model.layout.n_y, 300)), 200 * rng.normal(size=(2, 300))
     forces, speeds = (np.stack(each) for each in law.forces(np, values, yd, load))
     assert (forces * speeds >= 0).all()
+
+
+def test_the_first_width_is_a_width() -> None:
+    """Its number is 0, which is not none."""
+    assert Structure(width=0).has("width")
+    assert not Structure().has("width")
+    assert not Structure().has("load")

@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from gtau.estimation.friction.stop import stop
 from gtau.signals.decimation import Decimator, decimation_factor
-from gtau.signals.filters import cutoff_frequency, differentiate, filter_edge, low_pass, position_filter
+from gtau.signals.filters import (
+    cutoff_frequency,
+    differentiate,
+    filter_edge,
+    low_pass,
+    position_filter,
+    smooth_path,
+)
 
 
 def phasor(x: np.ndarray, time: np.ndarray, frequency: float) -> complex:
@@ -166,3 +174,25 @@ def test_what_the_mask_leaves_of_unusable_samples_weighs_little(factor: int) -> 
     far = np.abs(np.arange(n)[:, None] - decimator.instants(n)) > decimator.guard
     assert np.abs(np.where(far, outputs, 0.0)).sum(axis=0).max() < 0.02
     assert np.abs(np.where(far, outputs, 0.0)).sum(axis=0).min() > 0.0
+
+
+def test_a_smooth_path_turns_nowhere_but_where_the_joint_does(rng: np.random.Generator) -> None:
+    """A joint that stops at once rests there: a low-pass that swings would take its friction through a reversal."""
+    rate, cutoff, time = 500.0, 5.0, np.arange(2000) / 500.0
+    q = np.interp(time, [0, 1, 2, 3, 4], [0.0, 0.3, 0.3, 0.8, 0.8])[:, None]
+    path = smooth_path(q, rate, cutoff, 0, len(q))
+    assert (np.diff(path, axis=0) >= -1e-12).all()
+    swinging = low_pass(q, rate, cutoff)
+    resting, widths = (time > 1.4) & (time < 1.6), np.array([2e-3])
+    assert np.allclose(stop(path[:, 0], widths, np.zeros(1))[0, resting], 1.0)
+    assert (stop(swinging[:, 0], widths, np.zeros(1))[0, resting] < 0.6).all()
+
+
+def test_a_smooth_path_has_its_gain_and_no_phase_and_is_the_same_in_blocks() -> None:
+    rate, cutoff, time = 500.0, 5.0, np.arange(4000) / 500.0
+    q = np.sin(2 * np.pi * cutoff * time)[:, None]
+    path = smooth_path(q, rate, cutoff, 0, len(q))
+    np.testing.assert_allclose(path[1000:-1000], np.sqrt(0.5) * q[1000:-1000], atol=2e-4)
+    parts = [smooth_path(q, rate, cutoff, k, k + 1000) for k in range(0, 4000, 1000)]
+    np.testing.assert_allclose(np.concatenate(parts), path, atol=1e-12)
+    np.testing.assert_array_equal(smooth_path(q, rate, None, 5, 9), q[5:9])

@@ -24,8 +24,10 @@ def write_bag(
     """Write an MCAP bag of positions and efforts (N, n); the joints' names change their order now and then.
 
     Receipt is late by some ms, at random. ``urdf`` is in /robot_description, stamps are 0 unless ``stamped``. Efforts
-    that are ``apart`` are in an array of another topic, at half the rate; ``compression`` is one of rosbags' modes.
+    that are ``apart`` are in an array of another topic, at half the rate; ``compression`` is one of rosbags' modes, in
+    Zstandard, or ``LZ4`` of the chunks, which the MCAP tools of C++ and Go write.
     """
+    import lz4.frame
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -34,9 +36,11 @@ def write_bag(
     state, text, array = "sensor_msgs/msg/JointState", "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"
     layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
     bag = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    if compression != "NONE":
+    if compression not in ("NONE", "LZ4"):
         bag.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
     with bag:
+        if compression == "LZ4":
+            bag.storage.compression, bag.storage.compressor = "lz4", lz4.frame.compress
         states = bag.add_connection(TOPIC, state, typestore=store)
         currents = bag.add_connection("/motor_currents", array, typestore=store) if apart else None
         if urdf is not None:

@@ -40,7 +40,7 @@ def run(
     motion = model.motion(*(np.ascontiguousarray(each.T) for each in (q, qd, qdd)))
     load = model.torques(q, qd, qdd, chi)
     law = FrictionLaw(model, {}, shapes)
-    tau = load + law.torques(motion, PLAIN | dict(values), load.T, law.followers()(time, motion)).T
+    tau = load + law.torques(motion, PLAIN | dict(values), load.T, law.followers(lambda _: q.T)(time)).T
     current = tau / GAINS + noise * np.random.default_rng(seed + 1000).normal(size=tau.shape)
     made = Run(name, JOINTS, time, q, current)
     return replace(made, payload=Payload(name="steel", mass=STEEL["m"])) if loaded else made

@@ -35,7 +35,8 @@ RobotOfLogs = Annotated[
     typer.Option(
         "--robot",
         metavar="ROBOT",
-        help="With logs: name in the catalog, or path of a robot file; default: /robot_description of a bag.",
+        help="With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
+        "/robot_description of a bag.",
         show_default=False,
     ),
 ]
@@ -58,9 +59,24 @@ KindOfLogs = Annotated[
     ),
 ]
 
+PresetOfLogs = Annotated[
+    str | None,
+    typer.Option(
+        "--preset",
+        metavar="PRESET",
+        help="With logs: whose they are (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).",
+        show_default=False,
+    ),
+]
+
 
 def experiment_of(
-    sources: list[Path], robot: str | None, payloads: list[str] | None, kind: Commands | None, folder: Path
+    sources: list[Path],
+    robot: str | None,
+    payloads: list[str] | None,
+    kind: Commands | None,
+    preset: str | None,
+    folder: Path,
 ) -> tuple[Path, tuple[Note, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
 
@@ -69,16 +85,19 @@ def experiment_of(
     GtauError
         Experiment files are mixed with logs, or the logs cannot be drafted without a question.
     """
+    stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
     if len(sources) == 1 and not _is_log(sources[0]):
-        if given := [f"--{name}" for name, value in (("robot", robot), ("payload", payloads), ("kind", kind)) if value]:
+        if given := [f"--{name}" for name, value in stated.items() if value]:
             raise GtauError(f"{given[0]} is for logs; an experiment file says this itself, so leave it out.")
         return sources[0], ()
     if others := [each for each in sources if each.suffix in (".yaml", ".yml") or kind_of(each) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give it alone, or logs without it.")
     from gtau.signals.draft_file import guesses
-    from gtau.signals.drafting import draft_logs, write_draft
+    from gtau.signals.drafting import draft_logs, with_sensors, write_draft
 
-    draft = draft_logs(sources, robot, masses=_masses(payloads or []), kind=None if kind is None else kind.value)
+    masses = _masses(payloads or [])
+    drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
+    draft = with_sensors(drafted)
     if draft.robot is None:
         raise GtauError(
             f"{sources[0]} does not say of which robot it is; give it (--robot ROBOT), a name of the catalog (gtau "

@@ -76,7 +76,7 @@ def observed(
     middle, qd = (q[1:] + q[:-1]) / 2, np.diff(q, axis=0) / h[:, None]
     path = np.vstack([q[:1], middle]).T
     motion = result.model.motion(path, 0 * path, 0 * path)
-    states = np.vstack([motion.c, result.friction_law.followers()(time, motion)])
+    states = np.vstack([motion.c, result.friction_law.followers(lambda _: path)(time)])
     given = ca.DM(states[:, 1:]), ca.DM(qd.T), ca.DM.zeros(*qd.T.shape), ca.DM(values)
     momentum, drift = (np.array(made[each](*given)).reshape(-1, len(qd), order="F").T for each in OBSERVED)
     push = (torque[1:] + torque[:-1]) / 2 + drift

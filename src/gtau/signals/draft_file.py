@@ -23,8 +23,11 @@ UNSURE = {
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
     "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
     "clock": "confirm the time column, as others grow, too",
+    "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
     "received": "messages without stamps of measurement have those of receipt, with the jitter of the middleware",
     "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
+    "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
+    "(--payload LOG=KG)",
     "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
     "(docs/lookup/experiment-file.md, 'A base that floats')",
     "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a base that "
@@ -61,7 +64,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     matched = why.get("position", "")
     lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
     found = why.get("velocity", "")
-    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference") if key in draft.open), "")
+    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference", "gravity") if key in draft.open), "")
     lines += _by_joint(draft.kind, draft.command, doubt)
     if draft.temperature is not None:
         lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
@@ -82,7 +85,8 @@ def draft_text(draft: Draft, folder: Path) -> str:
             "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies').",
         ]
     if draft.sensors:
-        lines += _by_joint("joint_torque", draft.sensors, "sensors behind the gears, by their names")
+        doubt = CHECK + UNSURE["sensors"] if "sensors" in draft.open else "sensors behind the gears, by their names"
+        lines += _by_joint("joint_torque", draft.sensors, doubt)
     if draft.torques:
         lines.append(
             f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
@@ -121,9 +125,13 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
         "velocities": f"the sampling rate is taken as {draft.rate or 0:g} Hz",
         "kind": f"{first} are taken as {draft.kind}s",
         "motor": f"{first} are taken as currents",
+        "gravity": f"{first} are taken as torques without gravity",
         "clock": f"the time is {' and '.join(draft.time)}, and other columns grow, too",
         "received": f"time is {draft.reasons.get('received', '')}, the stamps of receipt",
-        "torques": f"{_first(tuple(draft.torques.values()))} are not used",
+        "torques": f"{_first(tuple(draft.torques.values()))} are not used"
+        + (f": they are {draft.reasons['torques']}" if "torques" in draft.reasons else ""),
+        "sensors": f"{_first(tuple(draft.sensors.values()))} are taken as torque sensors behind the gears, "
+        "which give the scale",
         "base": f"{_first(draft.motion)} are not used, as the base is taken as fixed",
         "wrenches": f"{_first(draft.wrenches)} are not used, as if nothing touched the robot",
         "reference": f"{first} are references and not measured",
@@ -166,6 +174,8 @@ def _robot(draft: Draft, folder: Path) -> Any:
     path = Path(draft.robot)
     file = _relative(path, folder) if draft.urdf is None and path.exists() else draft.robot
     more = {"base": draft.base} if draft.base is not None else {}
+    if not draft.gravity:
+        more["gravity"] = [0, 0, 0]
     if draft.moving:
         more["joints"] = list(draft.moving)
     return {"file": file} | more if more else file

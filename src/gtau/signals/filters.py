@@ -57,6 +57,24 @@ def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     return sosfiltfilt(sos, x, axis=0, padlen=min(len(x) - 1, filter_edge(rate, cutoff)))
 
 
+def smooth_path(position: np.ndarray, rate: float, cutoff: float | None, start: int, stop: int) -> np.ndarray:
+    """Smooth some samples of positions by a Gaussian, with a gain of 1 / sqrt(2) at the cut-off.
+
+    Its weights are positive, so that a path turns nowhere but where the logged one does. That of :func:`low_pass`
+    swings where a joint stops, on a UR10e by 1.4e-4 rad, twice the width of its presliding.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    if cutoff is None:
+        return block(position, start, stop)
+    spread = np.sqrt(np.log(2)) / (2 * np.pi) * rate / cutoff  # samples
+    radius = ceil(4 * spread)
+    begin = max(0, start - radius)
+    x = block(position, begin, min(len(position), stop + radius))
+    smooth: np.ndarray = gaussian_filter1d(x, spread, axis=0, mode="nearest", radius=radius)
+    return smooth[start - begin : stop - begin]
+
+
 def filter_edge(rate: float, cutoff: float | None) -> int:
     """Count samples at either end of a log on which its unknown past or future acts by more than 1e-3."""
     return STENCIL + (0 if cutoff is None else ceil(EDGE * rate / cutoff))

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.checks import LARGEST_RATE, LEAST_RATE
-from gtau.signals.column_names import ColumnName, parse_column_name
+from gtau.signals.column_names import ColumnName, parse_column_name, parse_item
 from gtau.signals.formats.table import Table
 from gtau.signals.log_file import find_columns, read_log
 
@@ -66,7 +66,11 @@ class LogContents:
         """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
         table = find_columns(path)
         joints = robot.actuated if robot else ()
-        names = [parse_column_name(name, joints) for name in table.columns if name and table.columns.count(name) == 1]
+        names = [
+            parse_item(name, table.labels[name], joints) if name in table.labels else parse_column_name(name, joints)
+            for name in table.columns
+            if name and table.columns.count(name) == 1
+        ]
         if table.numbered:
             return _numbered(path, table, len(joints))
         groups = _grouped(names)

@@ -17,6 +17,7 @@ from gtau.signals.filters import (
     differentiate,
     filter_edge,
     position_filter,
+    smooth_path,
 )
 from gtau.signals.notes import Kind, Note
 from gtau.signals.run import Run
@@ -141,6 +142,11 @@ class PreparedRun:
         """Mark where speeds and accelerations rest on good samples only, (M, n), for the samples of :meth:`samples`."""
         at = self.kept[start:stop]
         return valid_samples(self.run, self.preparation, at.start, at.stop)
+
+    def path(self, time: np.ndarray) -> np.ndarray:
+        """Return positions (n, N) at consecutive samples, given by their times, with no turns that the log lacks."""
+        start = int(np.searchsorted(self.run.time, time[0]))
+        return smooth_path(self.run.position, self.run.rate, self.preparation.cutoff, start, start + len(time)).T
 
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
         """Prepare samples from ``start`` to before ``stop`` of those that are used, their neighbours included."""

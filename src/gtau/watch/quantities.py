@@ -124,10 +124,10 @@ def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
     decimator, n = preparation.at(run.rate).decimator, len(idm.actuated)
     chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
     load, law = np.array(carried(np, base.standard, chi)), model.friction_law
-    states = law.followers()
+    states = law.followers(prepared.path)
 
     def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        return law.torques(motion, friction_values(model, chi, run, at), effort, states(at, motion))
+        return law.torques(motion, friction_values(model, chi, run, at), effort, states(at))
 
     quantities, sigma = quantities_of(model), _sigma(model)
     places = _Places.of(model, quantities)

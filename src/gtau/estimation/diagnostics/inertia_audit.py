@@ -23,16 +23,13 @@ from gtau.estimation.regression.file_inertias import inertia_priors, sizes_of, s
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds.inertias import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DRIVE, INERTIAL
 from gtau.robots.units import unit_of
 
 ROTORS = "the rotor inertias"
 Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]
-CHANCE = 0.05  # that a file which is right has any parameter contradicted: all are tested together
-EXPLAINED = 0.95  # of the torque variance that the file's inertias add: links are named until they explain this much
-"""A link whose mass is 30 % wrong explains all of it (tests/estimation/test_inertia_audit.py); UR10e's URDF takes two
-links, the Panda of MuJoCo Menagerie its rotors and two links, and the rest there is the data's noise."""
 
 
 @dataclass(frozen=True)
@@ -277,7 +274,7 @@ def _parameters(
             z = (value - float(file[place])) / float(np.hypot(std, spread[place]))
             tested.append((k, replace(each, z=z), nu))
     for _, each, nu in tested:
-        limit = float(stdtrit(nu, 1 - CHANCE / (2 * len(tested))))
+        limit = float(stdtrit(nu, 1 - INERTIA_CHANCE / (2 * len(tested))))
         standing: Standing = "contradicted" if abs(each.z or 0.0) > limit else "agrees"
         found[each.name] = replace(each, standing=standing)
     return list(found.values())
@@ -297,7 +294,7 @@ def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> li
     # rotor inertias that the file leaves open adapt to any change of links
     freed = base.matrix[:, [k for k, name in enumerate(names) if name[:3] == "ia_" and name not in stated]]
     least, total = float(torque @ torque), float(torque @ torque)
-    while len(found) < len(bodies) and least > (1 - EXPLAINED) * total:
+    while len(found) < len(bodies) and least > (1 - INERTIA_EXPLAINED) * total:
         tried = {body: _freed(rows, torque, np.hstack([freed, G])) for body, G in _left(bodies, found)}
         body = min(tried, key=lambda name: tried[name][0])
         least, change = tried[body]

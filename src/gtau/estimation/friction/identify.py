@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw, Shape
-from gtau.estimation.friction.normal_equations import Group, normal_equations
+from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations
 from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, Trial, choose, shape_values, with_shapes
 from gtau.estimation.friction.sites import sites_of
 
@@ -80,12 +80,13 @@ def identify_friction(fit: Fit, covariance: np.ndarray) -> FrictionStep:
     sites = sites_of(fit.dataset, law)
     found: list[IdentifiedFriction] = []
     errors: dict[str, tuple[float, float]] = {}
-    for group in normal_equations(fit, law, sites):
+    of_rows = normal_equations(fit, law, sites)  # behind whose filter errors are stated
+    for group, rows in zip(normal_equations(fit, law, sites, FINER), of_rows, strict=True):
         if len(group.G):
             chosen = choose(group)
             found += _of_group(group, chosen, _fixed(fit, covariance))
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
-            errors |= dict(zip(motors, _errors(group, chosen.trial), strict=True))
+            errors |= dict(zip(motors, _errors(rows, chosen.trial), strict=True))
     order = {site.joint: k for k, site in enumerate(sites)}
     return FrictionStep(tuple(sorted(found, key=lambda each: order[each.joint])), errors)
 

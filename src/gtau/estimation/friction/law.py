@@ -86,13 +86,13 @@ class FrictionLaw:
         joints = self.model.robot.joints
         return np.array([self.shapes[joints[row].name].width for row in self.states], dtype=float)
 
-    def followers(self) -> Callable[[np.ndarray, Motion], np.ndarray]:
-        """Make what follows a run that comes in blocks: from times (N,) and the motion to the states z (s, N)."""
-        actuated, rows = self.model.layout.actuated, self.states
+    def followers(self, path: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+        """Make what follows a run that comes in blocks: from times (N,) to states z (s, N), by actuated positions."""
+        rows = self.states
         elements = [Follower(np.array([width])) for width in self.widths]
 
-        def follow(time: np.ndarray, motion: Motion) -> np.ndarray:
-            paths = self.ratios[list(rows)] @ motion.c[actuated]
+        def follow(time: np.ndarray) -> np.ndarray:
+            paths = self.ratios[list(rows)] @ path(time)
             found = [element(time, path)[0] for element, path in zip(elements, paths, strict=True)]
             return np.reshape(found, (len(rows), len(time)))
 

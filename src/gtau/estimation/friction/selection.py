@@ -14,6 +14,7 @@ from gtau.estimation.thresholds.friction import TERM_SHARE, TERM_T
 FEWEST_BLOCKS = 6
 KINDS = ("width", "speed", "load", "warm")
 STEPS = 6
+SLOW = 2  # number of the speed, 0.03 of the rms speed, up to which bending may be gradual presliding
 TILT = 0.01  # of the way to the next width or speed tried, for derivatives
 WORDS = {"width": "presliding", "speed": "bent", "load": "load", "warm": "temperature"}
 
@@ -45,7 +46,8 @@ class Structure:
 
     def has(self, kind: str) -> bool:
         """Whether it has something of a kind."""
-        return getattr(self, kind) not in (None, False)
+        value = getattr(self, kind)
+        return value is not None and value is not False  # the first of the widths has the number 0
 
     def columns(self, site: Site) -> dict[str, dict[str, float]]:
         """Combine the site's columns to those of its parameters, of which all but some are not negative.
@@ -227,7 +229,10 @@ def _beyond(group: Group, after: Trial, s: int) -> bool:
 
     Presliding of real joints, of LuGre's and of generalized Maxwell slip, turns into sliding gradually, while the joint
     is slow still. One stop turns at once, and friction that bends below a hundredth of the rms speed made up for it.
+    Faster ones are not asked: on motor 6 of a TX40 one takes the error of unused samples from 16.0 to 10.4 %.
     """
+    if (after.structures[s].speed or 0.0) > SLOW:
+        return True
 
     def gradual(speed: float | None) -> Trial:
         of_site = replace(after.structures[s], speed=speed, gradual=True)

@@ -103,13 +103,13 @@ def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
 class Columns:
     """The columns of sites along a run that comes in blocks."""
 
-    def __init__(self, sites: Sequence[Site], actuated: np.ndarray, dataset: Dataset, run: int) -> None:
-        self._sites, self._actuated, self._dataset, self._run = sites, actuated, dataset, run
+    def __init__(self, sites: Sequence[Site], dataset: Dataset, run: int) -> None:
+        self._sites, self._dataset, self._run = sites, dataset, run
         self._followers = [Follower(site.widths) for site in sites]
 
     def __call__(self, time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
         """Build the columns (., N) of all sites, and then their |speeds| (sites, N), at a block of samples."""
-        q, found, speeds = motion.c[self._actuated], [], []
+        q, found, speeds = self._dataset.prepared[self._run].path(time), [], []
         for site, follow in zip(self._sites, self._followers, strict=True):
             v = motion.yd[site.row]
             load = 0.0 if site.motor is None else effort[site.motor] / site.ratios[site.motor]

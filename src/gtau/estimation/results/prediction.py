@@ -57,11 +57,12 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     regressor, gains = model.columns(base.standard), result.gains
     delays = np.array([[result.delays[joint].value] for joint in model.actuated])
-    load, law, states = np.array(carried(np, base.standard, chi)), result.friction_law, result.friction_law.followers()
+    load, law = np.array(carried(np, base.standard, chi)), result.friction_law
+    states = law.followers(prepared.path)
     check_temperature_unit(result, run)
 
     def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        return law.torques(motion, friction_values(result, chi, run, at), effort, states(at, motion))
+        return law.torques(motion, friction_values(result, chi, run, at), effort, states(at))
 
     predicted, measured, rubbing = [], [], []
     for part in stream_torques(model, regressor, prepared, decimator, load, friction):

@@ -32,7 +32,8 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     Parameters
     ----------
     source : str, Path or RobotSource
-        A name of the catalog, or the path of a file, recognised by its ending: a robot file (``.yaml``, ``.yml``), a
+        A name of the catalog, one of the package robot_descriptions where that is installed and has the file on disk
+        (``panda_description``), or the path of a file, recognised by its ending: a robot file (``.yaml``, ``.yml``), a
         URDF (``.urdf``) with its loops in a YAML file of the same name beside it, or that YAML file, or the folder of
         both where they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a parameter file of OpenSYMORO (``.par``), or
         a table of MDH parameters (``.csv``). A ``RobotSource`` also says how its base stands and which joints move.
@@ -68,6 +69,7 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
                 robot = _mounted(robot, source.base.rpy)
         robot = select_joints(robot, source.joints, source.held) if source.joints or source.held else robot
         robot = _limited(robot, source.limits)
+        robot = robot if source.gravity is None else replace(robot, gravity=source.gravity)
         if source.base is None and not robot.floating and (six := drawn_base(robot)):
             raise GtauError(f"{listed(six)} have no motor and carry the rest, as a base that floats; {BASE_ADVICE}.")
         return robot
@@ -127,6 +129,10 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
             raise GtauError(f"{path} is a xacro file; expand it with 'xacro {path.name} > {path.stem}.urdf' first.")
         case _ if path.is_file():
             raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of its format.")
+    from gtau.robots.readers.robot_descriptions import described_file
+
+    if (described := described_file(str(source))) is not None:
+        return _read(described, base)
     close = get_close_matches(str(source), catalog_names(), n=1)
     hint = f" (did you mean '{close[0]}'?)" if close else ""
     raise GtauError(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gtau.signals.formats.columnar import open_feather, open_parquet
 from gtau.signals.formats.hdf5 import open_hdf5
+from gtau.signals.formats.lerobot import INFO
 from gtau.signals.formats.mat import open_mat
 from gtau.signals.formats.npz import open_npz
 from gtau.signals.formats.rosbag import open_rosbag
@@ -37,8 +38,8 @@ def open_table(path: Path) -> Table:
 
 
 def is_log_folder(path: Path) -> bool:
-    """Decide whether a folder is one log: a rosbag2, or Parquet files."""
-    return (path / "metadata.yaml").is_file() or any(path.glob("*.parquet"))
+    """Decide whether a folder is one log: a rosbag2, Parquet files, or a LeRobot data set."""
+    return any((path / each).is_file() for each in ("metadata.yaml", INFO)) or any(path.glob("*.parquet"))
 
 
 def is_rosbag(path: Path) -> bool:

@@ -1,7 +1,8 @@
 """Parquet files, folders of them, and Feather files (Arrow IPC), by Polars.
 
 A column of lists of numbers, such as ``observation.state`` of LeRobot, gives columns ``observation.state[1]`` and so
-on; rows of another ``episode_index`` are another episode.
+on; rows of another ``episode_index`` are another episode. ``meta/info.json`` of its data set says which joints these
+are.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
+from gtau.signals.formats.lerobot import data_set_of
 from gtau.signals.formats.table import WIDEST, Table
 from gtau.signals.storage import sizes
 
@@ -24,6 +26,8 @@ EPISODE = "episode_index"
 def open_parquet(path: Path) -> Table:
     """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
 
+    The folder may be that of a LeRobot data set.
+
     Raises
     ------
     GtauError
@@ -31,7 +35,9 @@ def open_parquet(path: Path) -> Table:
     """
     import polars as pl
 
-    parts = in_order(path.glob("*.parquet")) if path.is_dir() else [path]
+    parts = [path]
+    if path.is_dir():
+        parts = in_order(path.glob("*.parquet")) or in_order(path.glob("data/*/*.parquet"))
     if not parts:
         raise GtauError(f"the folder {path} holds no .parquet files; give a log as CSV or as .parquet.")
     return _table(path, parts, pl.scan_parquet, "Parquet")
@@ -71,7 +77,15 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
                 yield frame, (first + stop) / sum(lengths)
             first += length
 
-    return Table(tuple(columns), frames, unusable=_unusable(schema), episodes=episodes)
+    found = data_set_of(path)
+    labels = {
+        f"{feature}[{k + 1}]": f"{feature}/{name}"
+        for feature, names in found.names.items()
+        if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
+        for k, name in enumerate(names)
+    }
+    unusable = _unusable(schema)
+    return Table(tuple(columns), frames, unusable=unusable, episodes=episodes, labels=labels, rate=found.rate)
 
 
 def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:

@@ -28,7 +28,8 @@ class Table:
     log that is then read. Row 0 is in ``first_line`` of a text file; other logs have rows, counted from 1.
     ``numbered``: the log has no header, and its columns are named by their number. ``notes`` report what the reader
     left out; ``unusable`` says of columns that hold no numbers what to do. ``episodes`` are the rows of each, by its
-    number, where the log is of several.
+    number, where the log is of several. ``labels`` say what columns are whose names do not, and ``rate`` (Hz) how
+    often its rows were recorded, where files beside the log do.
     """
 
     columns: tuple[str, ...]
@@ -39,6 +40,8 @@ class Table:
     notes: tuple[Note, ...] = ()
     unusable: Mapping[str, str] = field(default_factory=dict)
     episodes: Mapping[int, range] = field(default_factory=dict)
+    labels: Mapping[str, str] = field(default_factory=dict)
+    rate: float | None = None
 
 
 @contextmanager
