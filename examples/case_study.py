@@ -121,9 +121,9 @@ The differences, point by point:
   = -5.57`, a propelling friction, opposite to `fv_21R = 5.57`: at the ratio 10, kept parameters absorb the effects of
   cancelled ones. Our plant has small passive frictions, equal in the three legs, and the identification recovers them.
 - **The set.** Ours is selected by the Bayesian information criterion. Kept parameters absorb the effects of
-  cancelled ones, so the standard deviations listed are those with all parameters. Above 100 %, only a sum with cancelled
-  parameters is identifiable, although the torque needs the term. The paper's rule (`--ratio 10`) sets cancelled
-  parameters to zero and compares each one with the most accurate; with our smaller standard deviations it would
+  cancelled ones, so the standard deviations listed are those with all parameters. Above 100 %, only a sum with
+  cancelled parameters is identifiable, although the torque needs the term. The paper's rule (`--ratio 10`) sets
+  cancelled parameters to zero and compares each one with the most accurate; with our smaller standard deviations it would
   cancel even `m_PR`, and `m_11R` would absorb its kilogram.
 """
 PAYLOAD_NOTES = """\
@@ -134,9 +134,9 @@ because the simulated robot is ideal in other respects.
 TABLE_4_NOTES = """\
 The differences, point by point:
 
-- **Simple and advanced PID.** The errors have the paper's size: a PID with three poles at 100 rad/s lags by about `3 qdd
-  / w^2`, and velocity feedforward leaves only the error due to jerk. On trajectory 2 the paper's errors are twice
-  ours, so its trajectory, which is not published, accelerates about twice as much.
+- **Simple and advanced PID.** The errors have the paper's size: a PID with three poles at 100 rad/s lags by about
+  `3 qdd / w^2`, and velocity feedforward leaves only the error due to jerk. On trajectory 2 the paper's errors are
+  twice ours, so its trajectory, which is not published, accelerates about twice as much.
 - **Computed torque.** Our errors are some micrometres, the paper's 60 to 150, so computed torque improves on the
   simple PID by a factor of hundreds instead of 30. The model does not explain the paper's remaining error: a velocity
   measured 1 ms later than the one fed forward would alone cause `3 w (1 ms) qdd / (3 w^2)`, 70 micrometres rms here.
