@@ -123,8 +123,8 @@ The differences, point by point:
 - **The set.** Ours is selected by the Bayesian information criterion. Kept parameters absorb the effects of
   cancelled ones, so the standard deviations listed are those with all parameters. Above 100 %, only a sum with
   cancelled parameters is identifiable, although the torque needs the term. The paper's rule (`--ratio 10`) sets
-  cancelled parameters to zero and compares each one with the most accurate; with our smaller standard deviations it would
-  cancel even `m_PR`, and `m_11R` would absorb its kilogram.
+  cancelled parameters to zero and compares each one with the most accurate; with our smaller standard deviations it
+  would cancel even `m_PR`, and `m_11R` would absorb its kilogram.
 """
 PAYLOAD_NOTES = """\
 With the manufacturer's gains the payload comes out too light by the same factor as the gains, as in the paper's case
