@@ -64,9 +64,7 @@ def test_a_placeholder_for_the_limit_of_speed_is_a_note_and_another_clock_refuse
     slow = limited(Limits(velocity=0.01))
     (note,) = prepared(slow, run).notes
     assert "times its limit of 0.01 rad/s" in note.what
-    assert note.action.startswith(
-        "check columns and units; where the limit is a placeholder, write its own under 'robot'"
-    )
+    assert note.action.startswith("check columns and units; if the limit is a placeholder, state the real one under 'robot'")
     assert note.action.endswith("({file: ..., limits: {left: ...}})")
     with pytest.raises(GtauError, match=r"which no robot has; correct the unit of the time"):
         prepared(slow, replace(run, time=run.time / 1000))

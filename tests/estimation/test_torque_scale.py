@@ -28,8 +28,8 @@ from gtau.signals.run import Run, read_run
 ROBOT = five_bar().robot
 KNOWN = Payload(name="steel", mass=STEEL["m"])
 UNTESTED = (
-    "The logs hold torques, taken as true: their scale was not tested. A run with a payload of known mass, beside one "
-    "without, tests it."
+    "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a payload "
+    "of known mass and one without."
 )
 
 

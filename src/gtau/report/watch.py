@@ -61,6 +61,8 @@ KINDS = {
     "rms": "residual, logarithm",
 }
 STRONGEST = 12  # charts on a terminal
+HEALTHY = 0.95  # probability of the bands of :meth:`Baseline.bands`
+BY_CHANCE = 1e-3  # of as many charts outside their bands, independent ones; the words are a hint, not an alarm
 
 
 def explained_words(each: Explained) -> str:
@@ -121,7 +123,33 @@ def verdict_text(watch: Watch, entry: Entry | None) -> Text:
             (promise, SAFETY),
             "neutral",
         )
-    return Text(f"No change since the baseline, {watch.count} logs.", (promise, SAFETY), "good")
+    return Text(_without_alarm(watch, entry), (promise, SAFETY), "neutral" if _outside(watch, entry) else "good")
+
+
+def _without_alarm(watch: Watch, entry: Entry) -> str:
+    outside = _outside(watch, entry)
+    if not outside:
+        return f"No change since the baseline, {watch.count} logs."
+    return (
+        f"No alarm yet: {len(outside)} of {len(entry.values)} charts of the last log are outside their healthy range, "
+        f"{outside[0]} the furthest. At this rate of false alarms that is not enough evidence; record another log."
+    )
+
+
+def _outside(watch: Watch, entry: Entry) -> list[str]:
+    """List the charts of a log outside their healthy 95 % bands, the furthest first; none if chance explains them."""
+    from scipy.stats import binom
+
+    baseline = watch.baseline
+    low, high = baseline.bands(HEALTHY)
+    place = {name: k for k, name in enumerate(watch.names)}
+    distances = {
+        name: abs(value - baseline.mean[place[name]]) / (high - low)[place[name]]
+        for name, value in entry.values.items()
+        if np.isfinite(low[place[name]])
+    }
+    outside = sorted((name for name, each in distances.items() if each > 0.5), key=lambda name: -distances[name])
+    return outside if binom.sf(len(outside) - 1, len(distances), 1 - HEALTHY) < BY_CHANCE else []
 
 
 def watch_page(watch: Watch, last: Status | None, count: int | None = STRONGEST) -> Page:
@@ -140,7 +168,7 @@ def watch_page(watch: Watch, last: Status | None, count: int | None = STRONGEST)
 
 
 def _table(last: Status, count: int | None) -> Table:
-    low, high = last.baseline.bands()
+    low, high = last.baseline.bands(HEALTHY)
     columns = (
         Column("chart", Kind.NAME),
         Column("this log", Kind.SPREAD, 3),
@@ -196,7 +224,7 @@ def watch_report(watch: Watch, last: Status | None, entries: Sequence[Entry]) ->
         joint = name.partition("_")[2]
         groups.setdefault("payload" if joint == "load" else joint, []).append(name)
     baseline = watch.baseline
-    low, high = baseline.bands()
+    low, high = baseline.bands(HEALTHY)
     place = {name: k for k, name in enumerate(watch.names)}
     resets = [k for k, entry in enumerate(entries) if entry.begins]
     alarms = [k for k, entry in enumerate(entries) if entry.alarm is not None and not _alarmed(entries, k - 1)]

@@ -69,7 +69,7 @@ def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
         return []
     listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))
     return [
-        f"friction depends on the temperature, which these logs do not have; it is taken at the reference ({listed} "
+        f"friction depends on the temperature, which these logs lack; the reference is assumed ({listed} "
         f"{warm.unit}); add 'temperature' to the signals"
     ]
 
@@ -86,8 +86,8 @@ def near_singularities(nearest: Iterable[NearestPose]) -> list[Note]:
     return [
         Note(
             Kind.SINGULARITY,
-            f"the motion comes as near as {each.distance:.2g} to a singularity of type 2 at {each.time:.4g} s, where "
-            "errors of position and geometry are magnified",
+            f"the motion passes within {each.distance:.2g} of a type 2 singularity at {each.time:.4g} s, where errors "
+            f"of position and geometry are amplified",
             "keep the motion away from that pose",
             source=each.run,
             time=each.time,

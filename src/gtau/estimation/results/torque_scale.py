@@ -77,8 +77,8 @@ def torque_headline(result: IdentifiedModel) -> str:
         if any(gain.value != 1 for gain in result.drive_gains.values()):
             return "The torque scales were given, not identified."
         return (
-            "The logs hold torques, taken as true: their scale was not tested. A run with a payload of known mass, "
-            "beside one without, tests it."
+            "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a "
+            "payload of known mass and one without."
         )
     return " ".join(_sentences(scales))
 
