@@ -74,7 +74,7 @@ def test_the_correction_is_written_with_intervals(wrong: Result) -> None:
 def test_true_torques_are_said_to_be_consistent_with_1() -> None:
     found = identify(ROBOT, torques((1.0, 1.0)))
     assert [each.state for each in torque_scales(found)] == ["consistent with 1"] * 2
-    assert headline(found).startswith("The torque scale of every joint is consistent with 1, known to within")
+    assert headline(found).startswith("The torque scales of all joints are consistent with 1, known to within")
 
 
 def test_without_a_scale_torques_are_taken_as_true_and_said_to_be_untested() -> None:

@@ -1,4 +1,4 @@
-"""The demo's Orthoglide, down to every standard parameter, with drives of known gain; and the files that describe it.
+"""The Orthoglide of the demo: its true standard parameters, drives of known gain, and files.
 
 The sums that can be identified (paper, Table 3) are the paper's; how they are shared out among the bodies is ours,
 from the dimensions of such a machine.

@@ -1,4 +1,4 @@
-"""The same plant by MuJoCo, which shares no equations with the estimator: closures are its equality constraints.
+"""Simulate the plant in MuJoCo, which shares no equations with the estimator.
 
 Viscous friction and rotor inertia are MuJoCo's damping and armature; all other friction is applied as in
 :mod:`gtau.simulation.plant`, anew in every step. MuJoCo's constraints give way a little.

@@ -49,7 +49,7 @@ class Status:
 class Watch:
     """A watched robot: feed it finished logs, oldest first, and it says whether the robot has changed.
 
-    It is no safety function: it finds wear and mistakes between logs, it protects nobody.
+    This is not a safety function: it detects wear and mistakes between logs and protects nobody.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Watch:
         logs_per_year: float = 365.0,
     ):
         if baseline < FEWEST:
-            raise GtauError(f"a baseline of {baseline} logs is too short; give at least {FEWEST} healthy logs.")
+            raise GtauError(f"a baseline of {baseline} logs is too short; use at least {FEWEST} healthy logs.")
         if not (false_alarms_per_year > 0 and robots >= 1 and logs_per_year > 0):
             raise GtauError("false alarms per year, robots and logs per year are positive numbers; correct them.")
         self.model = model

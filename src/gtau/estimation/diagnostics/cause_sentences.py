@@ -1,4 +1,4 @@
-"""The words for what the model may lack or the description have wrong: its name as a cause, and advice."""
+"""Names and advice for causes: effects that the model may lack, errors in the description."""
 
 from __future__ import annotations
 

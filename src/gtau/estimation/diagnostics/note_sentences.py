@@ -1,4 +1,4 @@
-"""The words for what is noted beside the verdicts: of the data, the fit and the parameters."""
+"""Sentences for notes beside the verdicts: on data, fit and parameters."""
 
 from __future__ import annotations
 

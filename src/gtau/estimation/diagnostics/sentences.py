@@ -1,4 +1,4 @@
-"""The words for every kind of finding: reason and advice. No other module writes them, and none reads them."""
+"""Sentences for every kind of finding: reason and advice. No other module writes or parses them."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
     unit = "rad" if joint.kind == "revolute" else "m"
     other = "deg" if joint.kind == "revolute" else "mm"
     repair = (
-        f"if the log is in {other} say so under 'units', else check the columns and the time, or "
+        f"if the log is in {other}, write that under 'units'; otherwise check the columns and the time, or "
         f"{write_limits(joint.name)}."
     )
     if joint.limits.position is not None:

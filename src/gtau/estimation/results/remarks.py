@@ -1,4 +1,4 @@
-"""What is not good beside the gains, as notes that both ``gtau identify`` and ``gtau check`` print."""
+"""Notes beside the gains, printed by both ``gtau identify`` and ``gtau check``."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def remarks(result: IdentifiedModel) -> list[Note]:
 
 
 def sums_with_mass(payload: PayloadEstimate) -> list[str]:
-    """List what is known of a payload whose mass is not identifiable: sums that hold it, as ``my - 0.1445 m``."""
+    """List the identifiable sums that contain a payload mass which is not identifiable, as ``my - 0.1445 m``."""
     kinds = FIRST_MOMENTS if set(FIRST_MOMENTS) & set(payload.parameters) else tuple(payload.parameters)
     regroupings = [payload.parameters[kind].regrouping for kind in kinds if kind in payload.parameters]
     return [each.replace("+ -", "- ") for each in regroupings if each.split()[-1] == "m"]
