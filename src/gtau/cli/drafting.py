@@ -97,8 +97,8 @@ def experiment_of(
     from gtau.signals.drafting import draft_logs, with_sensors, write_draft
 
     masses = _masses(payloads or [])
-    said = None if kind is None else kind.value
-    draft = with_sensors(draft_logs(sources, robot, masses=masses, kind=said, preset=preset))
+    drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
+    draft = with_sensors(drafted)
     if draft.robot is None:
         raise GtauError(
             f"{sources[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "

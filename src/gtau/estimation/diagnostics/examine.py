@@ -128,7 +128,8 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
     asked = lack > LACKING and gravity_asked_for(fit, alternatives)
-    missing = missing_gravity(fit, asked)
+    late = late_currents(fit.dataset, fit.system.problem.slowest)
+    missing = None if late else missing_gravity(fit, asked)
     if isinstance(missing, Finding):
         untested, missing = (*untested, missing), None
     if missing is None and asked:
@@ -142,8 +143,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     ripple = PositionRipple.none(fit) if scaled or turned or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
-    swapped += late_currents(fit.dataset, fit.system.problem.slowest)
-    return Examination(lack, weighed, ripple, swapped, untested)
+    return Examination(lack, weighed, ripple, swapped + late, untested)
 
 
 def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:

@@ -17,7 +17,7 @@ from gtau.estimation.diagnostics.gain_checks import half_widths
 from gtau.estimation.diagnostics.hypotheses.hypothesis import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.torques import FRICTIONLESS, GEARED, LIMIT_SHARE, MODEL_RESIDUAL, STEPS
+from gtau.estimation.thresholds.torques import FRICTIONLESS, GEARED, LIMIT_SHARE, MODEL_RESIDUAL, STEPS, WHOLE
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
@@ -27,13 +27,13 @@ from gtau.signals.storage import block, spans
 def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     """Find commands that are whole numbers, and torques far below all limits of effort, in all ``runs``."""
     n, kind = len(runs[0].joints), runs[0].kind
-    whole, peaks = True, np.zeros(n)
+    whole, values, peaks = 0, 0, np.zeros(n)
     for run in runs:
         for span in spans(len(run.time)):
             command = block(run.command, *span)[:, :n]
-            whole = whole and bool(np.all(command == np.round(command)))
+            whole, values = whole + int(np.sum(command == np.round(command))), values + command.size
             peaks = np.maximum(peaks, np.abs(command).max(axis=0))
-    if whole and peaks.max() >= STEPS:
+    if whole > WHOLE * values and peaks.max() >= STEPS:  # stale samples were interpolated
         yield Finding(F.WHOLE_NUMBERS, values={"kind": kind, "largest": float(peaks.max())})
         return
     limits = {

@@ -70,3 +70,10 @@ STEPS = Threshold(
     NONE,
     "a level",
 )
+WHOLE = Threshold(
+    0.9,
+    "share of commands that are whole numbers, from which all were",
+    "0 (zoo); 0.5 (steps of 0.5 N m)",
+    "0.995 and more (per cent of the rated torque, stale samples interpolated)",
+    "zoo, benchmarks/effort.py",
+)
