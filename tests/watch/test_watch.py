@@ -197,10 +197,10 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     assert faulty.exit_code == 3, faulty.output
     words = " ".join(faulty.stdout.split())
     assert "load" in words
-    assert "no safety function" in words
+    assert "not a safety function" in words
     assert call().exit_code == 2
     report = (tmp_path / "history" / "report.html").read_text()
-    assert "no safety function" in report
+    assert "not a safety function" in report
     assert call(str(logs[6]), "--json").stdout == ""
     after = call(str(logs[7]), "--reset", "2026-01-08")
     assert after.exit_code == 0, after.output

@@ -68,13 +68,11 @@ def watch(
     ] = None,
     follow: Annotated[
         bool,
-        typer.Option("--follow", help="Follow one folder of finished logs, or a text log that grows, until Ctrl-C."),
+        typer.Option("--follow", help="Follow one folder of finished logs, or a growing text log, until Ctrl-C."),
     ] = False,
     block: Annotated[
         float,
-        typer.Option(
-            "--block", min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a log that grows."
-        ),
+        typer.Option("--block", min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a growing log."),
     ] = 30.0,
     json_: Annotated[
         bool, typer.Option("--json", help="Print a line of JSON for each log instead of a table.")
@@ -103,7 +101,7 @@ def watch(
         healthy, count = _baseline(baseline)
         sources = logs or []
         if follow and len(sources) != 1:
-            raise GtauError("--follow takes one folder, or one text log that grows; give it alone.")
+            raise GtauError("--follow takes one folder or one growing text log; give it alone.")
         given = logs_of([*healthy, *([] if follow else sources)])
         if not (given or follow):
             raise GtauError("there is no log to compare; give logs, oldest first.")

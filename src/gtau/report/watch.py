@@ -66,7 +66,7 @@ BY_CHANCE = 1e-3  # of as many charts outside their bands, independent ones; the
 
 
 def explained_words(each: Explained) -> str:
-    """Put an explanation into words, with its interval."""
+    """Describe an explanation, with its interval."""
     of = f" of {each.joint}" if each.joint else ""
     if each.kind == "contact":
         return f"contact{of} (residual {each.size:.3g} times less even than in any healthy log)"
@@ -83,7 +83,7 @@ def explained_words(each: Explained) -> str:
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
-    """Say what has changed since when, and what to do."""
+    """Describe the change, its beginning, and what to do."""
     span = alarm.since
     if alarm.earliest != alarm.latest:
         span += f" (between {alarm.earliest} and {alarm.latest})"
