@@ -44,7 +44,7 @@ def test_a_delay_of_100_ms_is_named_as_one(lead: float, named: str) -> None:
 def test_the_delay_of_one_joint_is_its_own() -> None:
     found = identify(ROBOT, logs(-0.05, 0.004))
     left, right = reasons(found).values()
-    assert left.startswith("its currents were logged 50 ms too late")
+    assert left.startswith("the currents were logged 50 ms too late")
     assert right.startswith("joint 'left' contradicts the model")
 
 

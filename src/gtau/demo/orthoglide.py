@@ -124,7 +124,7 @@ CONTROL: dict[str, tuple[tuple[float, float, float], ...]] = {
     ),
 }
 SIMULATION = """\
-# The robot that stands in for a real one: its true parameters, its drives and sensors, and the runs. Made again from
+# The robot that replaces a real one: its true parameters, its drives and sensors, and the runs. Made again from
 # this file, the logs are the same: gtau simulate simulation.yaml --out simulated
 """
 

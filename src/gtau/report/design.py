@@ -126,7 +126,7 @@ def _advice(weak: Weak) -> dict[str, Any]:
     else:
         text = (
             f"a run of joint '{weak.joint}' alone, {weak.how}, would bring it to {100 * weak.then:.3g} %; "
-            "it may also be designed for: --criterion " + weak.name
+            "or use it as criterion: --criterion " + weak.name
         )
     relative = 100 * weak.relative if np.isfinite(weak.relative) else None
     return {"name": weak.name, "rel_std": relative, "advice": text}
