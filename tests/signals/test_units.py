@@ -85,7 +85,7 @@ def test_motor_torques_are_those_of_the_joints_by_the_gear_ratio(log: Path) -> N
             {},
             "joint 'b' has a motor torque but no gear ratio; add",
         ),
-        ({"preset": "kuka"}, {}, "there is no preset 'kuka'; choose from ur_rtde, franka, plotjuggler, twincat_scope"),
+        ({"preset": "kuka"}, {}, "there is no preset 'kuka'; choose from ur_rtde, ur_rtde_torque, ur-current, "),
         ({"time": ["t"]}, {}, "signals, time:"),
         ({"time": {"position": "t"}}, {}, "signals, time: the key 'command' is missing; add it"),
     ],

@@ -38,6 +38,7 @@ from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.thresholds.estimates import (
     DOMINANT,
     FEWEST_FOR_TESTS,
+    GRAVITY_ALIKE,
     LACKING,
     OF_BEST,
     OF_REPEATING,
@@ -132,9 +133,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     missing = None if late else missing_gravity(fit, asked)
     if isinstance(missing, Finding):
         untested, missing = (*untested, missing), None
-    if missing is None and asked:
-        missing = other_gravity(fit, progress)
-    turned = _of_gravity(fit, missing)
+    turned = _of_gravity(fit, _likelier(fit, missing, other_gravity(fit, progress) if asked else None))
     if turned:  # what a few degrees, other lengths or ripple would explain is its effect
         alternatives = [each for each in alternatives if each.hypothesis != GRAVITY.name] + turned
     elif lack > LACKING:
@@ -144,6 +143,14 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
     return Examination(lack, weighed, ripple, swapped + late, untested)
+
+
+def _likelier(fit: Fit, missing: OtherGravity | None, other: OtherGravity | None) -> OtherGravity | None:
+    """Choose between no gravity and another one by what each leaves; alike, only torques may be without."""
+    if missing is None or other is None:
+        return missing or other
+    alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
+    return other if other.cause.values["remains"] < alike * missing.cause.values["remains"] else missing
 
 
 def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
