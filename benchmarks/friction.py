@@ -1,12 +1,16 @@
 """Friction on all samples: torque errors on measured logs, and which terms of simulated friction are found.
 
-    python benchmarks/friction.py                    # both tables
+    python benchmarks/friction.py                    # all tables
     python benchmarks/friction.py --logs             # measured logs beside the checkout (../shared/data)
-    python benchmarks/friction.py --simulated 50     # so many logs of each kind
+    python benchmarks/friction.py --simulated 50     # a joint: so many logs of each kind
+    python benchmarks/friction.py --robots 3         # whole robots: so many experiments of each kind
 
 Errors of a log are rms torque errors over rms torques, geometric means over the joints, on runs or stretches that were
 not used. The simulated joint follows five harmonics with friction of known kinds; its other torque is known, but for an
 error that is white, coloured, a ripple locked to the position, or a wrong load.
+
+Whole robots are identified from two runs, the second with a known payload, with noise on the currents and positions
+rounded by encoders; a third run is predicted. Their joints have friction that plants other than our law make.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import argparse
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -23,50 +28,76 @@ import numpy as np
 from scipy.special import stdtrit
 
 sys.path.append(str(Path(__file__).parent))
+from realism.plants import ANY, PLANTS, Plant, random_parameters
 from zoo import ENTRIES
 
+from gtau.estimation import pipeline
+from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.friction.identify import _of_group
+from gtau.estimation.friction.identify import FrictionStep, _of_group
 from gtau.estimation.friction.normal_equations import Group
 from gtau.estimation.friction.selection import Chosen, choose
 from gtau.estimation.friction.sites import PLAIN, SPEEDS, WIDTHS, Site
 from gtau.estimation.friction.stop import stop
 from gtau.estimation.identify import identify
+from gtau.estimation.pipeline import DEFAULT, estimate
+from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
 from gtau.signals.decimation import Decimator
 from gtau.signals.experiment import read_experiment
+from gtau.signals.payload import Payload
 from gtau.signals.run import Run
+from gtau.simulation.trajectories import Envelope, sines
 
 LOGS = ("ur10e", "panda", "tx40", "dvrk", "xmate7p", "rokae_motor")
 RATE, BLOCKS, NOISE = 200.0, 20, 0.05  # Hz; of a log; of the rms torque
 TRUTHS = ("viscous and Coulomb", "Maxwell slip", "LuGre", "Stribeck", "load")
 ERRORS = ("white", "coloured", "ripple", "wrong load")
+BRISTLE = 2e-3  # s, by which LuGre's bristles are damped
+LAW = ("presliding, load", "presliding, bent")  # our law: of joints in turn
+RUBBED: dict[str, tuple[set[str], ...]] = {  # of whole robots, with the terms that are right, of joints in turn
+    "viscous and Coulomb": (set(),),
+    "our law": ({"presliding", "load"}, {"presliding", "bent"}),
+    "LuGre": ({"presliding"},),
+    "LuGre with Stribeck": ({"presliding", "bent"},),
+    "generalized Maxwell slip": ({"presliding"},),
+    "gaussian Stribeck": ({"bent"},),
+    "viscous, Coulomb, ripple": (set(),),
+}
+MOTION = Envelope(np.array([0.0, -0.8, 0.8, 0.0, 0.0, 0.0]), np.full(6, 1.2), np.full(6, 2.0), np.full(6, 8.0))
+PUMA = Plant(lambda: load_robot("puma560"), random_parameters, lambda robot: MOTION, 2.0, (0.03, 0.02, 0.1), ANY)
+ROBOTS = {"ur10e": PLANTS["ur10e"], "puma560": PUMA, "five-bar": PLANTS["five-bar"]}
+ROUNDING, CURRENT_NOISE = 2e-5, 0.005  # rad; of the rms current
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--logs", action="store_true")
     parser.add_argument("--simulated", type=int, default=0)
+    parser.add_argument("--robots", type=int, default=0)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     arguments = parser.parse_args()
-    if arguments.logs or not arguments.simulated:
+    every = not (arguments.logs or arguments.simulated or arguments.robots)
+    if arguments.logs or every:
         measured(arguments.data)
-    if arguments.simulated or not arguments.logs:
+    if arguments.simulated or every:
         simulated(arguments.simulated or 50)
+    if arguments.robots or every:
+        robots(arguments.robots or 3)
 
 
 def measured(data: Path) -> None:
     """Print errors of logs that were not used, by the plain law and by friction of all samples."""
-    print("| log | all samples, plain law | all samples | away from reversals, plain law | away from reversals | s |")
+    print("| log | all samples, plain law | all samples | away from reversals, plain law | with all | s, step |")
     print("| --- | ---: | ---: | ---: | ---: | ---: |")
     for entry in (entry for entry in ENTRIES if entry.name in LOGS):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "experiment.yaml"
             path.write_text(entry.write(data, Path(folder)), encoding="utf-8")
             experiment = read_experiment(path)
-            begin = perf_counter()
-            found = identify(experiment)
-            seconds = perf_counter() - begin
+            found, seconds, step = timed(lambda experiment=experiment: identify(experiment))
             plain = replace(found, curves={})
             for run in read_runs(experiment, experiment.validation):
                 made = [
@@ -75,7 +106,7 @@ def measured(data: Path) -> None:
                 ]
                 (all_before, before), (all_after, after) = (np.exp(np.log(each).mean(axis=0)) for each in made)
                 errors = " | ".join(f"{each:.2f}" for each in (all_before, all_after, before, after))
-                print(f"| {entry.robot}, {run.name} | {errors} | {seconds:.0f} |")
+                print(f"| {entry.robot}, {run.name} | {errors} | {seconds:.0f}, {step:.1f} |")
                 pairs = zip(made[0][:, 0], made[1][:, 0], strict=True)
                 quiet = [largest(result, run) for result in (plain, found)]
                 print(
@@ -147,19 +178,32 @@ def experiment(truth: str, error: str, seed: int) -> Group:
 
 def friction(truth: str, q: np.ndarray, v: np.ndarray, load: np.ndarray, travel: float, rms: float) -> np.ndarray:
     """Friction of 2 N m of a kind; widths are 10^-3.5 of the travel."""
-    width = travel * 10**-3.5
-    if truth == "Maxwell slip":
-        return 2 * stop(q, np.array([width]), np.sign(v[:1]))[0]
-    if truth == "LuGre":
-        z, steps = np.sign(v[0]), 5
-        found = np.empty(len(v))
-        for k, speed in enumerate(v):
-            for _ in range(steps):  # implicit, so that it is stable at any speed
-                z = (z + speed / (width * RATE * steps)) / (1 + abs(speed) / (width * RATE * steps))
-            found[k] = z
-        return 2 * found
-    height = 2 + {"Stribeck": np.exp(-np.abs(v) / (0.1 * rms)), "load": 0.1 * np.abs(load)}.get(truth, 0.0)
-    return height * np.sign(v)
+    return 2 * direction(truth, q, v, load / 2, travel * 10**-3.5, 0.1 * rms, 1 / RATE)
+
+
+def direction(
+    truth: str, q: np.ndarray, v: np.ndarray, load: np.ndarray, width: float, speed: float, period: float
+) -> np.ndarray:
+    """Friction (N,) of a kind and unit height along a path; ``load`` in its units, ``width`` of presliding."""
+    sign, fall = np.sign(v), np.exp(-np.abs(v) / speed)
+    if truth in ("LuGre", "LuGre with Stribeck"):
+        return lugre(v, width, period, fall**2 / 2 * (truth != "LuGre"))
+    if truth == "generalized Maxwell slip":  # four elements, whose heights add up to 1
+        return stop(q, width * np.array([0.3, 1.0, 3.0, 10.0]), np.full(4, sign[0])).mean(axis=0)
+    z = stop(q, np.array([width]), sign[:1])[0] if truth in ("Maxwell slip", *LAW) else sign
+    more = {"Stribeck": fall / 2, "gaussian Stribeck": np.exp(-((v / speed) ** 2)) / 2, "load": 0.1 * np.abs(load)}
+    return z * (1 + more.get(truth, 0.0) + 0.1 * np.abs(load) * (truth == LAW[0]) + fall / 2 * (truth == LAW[1]))
+
+
+def lugre(v: np.ndarray, width: float, period: float, more: np.ndarray) -> np.ndarray:
+    """LuGre's friction of unit height, with ``more`` of it (N,) at rest and a bristle that is damped over 2 ms."""
+    z, steps, found = float(np.sign(v[0])), 5, np.empty(len(v))
+    for k, (speed, height) in enumerate(zip(v.tolist(), (1 + more).tolist(), strict=True)):
+        a = speed * period / (width * steps)
+        for _ in range(steps):  # implicit, so that it is stable at any speed
+            last, z = z, (z + a) / (1 + abs(a) / height)
+        found[k] = z + BRISTLE * (z - last) * steps / period
+    return found
 
 
 def disturbance(error: str, q: np.ndarray, load: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -175,6 +219,114 @@ def disturbance(error: str, q: np.ndarray, load: np.ndarray, rng: np.random.Gene
     if error == "ripple":
         return np.sqrt(2) * np.sin(30 * q + rng.uniform(0, 6)) + 0.2 * white
     return np.sqrt(2) * np.sin(2 * q + rng.uniform(0, 6)) + 0.3 * white + 0.5 * load / np.std(load)
+
+
+def robots(count: int) -> None:
+    """Print what is found of whole robots: shares of joints, coverage, errors of a third run, and what gains do."""
+    print(
+        "\n| robot | friction | joints | presliding | bent | load | false terms | in 95 % | plain | all samples | s |"
+    )
+    print("| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
+    moved: list[float] = []
+    for name, plant in ROBOTS.items():
+        for truth, right in RUBBED.items():
+            found: Counter[str] = Counter()
+            inside: list[bool] = []
+            errors, seconds = [], np.zeros(2)
+            for seed in range(count):
+                runs, truths = experiment_of(plant, truth, seed)
+                result, *spent = timed(lambda runs=runs, robot=plant.model.robot: identify(robot, runs[:2]))
+                seconds += spent
+                if not seed:
+                    moved.append(gains_moved(plant, runs[:2], result, truths))
+                for k, joint in enumerate(plant.model.actuated):
+                    terms, expected = set(result.curves[joint].evidence), right[k % len(right)]
+                    found.update(terms)
+                    found["false"] += bool(terms - expected)
+                    found["joints"] += 1
+                    if truth in ("our law", "viscous and Coulomb") and terms == expected:
+                        inside += within(result, joint, truths)
+                errors.append([relative(each, runs[2]) for each in (replace(result, curves={}), result)])
+            shares = (found[each] / found["joints"] for each in ("presliding", "bent", "load", "false"))
+            before, after = np.exp(np.mean(np.log(errors), axis=0))
+            covered = f"{100 * np.mean(inside):.0f}" if inside else "-"
+            cells = [name, truth, found["joints"], *(f"{100 * each:.0f}" for each in shares), covered]
+            cells += [f"{before:.2f}", f"{after:.2f}", "{:.1f}, {:.1f}".format(*seconds / count)]
+            print("|", *(f"{each} |" for each in cells), flush=True)
+    print(f"rms errors of the gains with the friction step over those without: {min(moved):.6f} to {max(moved):.6f}")
+
+
+def experiment_of(plant: Plant, truth: str, seed: int) -> tuple[list[Run], dict[str, float]]:
+    """Three runs of a robot, the second with its payload, and the true gains and friction by name."""
+    rng, model = np.random.default_rng([17, seed]), plant.model
+    chi, n, period = plant.parameters(model, rng), len(model.actuated), 1 / plant.rate
+    gains = rng.uniform(*np.broadcast_to(plant.gains, (n, 2)).T)
+    of_drives = {f"{kind}_{joint}": 0.0 for kind in ("fv", "fs", "off") for joint in model.actuated}
+    time, runs = np.arange(round(plant.seconds / period) + 1) * period, []
+    motions = [sines(plant.within(model.robot), plant.seconds, rng)(time) for _ in range(3)]
+    travel, rms = np.ptp(motions[0][0], axis=0), np.sqrt(np.mean(motions[0][1] ** 2, axis=0))
+    width, speed = travel * 10 ** rng.uniform(-3.7, -3.2, n), 0.15 * rms
+    truths = dict(zip((f"gain_{joint}" for joint in model.actuated), gains, strict=True))
+    truths |= {name: chi.get(name, 0.0) for name in of_drives}
+    kinds = LAW if truth == "our law" else (truth.split(",")[0],)
+    for j, joint in enumerate(model.actuated):
+        truths |= {f"width_{joint}": width[j], f"vs_{joint}": speed[j]}
+        truths |= {f"fl_{joint}": 0.1, f"fb_{joint}": truths[f"fs_{joint}"] / 2}
+    for k, (q, qd, qdd) in enumerate(motions):
+        carried = {f"{kind}_{model.robot.tool}": value for kind, value in plant.payload().items()} if k == 1 else {}
+        now = chi | {name: chi[name] + value for name, value in carried.items() if name in model.parameter_names}
+        load = model.torques(q, qd, qdd, now | of_drives)
+        tau = load.copy()
+        for j, joint in enumerate(model.actuated):
+            fv, fs, off = (truths[f"{kind}_{joint}"] for kind in ("fv", "fs", "off"))
+            path = (q[:, j], qd[:, j], load[:, j] / max(fs, 1e-12), width[j], speed[j], period)
+            tau[:, j] += fv * qd[:, j] + off + fs * direction(kinds[j % len(kinds)], *path)
+            if "ripple" in truth:
+                tau[:, j] += 0.05 * np.std(tau[:, j]) * np.sin(30 * q[:, j] + j)
+        noise = CURRENT_NOISE * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)
+        seen = np.round(q / ROUNDING) * ROUNDING
+        payload = Payload(name="disc", mass=plant.mass) if k == 1 else None
+        runs.append(Run(f"run {k + 1}", model.actuated, time, seen, (tau + noise) / gains, payload=payload))
+    return runs, truths
+
+
+def within(result: Result, joint: str, truths: dict[str, float]) -> list[bool]:
+    """Whether each parameter of a joint's curve is in its 95 % interval."""
+    curve = result.curves[joint]
+    estimates = {name: each for name, each in curve.parameters.items() if name.split("_")[0] != "off"}
+    estimates |= {f"width_{joint}": curve.width} if curve.width else {}
+    estimates |= {f"vs_{joint}": curve.speed} if curve.speed else {}
+    return [low <= truths[name] <= high for name, each in estimates.items() for low, high in [each.interval(0.95)]]
+
+
+def relative(result: Result, run: Run) -> float:
+    """Error over torque of all samples of a run, per cent, geometric mean over the joints."""
+    return float(np.exp(np.mean([np.log(each.relative_all) for each in result.validate(run)])))
+
+
+def timed(work: Callable[[], Result]) -> tuple[Result, float, float]:
+    """A result, and the seconds that it took: in all, and for the friction step."""
+    step, spent = pipeline.identify_friction, []
+
+    def friction_step(fit: Fit, covariance: np.ndarray) -> FrictionStep:
+        begin = perf_counter()
+        found = step(fit, covariance)
+        spent.append(perf_counter() - begin)
+        return found
+
+    pipeline.identify_friction = friction_step
+    begin = perf_counter()
+    result = work()
+    pipeline.identify_friction = step
+    return result, perf_counter() - begin, sum(spent)
+
+
+def gains_moved(plant: Plant, runs: list[Run], result: Result, truths: dict[str, float]) -> float:
+    """The rms error of the gains over that of an identification without the friction step."""
+    without = estimate(reduce_runs(plant.model.robot, runs), ML, Given(), replace(DEFAULT, all_samples=False))
+    true = np.array([truths[f"gain_{joint}"] for joint in plant.model.actuated])
+    after, before = (np.sqrt(np.mean((each.gains / true - 1) ** 2)) for each in (result, without))
+    return float(after / before)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""
+r"""
 Drive gains of a five-bar
 =========================
 
-Two motors drive a five-bar with a weighed steel disc on its tool. Three logs of 8 s give both drive gains, each with
-its 95 % interval. The logs come with gtau and are simulated, so the true gains are known: 2.62 and 3.95 N m/A.
+A motor's torque is its drive gain times its current, :math:`\tau = g_\tau v` (eq. 17 of the paper). Two motors drive a
+five-bar with a weighed steel disc on its tool. Three logs of 8 s give both drive gains, each with its 95 % interval.
+The logs come with gtau and are simulated, so the true gains are known: 2.62 and 3.95 N m/A.
 """
 
 from pathlib import Path

@@ -12,6 +12,14 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.sentences import WRENCHES, advice, named, note, reason
 from gtau.signals.notes import Kind
 
+NO_GRAVITY = (
+    "log what the motors deliver (UR: 'use_currents_as_efforts: true'), or write 'robot: {file: ..., gravity: [0, 0, "
+    "0]}' in the experiment file, for a model that has no gravity either"
+)
+GEARS = (
+    "write 'motor_torque' with the 'gear_ratio' of each joint in place of 'torque', 'current' where they are A, or "
+    "correct the limits"
+)
 # fmt: off
 SENTENCES = [  # finding, reason, advice
     (Finding(F.NEGATIVE_MASS, (), "m_trunkR", values={"mass": -41.23}),
@@ -219,6 +227,30 @@ SENTENCES = [  # finding, reason, advice
      "more than 0.71 %",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
+    (Finding(F.NO_GRAVITY_SHOWN, values={"felt": 0.0031}),
+     "the torques show no gravity (0.3 % of a joint's torque at most): a driver compensates it, or the robot is "
+     "balanced",
+     NO_GRAVITY),
+    (Finding(F.WITHOUT_GRAVITY, ("left",), values={"left": {"left": [0.2, 0.01]}}),
+     "torques without gravity, as of a driver that compensates it, which leaves 1 % of 'left' unexplained instead of "
+     "20 %,",
+     NO_GRAVITY),
+    (Finding(F.WHOLE_NUMBERS, values={"kind": "torque", "largest": 873.0}),
+     "the torques are whole numbers, up to 873: shares of the rated torque (‰ in CiA 402, object 0x6077), mA or counts "
+     "rather than SI units",
+     "state their unit and the rated values (units: {torque: ‰, rated: {...}}), or {torque: mA}"),
+    (Finding(F.MOTOR_SIDE, values={"least": 83.2, "most": 138.4}),
+     "the true torques are 83.2 to 138 times those logged: by their size those of motors before their gears, or "
+     "currents",
+     GEARS),
+    (Finding(F.MOTOR_SIDE, ("left",), values={"share": 0.0031, "limit": 150.0}),
+     "the torques reach 0.31 % of the limit of 'left' (150), and less of all others: by their size those of "
+     "motors before their gears, or currents",
+     GEARS),
+    (Finding(F.MODEL_TORQUES, values={"kind": "torque", "friction": 0.003, "residual": 0.0057}),
+     "the torques have next to no friction (0.3 % of a joint's torque at most) and 0.57 % is unexplained: a model of "
+     "the controller computed them, and no motor",
+     "log measured currents or torques (UR: actual_current, not target_current or target_moment)"),
     (Finding(F.SCALE_UNTESTED, values={"why": "no joint shows it"}),
      "the torques are taken as true, as their scale could not be tested: no joint shows it",
      "add runs with a heavier payload of known mass, or longer ones"),

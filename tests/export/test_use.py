@@ -17,6 +17,7 @@ from gtau.cli.commands import app
 from gtau.estimation.experiment_runs import carrying
 from gtau.export.along_log import torques_along_log, write_table
 from gtau.model.home import load_robot
+from gtau.robots.readers.frames import frame_on
 from gtau.signals.payload import Payload
 
 PLANT = Plant(noise=0.005)
@@ -62,6 +63,16 @@ def test_a_payload_of_the_model_is_no_external_torque(result: gtau.Result) -> No
     assert carried.share < 0.01
     with pytest.raises(gtau.GtauError, match="knows no payload 'lead'; choose from steel"):
         carrying(result, run, "lead")
+
+
+def test_the_force_of_an_identified_model_is_zero_within_intervals_of_its_size(result: gtau.Result) -> None:
+    """Parameters are known together far better than each: their covariance counts, not their standard deviations."""
+    at = frame_on(result.robot.tool, "0.3 0 0 0 0 0", None)
+    found = torques_along_log(result, PLANT.run("check", seed=7), at, force_only=True).wrench
+    for k in (3, 4):
+        force, interval = found.wrench[found.usable, k], found.interval[found.usable, k]
+        assert (np.abs(force) < interval).mean() > 0.9
+        assert np.median(interval) < 6 * np.sqrt(np.mean(force**2))
 
 
 def test_the_command_writes_tables(result: gtau.Result, tmp_path: Path) -> None:

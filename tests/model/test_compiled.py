@@ -71,9 +71,11 @@ def test_machine_code_is_of_its_sources(tmp_path: Path, monkeypatch: pytest.Monk
     copy = tmp_path / "interpreter"
     shutil.copytree(SOURCE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(compiled, "_HERE", copy)
-    assert compiled.edition.__wrapped__() == compiled.edition()
+    assert compiled._sources() == compiled._LOADED
     with (copy / "lanes.py").open("a") as file:
         file.write("# another edition\n")
+    assert compiled.edition.__wrapped__() == compiled.edition()  # of what this process has imported
+    monkeypatch.setattr(compiled, "_LOADED", compiled._sources())
     assert compiled.edition.__wrapped__() != compiled.edition()
 
 

@@ -172,8 +172,9 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
     scaled = replace(run, command=run.command * [2.5, 4.0] / found.gains)
     held = {joint: replace(each, value=PERIOD / 2) for joint, each in found.delays.items()}
     left, right = replace(found, delays=held).validate(scaled)
-    assert left.relative < 0.5 < left.relative_all < 2.0
-    assert 3 * left.relative_all < replace(found, delays=held, curves={}).validate(scaled)[0].relative_all
+    assert left.relative < 0.5
+    assert left.relative_all < 3.5  # 3.0, as the path is smoothed against noise: docs/evidence/measured.md
+    assert 2 * left.relative_all < replace(found, delays=held, curves={}).validate(scaled)[0].relative_all
     assert right.relative < 0.5 < right.relative_all
     with pytest.raises(GtauError, match="identified of another robot than 'ur10e'"):
         simulate_experiment(document | {"robot": "ur10e", "drives": {

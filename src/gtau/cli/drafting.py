@@ -59,9 +59,24 @@ KindOfLogs = Annotated[
     ),
 ]
 
+PresetOfLogs = Annotated[
+    str | None,
+    typer.Option(
+        "--preset",
+        metavar="PRESET",
+        help="With logs: whose they are (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).",
+        show_default=False,
+    ),
+]
+
 
 def experiment_of(
-    sources: list[Path], robot: str | None, payloads: list[str] | None, kind: Commands | None, folder: Path
+    sources: list[Path],
+    robot: str | None,
+    payloads: list[str] | None,
+    kind: Commands | None,
+    preset: str | None,
+    folder: Path,
 ) -> tuple[Path, tuple[Note, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
 
@@ -70,8 +85,9 @@ def experiment_of(
     GtauError
         Experiment files are mixed with logs, or the logs cannot be drafted without a question.
     """
+    stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
     if len(sources) == 1 and not _is_log(sources[0]):
-        if given := [f"--{name}" for name, value in (("robot", robot), ("payload", payloads), ("kind", kind)) if value]:
+        if given := [f"--{name}" for name, value in stated.items() if value]:
             raise GtauError(f"{given[0]} is for logs; an experiment file says this itself, so leave it out.")
         return sources[0], ()
     if others := [each for each in sources if each.suffix in (".yaml", ".yml") or kind_of(each) == EXPERIMENT]:
@@ -80,7 +96,8 @@ def experiment_of(
     from gtau.signals.drafting import draft_logs, with_sensors, write_draft
 
     masses = _masses(payloads or [])
-    draft = with_sensors(draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value))
+    drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
+    draft = with_sensors(drafted)
     if draft.robot is None:
         raise GtauError(
             f"{sources[0]} does not say of which robot it is; give it (--robot ROBOT), a name of the catalog (gtau "

@@ -28,7 +28,7 @@ from gtau.cli.console import (
     refusals,
     show,
 )
-from gtau.cli.drafting import KindOfLogs, Payloads, RobotOfLogs, Sources, experiment_of
+from gtau.cli.drafting import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError, missing_extra
 
@@ -51,6 +51,7 @@ def identify(
     robot: RobotOfLogs = None,
     payload: Payloads = None,
     kind: KindOfLogs = None,
+    preset: PresetOfLogs = None,
     out: Annotated[
         Path,
         typer.Option(
@@ -120,7 +121,7 @@ def identify(
     with refusals(json_):
         refuse_as_folder(out)
         start = perf_counter()
-        experiment, guessed = experiment_of(sources, robot, payload, kind, out)
+        experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
         with progress_bar() as progress:
             from gtau.estimation.identify import identify as run
             from gtau.estimation.results.model_document import to_document

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gtau.cli.console import METHODS, Json, base_choice, print_json, progress_bar, refusals, show
-from gtau.cli.drafting import KindOfLogs, Payloads, RobotOfLogs, Sources, experiment_of
+from gtau.cli.drafting import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
@@ -38,6 +38,7 @@ def init(
         str | None,
         typer.Option("--base", metavar="fixed|ROLL,PITCH,YAW", help="Fix a floating base, or turned by angles in rad."),
     ] = None,
+    preset: PresetOfLogs = None,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")] = Path("experiment.yaml"),
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; mark in the file what to confirm.")] = False,
     json_: Json = False,
@@ -55,7 +56,7 @@ def init(
             robot = typer.prompt("Robot (name in the catalog or path of a file; empty if unknown)", default="") or None
         if base is not None and robot is None:
             raise GtauError("--base places a robot; name it too (--robot ROBOT).")
-        draft = draft_logs(logs, robot, base_choice(base))
+        draft = draft_logs(logs, robot, base_choice(base), preset=preset)
         if ask:
             draft = _answered(draft)
         write_draft(draft, out)
@@ -127,6 +128,7 @@ def check(
     robot: RobotOfLogs = None,
     payload: Payloads = None,
     kind: KindOfLogs = None,
+    preset: PresetOfLogs = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder for report.html, figures of the logs and singularities."),
@@ -156,7 +158,9 @@ def check(
         refuse_as_folder(out)
         refuse_as_folder(figure)
         start = perf_counter()
-        experiment, guessed = experiment_of(sources, robot, payload, kind, Path("result") if out is None else out)
+        experiment, guessed = experiment_of(
+            sources, robot, payload, kind, preset, Path("result") if out is None else out
+        )
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
             from gtau.estimation.grades import EXIT_CODES

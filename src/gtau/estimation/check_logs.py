@@ -14,6 +14,7 @@ from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
+from gtau.estimation.diagnostics.logged_torques import doubtful_commands
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.registry import estimator_of
@@ -21,8 +22,7 @@ from gtau.estimation.experiment_runs import describe, geometry_of, read_runs
 from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
-from gtau.estimation.regression.doubtful_currents import doubtful_currents
-from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
+from gtau.estimation.regression.doubtful_units import doubtful_currents, doubtful_payloads
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
@@ -164,7 +164,11 @@ def check_logs(
         gains = require_inputs(estimator, robot, used, subject.prior_gains, subject.stated)
     except GtauError as error:
         notes.append(refusal(error))
-    notes += [*doubtful_currents(used, robot.base), *doubtful_payloads(robot, (run.payload for run in used))]
+    notes += [
+        *map(note, doubtful_commands(used, robot)),
+        *doubtful_currents(used, robot.base),
+        *doubtful_payloads(robot, (run.payload for run in used)),
+    ]
     preparation = choose_preparation(used)
     checked, prepared_runs = [], []
     for k, run in enumerate(read):

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import carried
 from gtau.estimation.regression.rows import stream_motions
 from gtau.estimation.results.estimate import Prediction
 from gtau.estimation.results.prediction import prepared_for
@@ -168,9 +167,8 @@ def _along(result: Result, run: Run, residual: np.ndarray) -> Iterator[tuple[np.
     """Yield blocks of ``J^T`` (N, n, 6) at the body's frame, and of the external torques' covariance (N, n, n)."""
     model, base, joints = result.model, result.base, result.robot.actuated
     known = {name: k for k, name in enumerate(result.covariance_names)}
-    # friction is of all samples, at these parameters: what is open in it is in the residual
-    moving = np.array(carried(np, base.standard, np.ones(base.count))) != 0
-    chosen = [k for k in np.flatnonzero(moving) if base.names[k] in known]
+    # with the columns of friction: offsets and gravity, for instance, are known together far better than each
+    chosen = [k for k, name in enumerate(base.names) if name in known]
     at = [known[base.names[k]] for k in chosen] + [known[Parameter("gain", joint).name] for joint in joints]
     spread = result.covariance[np.ix_(at, at)]
     columns = model.columns(tuple(base.standard[k] for k in chosen))

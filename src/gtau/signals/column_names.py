@@ -2,7 +2,9 @@
 
 These are looked up in the recorders' sources: libfranka ``log.cpp`` (time in ms, ``state.q[0]`` ...), Universal Robots'
 RTDE client (``timestamp``, ``actual_q_0`` ...), PlotJuggler's parser of ``sensor_msgs/JointState``, and the manual of
-TwinCAT 3 Scope View (export to CSV: rows of channel properties, time in ms, channels named by the user).
+TwinCAT 3 Scope View (export to CSV: rows of channel properties, time in ms, channels named by the user). What drivers
+put into ``effort``: UR's ROS 2 driver (#1551: currents, or torques without gravity), franka_ros2 and ros2_kortex
+(sensors of the joints, with gravity). LeRobot's lists are those of its data sets; currents in them are a plugin's.
 """
 
 from __future__ import annotations
@@ -101,7 +103,9 @@ def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
         words = _words(stem)
     kinds = [kind for word in words for kind, known in WORDS.items() if word in known]
     kind = next((each for each in PRECEDENCE if each in kinds), None)
-    if kind == "torque" and any(word in SENSOR for word in words):
+    if kind == "current" and {"as", "torque"} <= set(words):  # of UR: actual_current_as_torque
+        kind = "torque"
+    elif kind == "torque" and any(word in SENSOR for word in words):
         kind = "sensor"
     elif kind == "torque" and "motor" in words:
         kind = "motor"
@@ -170,17 +174,30 @@ def _words(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Preset:
-    """Time column with its unit, and patterns of the columns by joint: its number from 0 (``{k}``), or its name."""
+    """Time column with its unit, and patterns of the columns by joint: its number from 0 (``{k}``) or 1, or its name.
+
+    The torques of one without ``gravity`` are compensated by the controller.
+    """
 
     time: str
     time_unit: str = "s"
     position: str | None = None
     current: str | None = None
     torque: str | None = None
+    gravity: bool = True
 
 
+JOINT_STATES = ("/joint_states/header/stamp", "s", "/joint_states/{joint}/position")
 PRESETS: Mapping[str, Preset] = {
     "ur_rtde": Preset("timestamp", position="actual_q_{k}", current="actual_current_{k}"),
+    "ur_rtde_torque": Preset(
+        "timestamp", position="actual_q_{k}", torque="actual_current_as_torque_{k}", gravity=False
+    ),
+    "ur-current": Preset(*JOINT_STATES, current="/joint_states/{joint}/effort"),
+    "ur-torque": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort", gravity=False),
+    "franka-ros": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort"),
+    "kinova": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort"),
+    "lerobot": Preset("timestamp", position="observation.state[{n}]", current="observation.current[{n}]"),
     "franka": Preset("time", "ms", position="state.q[{k}]", torque="state.tau_J[{k}]"),
     "plotjuggler": Preset("__time", position="/joint_states/{joint}/position", torque="/joint_states/{joint}/effort"),
     "twincat_scope": Preset("time", "ms"),
@@ -212,7 +229,7 @@ def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
     if wanted and (not isinstance(joints, Sequence) or isinstance(joints, str) or not joints):
         raise ValueError(f"the preset '{signals['preset']}' needs the joints in their order; add 'joints: [..., ...]'")
     columns = {
-        key: {str(joint): pattern.format(k=k, joint=joint) for k, joint in enumerate(joints or ())}
+        key: {str(joint): pattern.format(k=k, n=k + 1, joint=joint) for k, joint in enumerate(joints or ())}
         for key, pattern in wanted.items()
     }
     return {"time": preset.time} | columns | given

@@ -36,6 +36,7 @@ class Draft:
     ``wrenches`` are only listed. ``base`` says how the robot's base is placed. Payloads of
     logs that are ``stated`` do not come from their names. ``urdf`` is the text of the robot's file where a bag holds
     it, ``moving`` its joints that the log has, where it lacks others. ``episodes`` are those of logs with several.
+    Torques without ``gravity`` are compensated by the controller.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -62,6 +63,7 @@ class Draft:
     urdf: str | None = None
     moving: tuple[str, ...] = ()
     episodes: Mapping[Path, tuple[int, ...]] = field(default_factory=dict)
+    gravity: bool = True
 
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
@@ -120,6 +122,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         reach = max(float(np.nanmax(np.abs(command_log.values[pair[1]]))) for pair in joints.values())
         kind = "torque" if reach > LARGEST_CURRENT else "current"
         unsure.append("kind")
+    gravity = "current_as_torque" not in commands.first.lower()
+    unsure += [] if gravity else ["gravity"]
     if commands.unit in ("A", "mA", "N m", "N"):
         units[kind] = commands.unit
     command_time: tuple[str, ...] = ()
@@ -171,6 +175,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         motion=motion,
         wrenches=wrenches,
         base=base,
+        gravity=gravity,
         masses=masses,
         episodes={run[0]: tuple(of) for run in runs if (of := find_columns(run[0]).episodes)},
         others=tuple(

@@ -23,6 +23,7 @@ UNSURE = {
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
     "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
     "clock": "confirm the time column, as others grow, too",
+    "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
     "received": "messages without stamps of measurement have those of receipt, with the jitter of the middleware",
     "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
     "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
@@ -63,7 +64,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     matched = why.get("position", "")
     lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
     found = why.get("velocity", "")
-    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference") if key in draft.open), "")
+    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference", "gravity") if key in draft.open), "")
     lines += _by_joint(draft.kind, draft.command, doubt)
     if draft.temperature is not None:
         lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
@@ -124,6 +125,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
         "velocities": f"the sampling rate is taken as {draft.rate or 0:g} Hz",
         "kind": f"{first} are taken as {draft.kind}s",
         "motor": f"{first} are taken as currents",
+        "gravity": f"{first} are taken as torques without gravity",
         "clock": f"the time is {' and '.join(draft.time)}, and other columns grow, too",
         "received": f"time is {draft.reasons.get('received', '')}, the stamps of receipt",
         "torques": f"{_first(tuple(draft.torques.values()))} are not used"
@@ -172,6 +174,8 @@ def _robot(draft: Draft, folder: Path) -> Any:
     path = Path(draft.robot)
     file = _relative(path, folder) if draft.urdf is None and path.exists() else draft.robot
     more = {"base": draft.base} if draft.base is not None else {}
+    if not draft.gravity:
+        more["gravity"] = [0, 0, 0]
     if draft.moving:
         more["joints"] = list(draft.moving)
     return {"file": file} | more if more else file

@@ -13,6 +13,7 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
+from gtau.signals.column_names import PRESETS
 from gtau.signals.discovery import Draft, discover
 from gtau.signals.draft_file import draft_text
 from gtau.signals.formats import is_rosbag
@@ -29,6 +30,7 @@ def draft_logs(
     base: Any = None,
     masses: Mapping[str, float] | None = None,
     kind: Literal["current", "torque"] | None = None,
+    preset: str | None = None,
 ) -> Draft:
     """Draft an experiment from logs that were recorded alike.
 
@@ -44,11 +46,13 @@ def draft_logs(
         Payloads, kg, by path, name or stem of a log; 0 for none.
     kind : {"current", "torque"}, optional
         What the commands are, where that is known.
+    preset : str, optional
+        A name of :data:`gtau.signals.column_names.PRESETS`, which says it too, and whether torques have gravity.
 
     Raises
     ------
     GtauError
-        A log or the robot cannot be read, or a mass is of no log.
+        A log or the robot cannot be read, a mass is of no log, or the logs do not have the columns of the preset.
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)
@@ -62,6 +66,7 @@ def draft_logs(
         )
     found = discover(logs, known, URDF if urdf is not None else robot, base)
     found = replace(found, urdf=urdf, moving=moving)
+    found = found if preset is None else with_preset(found, preset)
     found = found if kind is None else with_kind(found, kind)
     return with_masses(found, _of_logs(found, masses or {}))
 
@@ -79,6 +84,29 @@ def with_sensors(draft: Draft) -> Draft:
         return draft
     open_ = tuple("sensors" if key == "torques" else key for key in draft.open)
     return replace(draft, sensors=draft.torques, torques={}, open=open_)
+
+
+def with_preset(draft: Draft, name: str) -> Draft:
+    """Return the draft with the meaning that a preset gives to its commands; raises GtauError where it is of others."""
+    if name not in PRESETS:
+        raise GtauError(f"there is no preset '{name}'; choose from {', '.join(PRESETS)}.")
+    preset = PRESETS[name]
+    pattern = preset.current or preset.torque
+    joints = enumerate(draft.command.items())
+    expected = [column for k, (joint, _) in joints if (column := _column(pattern, k, joint)) is not None]
+    strange = [column for column, wanted in zip(draft.command.values(), expected, strict=False) if column != wanted]
+    if strange:
+        raise GtauError(
+            f"the logs have no columns of the preset '{name}', as '{strange[0]}' is not '{pattern}'; leave out "
+            "--preset, and state what the commands are (--kind current|torque)."
+        )
+    found = draft if pattern is None else with_kind(draft, "current" if preset.current else "torque")
+    open_ = tuple(key for key in found.open if key != "gravity")
+    return replace(found, gravity=preset.gravity, open=open_)
+
+
+def _column(pattern: str | None, k: int, joint: str) -> str | None:
+    return None if pattern is None else pattern.format(k=k, n=k + 1, joint=joint)
 
 
 def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:

@@ -75,6 +75,7 @@ def _explanations(
         return (), len(whole)
     covariance = covariance_between(whole, log.formula[np.ix_(kept, kept)], np.sqrt(np.diag(log.formula))[kept])
     difference = np.nanmean(after[:, kept], axis=0) - np.nanmean(before[:, kept], axis=0)
+    latest = log.values[kept] - np.nanmean(before[:, kept], axis=0)
     rms = {
         chart.joint: float(np.nanmean(before[:, k])) if np.isfinite(before[:, k]).any() else 0.0
         for k, chart in enumerate(log.charts)
@@ -83,7 +84,7 @@ def _explanations(
     healthy = Healthy(
         np.array([uneven.get(joint, 1.0) for joint in log.joints]), np.array([rms[joint] for joint in log.joints])
     )
-    return explain(Change(difference, covariance, len(whole), len(after)), log, kept, healthy), len(whole)
+    return explain(Change(difference, latest, covariance, len(whole), len(after)), log, kept, healthy), len(whole)
 
 
 def _stated(each: Explanation, model: IdentifiedModel, factor: float) -> Explained:

@@ -1,7 +1,7 @@
 """Sequential detection of a change of one chart, with a stated time between false alarms.
 
 A chart is a quantity from log to log, ``x_i = mu + sigma sqrt(w_i) u_i``, where mu and sigma are not known, ``w_i``
-says how much less than others the motion of log i shows of it, and u is Gaussian with the correlation ``MEMORY``
+says how much less than others the motion of log i shows of it, and u is Gaussian with the correlation ``memory``
 between one log and the next, as friction follows the weather. From log j on the mean may have moved by ``delta sigma``.
 For each j the likelihood ratio of all logs so far, with the scale-invariant priors on mu and sigma (the right Haar
 measure) and ``delta`` Gaussian with the standard deviation ``KAPPA``, has a closed form (the Bayes factor of the t-test
@@ -28,6 +28,7 @@ import numpy as np
 from scipy.special import ndtri, stdtr
 
 MEMORY = 0.7  # correlation from log to log that counts as healthy; a smaller one makes alarms rarer
+OF_FRICTION = 0.9  # the same for friction and residuals, which follow weather and seasons
 KAPPA = 4.0  # standard deviation of a change, in those between logs
 WINDOW = 400  # logs at which a change may have begun; older ones are condensed
 REFERENCE = 0.5  # of the CUSUM, in standard deviations: half the change that it finds soonest
@@ -41,11 +42,13 @@ class Chart:
     ``x`` and ``w`` (m,) are values and relative variances of the last logs, after ``count`` others with the sums
     ``hh``, ``hy`` and ``yy`` of whitened constants and values; ``before`` are value and weight of the last of these.
     ``cusum`` are the upper and the lower sum, and ``learning`` how many of the first logs are the baseline. Of a chart
-    that is ``rising`` only growth counts: a residual that becomes smaller is no fault.
+    that is ``rising`` only growth counts: a residual that becomes smaller is no fault. ``memory`` is the
+    correlation from log to log that counts as healthy.
     """
 
     learning: int
     rising: bool = False
+    memory: float = MEMORY
     x: np.ndarray = field(default_factory=lambda: np.zeros(0))
     w: np.ndarray = field(default_factory=lambda: np.zeros(0))
     count: int = 0
@@ -101,7 +104,7 @@ def evidence(chart: Chart) -> Evidence:
     if 1e-12 * yy >= S0 or S0 <= 0:
         return Evidence()  # a chart that never moves has no scale
     # a step at j is the constant's own column from j + 1 on, and the whole of it, unlagged, at j
-    begin = 1 / np.sqrt(chart.w * (1 - MEMORY**2))
+    begin = 1 / np.sqrt(chart.w * (1 - chart.memory**2))
     begin[0] = begin[0] if chart.count else h[0]
 
     def from_each(product: np.ndarray, first_term: np.ndarray) -> np.ndarray:
@@ -167,8 +170,8 @@ def _whitened(chart: Chart) -> tuple[np.ndarray, np.ndarray]:
     u = chart.x * one
     lag_u = np.append(0.0 if before is None else before[0] / np.sqrt(before[1]), u[:-1])
     lag_one = np.append(0.0 if before is None else 1 / np.sqrt(before[1]), one[:-1])
-    scale = np.sqrt(1 - MEMORY**2)
-    h, y = (one - MEMORY * lag_one) / scale, (u - MEMORY * lag_u) / scale
+    scale, memory = np.sqrt(1 - chart.memory**2), chart.memory
+    h, y = (one - memory * lag_one) / scale, (u - memory * lag_u) / scale
     if before is None:
         h[0], y[0] = one[0], u[0]
     return h, y

@@ -43,9 +43,10 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Difference of the charts before and after, of ``before`` and ``after`` logs."""
+    """Difference of the charts (k,) after and before, of so many logs each; ``latest``, that of the last log alone."""
 
     difference: np.ndarray
+    latest: np.ndarray
     covariance: np.ndarray
     before: int
     after: int
@@ -91,7 +92,7 @@ def explain(change: Change, log: LogStatistics, kept: np.ndarray, healthy: Healt
     d = change.difference[linear]
     sigma = change.scaled[np.ix_(linear, linear)]
     L = np.linalg.cholesky(sigma + 1e-12 * np.diag(np.diag(sigma)))
-    y = np.linalg.solve(L, d)
+    y, latest = np.linalg.solve(L, d), np.linalg.solve(L, change.latest[linear])
     total = float(y @ y)
     before = float(log.rows @ np.exp(2 * healthy.rms))
     excess = float(log.rows @ _power(log)) - before
@@ -106,7 +107,7 @@ def explain(change: Change, log: LogStatistics, kept: np.ndarray, healthy: Healt
         S = S / norms
         x, _, rank, _ = np.linalg.lstsq(S, y, rcond=1e-6)
         left = float(np.sum((y - S @ x) ** 2))
-        cause = columns @ (x / norms)
+        cause = columns @ (np.linalg.lstsq(S, latest, rcond=1e-6)[0] / norms)
         if excess > EXPLAINED * before and cause @ log.information @ cause < (1 - EXPLAINED) * excess:
             continue  # the residual has grown by far more than this would make it
         freedom = max(len(y) - int(rank), 1)

@@ -20,9 +20,9 @@ from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.signals.run import Run
 from gtau.watch.alarms import alarm_of
 from gtau.watch.baseline import FEWEST, Baseline, baseline_of
-from gtau.watch.detectors import WINDOW, Chart, Evidence, add, combined, cusum_limit, evidence
+from gtau.watch.detectors import MEMORY, OF_FRICTION, WINDOW, Chart, Evidence, add, combined, cusum_limit, evidence
 from gtau.watch.logs import reset_date
-from gtau.watch.quantities import Quantity
+from gtau.watch.quantities import FRICTION, Quantity
 from gtau.watch.state import Alarm, Entry, Settings, append, open_history
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 
@@ -226,7 +226,7 @@ class Watch:
             self.began, self.maintained = entry.begins, ""
         learning = self.count < self.settings.baseline
         for name, value in entry.values.items():
-            chart = self.charts.get(name) or Chart(self.settings.baseline, name.startswith(f"{RESIDUAL}_"))
+            chart = self.charts.get(name) or _begun(name, self.settings.baseline)
             variance = entry.formula[name] ** 2
             known = self.reference.setdefault(name, variance)
             self.charts[name] = add(chart, value, max(1.0, variance / known if known > 0 else 1.0))
@@ -243,6 +243,12 @@ class Watch:
     def _cusums(self) -> dict[str, float]:
         limit = cusum_limit(self.limit * max(len(self.charts), 1))
         return {name: max(chart.cusum) / limit for name, chart in self.charts.items()}
+
+
+def _begun(name: str, baseline: int) -> Chart:
+    """Begin the chart of this name."""
+    kind = name.partition("_")[0]
+    return Chart(baseline, kind == RESIDUAL, OF_FRICTION if kind in (*FRICTION, RESIDUAL) else MEMORY)
 
 
 def _shown(log: LogStatistics, values: np.ndarray) -> dict[str, float]:

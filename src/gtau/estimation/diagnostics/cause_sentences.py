@@ -19,6 +19,10 @@ Fields in braces are the values of the finding, its ``subject``, its first ``joi
 FILTER = "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"
 OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from the rest"
 INSTRUMENTS = "use --method iv or didim, or encoders with less noise"
+NO_GRAVITY = (
+    "log what the motors deliver (UR: 'use_currents_as_efforts: true'), or write 'robot: {{file: ..., gravity: [0, 0, "
+    "0]}}' in the experiment file, for a model that has no gravity either"
+)
 DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
 
 
@@ -94,6 +98,15 @@ def _other_gravity(values: Values) -> Sentence:
     )
 
 
+def _without_gravity(values: Values) -> Sentence:
+    joint, (before, after) = max(values["left"].items(), key=lambda each: each[1][0])
+    return (
+        "torques without gravity, as of a driver that compensates it, which leaves "
+        f"{100 * after:.2g} % of '{joint}' unexplained instead of {100 * before:.2g} %,",
+        NO_GRAVITY,
+    )
+
+
 def _wrench_offset(values: Values) -> Sentence:
     if "component" in values:
         what = f"an offset in the {values['component']} of the wrench on '{{subject}}'"
@@ -147,6 +160,7 @@ CAUSES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.GRAVITY_TILT: _of_gravity("gravity tilted towards ({towards[0]:.2g}, {towards[1]:.2g}, {towards[2]:.2g})"),
     F.GRAVITY_STRENGTH: _of_gravity("gravity of another strength"),
     F.GRAVITY: _other_gravity,
+    F.WITHOUT_GRAVITY: _without_gravity,
     F.WRENCH_OFFSET: _wrench_offset,
     F.WRENCH_POINT: _wrench_point,
     F.CLOCK: _clock,

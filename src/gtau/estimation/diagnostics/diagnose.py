@@ -21,6 +21,7 @@ from gtau.estimation.diagnostics.gain_checks import (
     prior_gains_off,
     wrench_contradictions,
 )
+from gtau.estimation.diagnostics.logged_torques import logged_torques
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
 from gtau.estimation.diagnostics.position_ripple import ripple_findings
@@ -110,6 +111,7 @@ def diagnose(
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
         *(gains_apart(fit, uncertainty) if fit.free_gains else []),
         *(common_scale(fit, uncertainty, accuracy) if fit.free_gains else []),
+        *logged_torques(fit, uncertainty),
         *examined.untested,
     ]
     against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))

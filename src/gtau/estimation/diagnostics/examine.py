@@ -23,12 +23,13 @@ from gtau.estimation.diagnostics.late_currents import late_currents
 from gtau.estimation.diagnostics.lengths import other_length
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.log_checks import lack_of_fit, swapped_channels
+from gtau.estimation.diagnostics.missing_gravity import missing_gravity
 from gtau.estimation.diagnostics.other_estimators import (
     alternatives_of,
     other_estimators,
     two_stage_difference,
 )
-from gtau.estimation.diagnostics.other_gravity import gravity_asked_for, other_gravity
+from gtau.estimation.diagnostics.other_gravity import OtherGravity, gravity_asked_for, other_gravity
 from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.score_test import gain_changes
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
@@ -126,7 +127,14 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         changes = _of_gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
-    turned = _of_gravity(fit, progress) if lack > LACKING and gravity_asked_for(fit, alternatives) else []
+    asked = lack > LACKING and gravity_asked_for(fit, alternatives)
+    late = late_currents(fit.dataset, fit.system.problem.slowest)
+    missing = None if late else missing_gravity(fit, asked)
+    if isinstance(missing, Finding):
+        untested, missing = (*untested, missing), None
+    if missing is None and asked:
+        missing = other_gravity(fit, progress)
+    turned = _of_gravity(fit, missing)
     if turned:  # what a few degrees, other lengths or ripple would explain is its effect
         alternatives = [each for each in alternatives if each.hypothesis != GRAVITY.name] + turned
     elif lack > LACKING:
@@ -135,8 +143,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     ripple = PositionRipple.none(fit) if scaled or turned or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
-    swapped += late_currents(fit.dataset, fit.system.problem.slowest)
-    return Examination(lack, weighed, ripple, swapped, untested)
+    return Examination(lack, weighed, ripple, swapped + late, untested)
 
 
 def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
@@ -175,8 +182,7 @@ def _of_lengths(fit: Fit, progress: Progress) -> list[Alternative]:
     return [replace(_certain(fit, "lengths", found.cause, found.change, np.nan, found.moves), share=found.share)]
 
 
-def _of_gravity(fit: Fit, progress: Progress) -> list[Alternative]:
-    found = other_gravity(fit, progress)
+def _of_gravity(fit: Fit, found: OtherGravity | None) -> list[Alternative]:
     if found is None:
         return []
     certain = _certain(fit, GRAVITY.name, found.cause, 1.0, np.nan, found.moves)

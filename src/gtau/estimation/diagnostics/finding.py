@@ -66,6 +66,10 @@ class FindingKind(StrEnum):
     FEW_ROWS = "too few rows for tests"
     SCALE_UNTESTED = "torque scale not tested"
     COMMON_SCALE = "common torque scale"
+    NO_GRAVITY_SHOWN = "torques without gravity, or a balanced robot"
+    WHOLE_NUMBERS = "whole numbers"
+    MOTOR_SIDE = "torques of the motors"
+    MODEL_TORQUES = "torques of a model"
     COMMAND_LAG = "command lag"
     SLIGHT_COMMAND_LAG = "slight command lag"
     # what the model may lack, or the description have wrong
@@ -81,6 +85,7 @@ class FindingKind(StrEnum):
     GRAVITY_TILT = "gravity tilt"
     GRAVITY_STRENGTH = "gravity strength"
     GRAVITY = "gravity"
+    WITHOUT_GRAVITY = "torques without gravity"
     WRENCH_OFFSET = "wrench offset"
     WRENCH_POINT = "wrench point"
     CLOCK = "clock"

@@ -163,7 +163,9 @@ def linearise(
     height = max((len(T) for _, _, of_window in reduced for T in of_window), default=0)
     found = []
     for run, window, of_window in reduced:
-        T = np.stack([np.pad(each, ((0, height - len(each)), (0, 0))) for each in of_window])
+        T = np.zeros((len(of_window), height, of_window[0].shape[1]))
+        for rows, each in zip(T, of_window, strict=True):
+            rows[: len(each)] = each
         e, J, weights = errors_and_jacobian(fit, run, window, T)
         offered = -(fit.solution.iterate.b * weights)[:, None, None] * T[:, :, fit.dataset.base.count + EXTRA :]
         found.append(LinearisedWindow(e, J, offered))

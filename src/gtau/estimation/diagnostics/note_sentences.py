@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import sqrt, tau
 
-from gtau.estimation.diagnostics.cause_sentences import INSTRUMENTS, Sentence, Values
+from gtau.estimation.diagnostics.cause_sentences import INSTRUMENTS, NO_GRAVITY, Sentence, Values
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.signals.notes import Kind
 
@@ -13,6 +13,18 @@ LISTED = 3  # parameters that are named
 SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
 PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
 IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
+
+
+def _motor_side(values: Values) -> Sentence:
+    if "least" in values:
+        what = "the true torques are {least:.3g} to {most:.3g} times those logged"
+    else:
+        what = "the torques reach {share:.2g%} of the limit of '{joint}' ({limit:.4g}), and less of all others"
+    to_do = (
+        "write 'motor_torque' with the 'gear_ratio' of each joint in place of 'torque', 'current' where they are A, or "
+        "correct the limits"
+    )
+    return what + ": by their size those of motors before their gears, or currents", to_do
 
 
 def _between_runs(values: Values) -> str:
@@ -72,6 +84,22 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "one factor, {scale:.3g} (standard deviation {std:.2g}), explains the torque scale of all joints: so would a "
         "mass of {mass:.3g} kg of payload '{subject}', stated as {declared:.4g} kg",
         "weigh the payload again before the torques are corrected",
+    ),
+    F.NO_GRAVITY_SHOWN: (
+        "the torques show no gravity ({felt:.1g%} of a joint's torque at most): a driver compensates it, or the robot "
+        "is balanced",
+        NO_GRAVITY,
+    ),
+    F.WHOLE_NUMBERS: (
+        "the {kind}s are whole numbers, up to {largest:.0f}: shares of the rated {kind} (‰ in CiA 402, object 0x6077), "
+        "mA or counts rather than SI units",
+        "state their unit and the rated values (units: {{{kind}: ‰, rated: {{...}}}}), or {{{kind}: mA}}",
+    ),
+    F.MOTOR_SIDE: _motor_side,
+    F.MODEL_TORQUES: (
+        "the {kind}s have next to no friction ({friction:.1g%} of a joint's torque at most) and {residual:.2g%} is "
+        "unexplained: a model of the controller computed them, and no motor",
+        "log measured currents or torques (UR: actual_current, not target_current or target_moment)",
     ),
     F.PRIOR_INERTIA: lambda values: (
         "the inertias of '{subject}' in the robot's file, taken as priors to {std:.0f%}, contradict the data: "
@@ -147,6 +175,8 @@ NOTES: Mapping[F, Kind] = {
     F.SLIGHT_COMMAND_LAG: Kind.READING,
     F.UNTESTED: Kind.READING,
     F.GAINS_APART: Kind.UNIT,
+    F.WHOLE_NUMBERS: Kind.UNIT,
+    F.MOTOR_SIDE: Kind.UNIT,
     F.SCALE_UNTESTED: Kind.READING,
     F.WEAK_INSTRUMENTS: Kind.READING,
     F.NOT_SEPARATED: Kind.SEPARATION,

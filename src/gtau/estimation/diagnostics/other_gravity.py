@@ -72,21 +72,21 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
     size = float(np.linalg.norm(declared))
     windows = [window for _, window in central_windows(fit.dataset)]  # the middle of the runs bounds the time
     middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
-    own = _fitted(fit, middle, declared) if size and windows else None
+    own = fitted(fit, middle, declared) if size and windows else None
     if own is None:
         return None
     found = []
     for k, axis in enumerate(np.vstack([np.eye(3), -np.eye(3)])):
         progress("gravity along other axes", k, 6)
-        other = own if _degrees(axis, declared) < GRAVITY_LEAST else _fitted(fit, own.dataset, size * axis)
+        other = own if _degrees(axis, declared) < GRAVITY_LEAST else fitted(fit, own.dataset, size * axis)
         if other is not None:
-            found.append((_left(other, own), other))
+            found.append((left_of(other, own), other))
     progress("gravity along other axes", 6, 6)
     left, best = min([(1.0, own), *found], key=lambda each: each[0])
     alike = [other for rest, other in found if rest <= GRAVITY_ALIKE * left]
     for better in _freely(fit, best, list(enumerate(windows))):
-        if _left(better, own) < (1 - REFUTED_SHARE) * left:
-            left, best, alike = _left(better, own), better, []
+        if left_of(better, own) < (1 - REFUTED_SHARE) * left:
+            left, best, alike = left_of(better, own), better, []
     gravity = np.array(best.dataset.robot.gravity)
     moves = np.zeros(len(fit.gains)) if not fit.free_gains else best.gains / own.gains - 1
     if 1 - left < GRAVITY_SHARE or _degrees(gravity, declared) < GRAVITY_LEAST:
@@ -110,7 +110,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
     return OtherGravity(Finding(F.GRAVITY, joints, values=values), share, moves)
 
 
-def _fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
+def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     """Fit with another gravity; None where the data do not determine the gains with it."""
     robot = replace(dataset.robot, gravity=tuple(gravity.tolist()))
     model = model_of(robot)
@@ -140,12 +140,12 @@ def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) ->
         turned = gravity + size * tilt @ [each.values["towards"] for each in candidates.causes[:2]]
         if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
-        at = _fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))
+        at = fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))
         if at is not None:
             yield at
 
 
-def _left(fit: Fit, own: Fit) -> float:
+def left_of(fit: Fit, own: Fit) -> float:
     """Compute what is left of the residual variance of ``own``, the geometric mean of all channels (the likelihood's).
 
     So a single joint that feels gravity counts among many that do not.

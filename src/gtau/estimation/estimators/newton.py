@@ -176,7 +176,9 @@ def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def jacobian_of_known(problem: Problem, size: int) -> np.ndarray:
     """Compute the Jacobian (k, size) of the residuals of the known parameters, which depend on theta alone."""
-    return np.pad(problem.known[:, :-1], ((0, 0), (0, size - problem.n_theta)))
+    J = np.zeros((len(problem.known), size))
+    J[:, : problem.n_theta] = problem.known[:, :-1]
+    return J
 
 
 def _size(n: int, n_theta: int, free_gains: bool) -> int:

@@ -13,15 +13,23 @@ from gtau.estimation.thresholds.friction import TERM_SHARE, TERM_T
 
 FEWEST_BLOCKS = 6
 KINDS = ("width", "speed", "load", "warm")
+STEPS = 6
+SLOW = 2  # number of the speed, 0.03 of the rms speed, up to which bending may be gradual presliding
+TILT = 0.01  # of the way to the next width or speed tried, for derivatives
 WORDS = {"width": "presliding", "speed": "bent", "load": "load", "warm": "temperature"}
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What the friction of a joint consists of: numbers of a width and of a speed, None for none; load; temperature."""
+    """What the friction of a joint consists of: numbers of a width and of a speed, None for none; load; temperature.
 
-    width: int | None = None
-    speed: int | None = None
+    A number between two stands for a value between theirs, whose column is interpolated. ``gradual`` presliding has all
+    widths at once; no friction has it in the end, but terms are to pay beyond it.
+    """
+
+    width: float | None = None
+    gradual: bool = False
+    speed: float | None = None
     load: bool = False
     warm: bool = False
 
@@ -46,22 +54,41 @@ class Structure:
 
         ``fr`` is friction at rest, ``fs + fb``.
         """
-        z = 0 if self.width is None else self.width + 1
+        z = {0: 1.0} if self.width is None else between(self.width, len(site.widths), first=1)
+
+        def sliding(what: str) -> dict[str, float]:
+            return {f"{k}:{what}": share for k, share in z.items()}
+
         made: dict[str, dict[str, float]] = {}
         if "off" in site.plain:
             made["off"] = {"off": 1.0}
         if "fv" in site.plain:
             made["fv"] = {"fv": 1.0}
         if "fs" in site.plain:
-            made["fs"] = {f"{z}:1": 1.0}
+            made["fs"] = sliding("1")
             if self.speed is not None:
-                made["fr"] = {f"{z}:s{self.speed}": 1.0}
-                made["fs"] |= {f"{z}:s{self.speed}": -1.0}
+                shares = between(self.speed, len(site.speeds)).items()
+                made["fr"] = {each: a * b for k, b in shares for each, a in sliding(f"s{k}").items()}
+                made["fs"] = made["fs"] | {each: -share for each, share in made["fr"].items()}
+            if self.gradual:
+                made |= {f"z{k}": {f"{k}:1": 1.0} for k in range(1, len(site.widths) + 1) if k not in z}
             if self.load:
-                made["fl"] = {f"{z}:fl": 1.0}
+                made["fl"] = sliding("fl")
         if self.warm:
-            made |= {"fvt": {"fvt": 1.0}, "fst": {f"{z}:fst": 1.0}}
+            made |= {"fvt": {"fvt": 1.0}, "fst": sliding("fst")}
         return made
+
+
+def between(number: float, count: int, first: int = 0) -> dict[int, float]:
+    """Interpolate between ``count`` columns by a cubic through four: the share of each, by number from ``first``.
+
+    With half a decade between two speeds ``exp(-|v| / v_s)`` is off by at most 0.02.
+    """
+    if number == round(number):
+        return {first + int(number): 1.0}
+    begin = min(max(int(number) - 1, 0), count - 4)
+    nodes = range(begin, begin + 4)
+    return {first + k: float(np.prod([(number - other) / (k - other) for other in nodes if other != k])) for k in nodes}
 
 
 FREE = ("off", "fvt", "fst")
@@ -98,6 +125,26 @@ def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
     """Fit a group by these structures, and without each block; parameters that would be negative are left at zero."""
     from scipy.optimize import nnls
 
+    listed, M = columns_of(group, structures)
+    G = reduced(group, M)
+    whole = G.sum(axis=(0, 1))
+    size = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
+    A, c = whole[:-1, :-1] / size / size[:, None], whole[:-1, -1] / size
+    # the singular value decomposition of a factor, which the products alone do not need to be of full rank for
+    values, vectors = np.linalg.eigh(A)
+    kept = values > 1e-9 * values[-1]
+    R = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
+    d = (vectors[:, kept].T @ c) / np.sqrt(values[kept])
+    free = [k for k, (_, kind) in enumerate(listed) if kind in FREE]
+    found = nnls(np.hstack([R, -R[:, free]]), d)[0]
+    active = (found[: len(listed)] > 0) | np.isin(np.arange(len(listed)), free)
+    index = np.append(np.flatnonzero(active), len(listed))
+    x, left, errors = left_out(G[..., index[:, None], index])
+    return Trial(structures, tuple(listed[a] for a in np.flatnonzero(active)), x, left, errors, M[:, active])
+
+
+def columns_of(group: Group, structures: tuple[Structure, ...]) -> tuple[list[tuple[int, str]], np.ndarray]:
+    """List the parameters (site, kind) of structures, and the matrix M (p, k) that maps them to columns."""
     place = {column: k for k, column in enumerate(group.columns)}
     listed = [
         ((s, kind), made)
@@ -108,33 +155,27 @@ def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
     for k, ((s, _), made) in enumerate(listed):
         for column, factor in made.items():
             M[place[s, column], k] = factor
+    return [name for name, _ in listed], M
+
+
+def reduced(group: Group, M: np.ndarray) -> np.ndarray:
+    """Compute the products (K, m, k + 1, k + 1) of the columns that M (p, k) makes, and of the torque."""
     used = np.append(np.flatnonzero(M.any(axis=1)), len(M))  # a few of very many columns
     T = np.zeros((len(used), M.shape[1] + 1))
     T[:-1, :-1], T[-1, -1] = M[used[:-1]], 1.0
-    G = T.T @ group.G[:, :, used[:, None], used] @ T
-    whole = G.sum(axis=(0, 1))
-    size = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
-    A, c = whole[:-1, :-1] / size / size[:, None], whole[:-1, -1] / size
-    # the singular value decomposition of a factor, which the products alone do not need to be of full rank for
-    values, vectors = np.linalg.eigh(A)
-    kept = values > 1e-9 * values[-1]
-    R = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
-    d = (vectors[:, kept].T @ c) / np.sqrt(values[kept])
-    free = [k for k, ((_, kind), _) in enumerate(listed) if kind in FREE]
-    found = nnls(np.hstack([R, -R[:, free]]), d)[0]
-    active = (found[: len(listed)] > 0) | np.isin(np.arange(len(listed)), free)
-    index = np.append(np.flatnonzero(active), len(listed))
-    G = G[..., index[:, None], index]
-    scale = np.append(size[active], 1.0)
-    G = G / scale / scale[:, None]
-    k = len(index) - 1
+    return np.asarray(T.T @ group.G[:, :, used[:, None], used] @ T)
+
+
+def left_out(G: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solve for x (k,), and without each block (K, k), with the squared errors (K, m) of the blocks left out."""
+    k = G.shape[-1] - 1
+    size = np.append(np.sqrt(np.maximum(np.diag(G.sum(axis=(0, 1)))[:-1], 1e-300)), 1.0)
+    G = G / size / size[:, None]
     whole = G.sum(axis=(0, 1))
     left = _solved(whole - G.sum(axis=1), k)
-    x = _solved(whole[None], k)[0]
     error = np.hstack([-left, np.ones((len(left), 1))])
     errors = np.einsum("bp,bmpq,bq->bm", error, G, error)
-    names = tuple(listed[a][0] for a in np.flatnonzero(active))
-    return Trial(structures, names, x / size[active], left / size[active], errors, M[:, active])
+    return _solved(whole[None], k)[0] / size[:-1], left / size[:-1], errors
 
 
 def _solved(G: np.ndarray, k: int) -> np.ndarray:
@@ -174,13 +215,31 @@ def choose(group: Group) -> Chosen:
                 if trials:
                     least = min(trials, key=lambda trial: trial.errors.sum())
                     t, share = gained(best, least)
-                    if t > TERM_T and share > TERM_SHARE:
+                    if t > TERM_T and share > TERM_SHARE and (kind != "speed" or _beyond(group, least, s)):
                         offers.append((share, t, (s, kind), least))
         if not offers:
-            return Chosen(best, plain, evidence)
+            return Chosen(polished(group, best), plain, evidence)
         _, t, key, best = max(offers, key=lambda offer: offer[0])
         evidence[key] = t
         best = _refined(group, best)
+
+
+def _beyond(group: Group, after: Trial, s: int) -> bool:
+    """Whether friction that bends with the speed pays beyond any presliding.
+
+    Presliding of real joints, of LuGre's and of generalized Maxwell slip, turns into sliding gradually, while the joint
+    is slow still. One stop turns at once, and friction that bends below a hundredth of the rms speed made up for it.
+    Faster ones are not asked: on motor 6 of a TX40 one takes the error of unused samples from 16.0 to 10.4 %.
+    """
+    if (after.structures[s].speed or 0.0) > SLOW:
+        return True
+
+    def gradual(speed: float | None) -> Trial:
+        of_site = replace(after.structures[s], speed=speed, gradual=True)
+        return attempt(group, (*after.structures[:s], of_site, *after.structures[s + 1 :]))
+
+    t, share = gained(gradual(None), gradual(after.structures[s].speed))
+    return t > TERM_T and share > TERM_SHARE
 
 
 def _with(group: Group, trial: Trial, s: int, kind: str) -> list[Trial]:
@@ -196,36 +255,61 @@ def _refined(group: Group, trial: Trial) -> Trial:
     return trial
 
 
-def spread_of_shape(group: Group, trial: Trial, s: int, kind: str) -> float:
-    """Compute the standard deviation of the logarithm of a width or speed: jackknife of the best over the grid.
+def polished(group: Group, trial: Trial) -> Trial:
+    """Move widths and speeds between those tried, by steps of Gauss and Newton, where blocks left out gain.
 
-    The grid itself is uniform over a step.
+    Better by as much as for a term. The speed of friction that saturates stays: it says more of speeds beyond those of
+    the log than of these, and on a UR10e other days were worse for its move (3.35 to 3.40, 4.57 to 4.74 % of torque).
     """
-    options = _with(group, trial, s, kind)
-    grid = np.log(group.sites[s].widths if kind == "width" else group.sites[s].speeds)
-    errors = np.array([each.errors.sum(axis=1) for each in options])  # (options, K)
-    without = errors.sum(axis=1)[:, None] - errors
-    best = np.array([_lowest(grid, column) for column in without.T])
-    blocks, step = len(best), grid[1] - grid[0]
-    return float(np.sqrt((blocks - 1) / blocks * ((best - best.mean()) ** 2).sum() + step**2 / 12))
+    best = trial
+    for _ in range(STEPS):
+        whole = with_shapes(group, best)
+        structures, x = list(best.structures), dict(zip(best.names, best.x, strict=True))
+        for (s, kind), step in zip(whole.names[len(best.names) :], whole.x[len(best.names) :], strict=True):
+            values = shape_values(group, s, kind)
+            if kind == "speed" and x.get((s, "fr"), 0.0) < x.get((s, "fs"), 0.0):
+                continue
+            moved = getattr(structures[s], kind) + np.clip(step / np.log(values[1] / values[0]), -1.0, 1.0)
+            structures[s] = _moved(structures[s], kind, float(np.clip(moved, 0, len(values) - 1)))
+        after = attempt(group, tuple(structures))
+        if after.errors.sum() >= best.errors.sum():
+            break
+        best = after
+    return best if best.errors.sum() < (1 - TERM_SHARE) * trial.errors.sum() else trial
 
 
-def moved_by_shape(group: Group, trial: Trial, s: int, kind: str, spread: float) -> np.ndarray:
-    """Compute by how much the parameters (k,) move where the logarithm of a width or speed does by ``spread``."""
-    options = _with(group, trial, s, kind)
-    grid = np.log(group.sites[s].widths if kind == "width" else group.sites[s].speeds)
-    here = getattr(trial.structures[s], kind)
-    low, high = max(here - 1, 0), min(here + 1, len(grid) - 1)
-    below, above = (dict(zip(options[k].names, options[k].x, strict=True)) for k in (low, high))
-    moved = np.array([above.get(name, 0.0) - below.get(name, 0.0) for name in trial.names])
-    return moved * spread / (grid[high] - grid[low])
+def with_shapes(group: Group, trial: Trial) -> Trial:
+    """Add what logarithms of widths and speeds change to the columns of a trial: names (site, width or speed) and x."""
+    names, columns = list(trial.names), [trial.M]
+    for s, structure in enumerate(trial.structures):
+        for kind in ("width", "speed"):
+            number, values = getattr(structure, kind), shape_values(group, s, kind)
+            if number is None:
+                continue
+            ends = [min(max(number + way, 0.0), len(values) - 1.0) for way in (-TILT, TILT)]
+            low, high = (_columns_with(group, trial, s, kind, end) @ trial.x for end in ends)
+            slope = (high - low) / ((ends[1] - ends[0]) * np.log(values[1] / values[0]))
+            if slope.any():
+                names.append((s, kind))
+                columns.append(slope[:, None])
+    M = np.hstack(columns)
+    x, left, errors = left_out(reduced(group, M))
+    return Trial(trial.structures, tuple(names), x, left, errors, M)
 
 
-def _lowest(grid: np.ndarray, errors: np.ndarray) -> float:
-    """Find the minimum of the parabola through the least error and its neighbours."""
-    k = int(np.argmin(errors))
-    if k in (0, len(grid) - 1):
-        return float(grid[k])
-    low, mid, high = errors[k - 1 : k + 2]
-    bend = low - 2 * mid + high
-    return float(grid[k] + (grid[1] - grid[0]) * (low - high) / (2 * bend) if bend > 0 else grid[k])
+def shape_values(group: Group, s: int, kind: str) -> np.ndarray:
+    """Return the widths or speeds that are tried of a site."""
+    return group.sites[s].widths if kind == "width" else group.sites[s].speeds
+
+
+def _columns_with(group: Group, trial: Trial, s: int, kind: str, number: float) -> np.ndarray:
+    """Build M (p, k) of a trial's parameters with another width or speed of a site."""
+    structures = list(trial.structures)
+    structures[s] = _moved(structures[s], kind, number)
+    listed, M = columns_of(group, tuple(structures))
+    place = {name: k for k, name in enumerate(listed)}
+    return M[:, [place[name] for name in trial.names]]
+
+
+def _moved(structure: Structure, kind: str, number: float) -> Structure:
+    return replace(structure, width=number) if kind == "width" else replace(structure, speed=number)

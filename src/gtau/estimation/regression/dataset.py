@@ -11,8 +11,7 @@ from typing import Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.doubtful_currents import doubtful_currents
-from gtau.estimation.regression.doubtful_payloads import doubtful_payloads
+from gtau.estimation.regression.doubtful_units import doubtful_currents, doubtful_payloads
 from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
 from gtau.estimation.regression.file_inertias import inertia_priors
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of

@@ -53,8 +53,10 @@ def triangle(*blocks: np.ndarray) -> np.ndarray:
 def select_columns(R: np.ndarray, columns: Sequence[int]) -> np.ndarray:
     """Compute the triangular factor of some ``columns``, in order, of the rows with the triangular factor ``R``."""
     same = next((k for k, column in enumerate(columns) if column != k), len(columns))  # triangular as they are
-    right = R[:same, columns]
-    return np.concatenate([right, np.pad(triangle(R[same:, columns[same:]]), ((0, 0), (same, 0)))])
+    rest = triangle(R[same:, columns[same:]])
+    found = np.zeros((len(R[:same]) + len(rest), len(columns)))
+    found[:same], found[same:, same:] = R[:same, columns], rest
+    return found
 
 
 def leave_one_out(factors: list[np.ndarray]) -> list[np.ndarray]:

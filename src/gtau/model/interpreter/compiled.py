@@ -24,6 +24,13 @@ _ARGUMENTS = {"run_machine": 3, "interpret": 10, "scatter": 16, "advance_to": 7,
 _DIGEST = 32  # bytes that the file begins with: of the machine code after them
 
 
+def _sources() -> bytes:
+    return b"".join(path.read_bytes() for path in sorted(_HERE.glob("*.py")))
+
+
+_LOADED = _sources()  # as imported: files that are replaced later, by an update, are of other machine code
+
+
 class Loops(NamedTuple):
     """The address of the interpreter of one lane, and functions of addresses and whole numbers, of ``kernel.py``.
 
@@ -65,10 +72,9 @@ def edition() -> str:
     """Return the digest of all that the machine code depends on."""
     import llvmlite.binding as llvm
 
-    sources = [path.read_bytes() for path in sorted(_HERE.glob("*.py"))]
     features = sorted(llvm.get_host_cpu_features().items())
     made_by = f"{version('numba')} {version('llvmlite')} {llvm.get_host_cpu_name()} {features}"
-    return sha256(b"".join([*sources, made_by.encode()])).hexdigest()[:16]
+    return sha256(_LOADED + made_by.encode()).hexdigest()[:16]
 
 
 def _places() -> Iterator[Path]:
@@ -121,7 +127,8 @@ def _made() -> bytes:
     passes.add_global_dead_code_eliminate_pass()
     passes.run(whole, builder)
     code: bytes = processor.emit_object(whole)
-    _keep(code)
+    if _sources() == _LOADED:
+        _keep(code)
     return code
 
 

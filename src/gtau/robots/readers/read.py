@@ -69,6 +69,7 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
                 robot = _mounted(robot, source.base.rpy)
         robot = select_joints(robot, source.joints, source.held) if source.joints or source.held else robot
         robot = _limited(robot, source.limits)
+        robot = robot if source.gravity is None else replace(robot, gravity=source.gravity)
         if source.base is None and not robot.floating and (six := drawn_base(robot)):
             raise GtauError(f"{listed(six)} have no motor and carry the rest, as a base that floats; {BASE_ADVICE}.")
         return robot

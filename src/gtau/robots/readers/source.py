@@ -80,7 +80,7 @@ class RobotSource(BaseModel):
 
     ``base`` fixes a floating base, says how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
     joints that move; the others are held, at the positions in ``held`` or at home. ``limits`` replace those of the
-    file, by joint.
+    file, by joint, and ``gravity`` its own, m/s2: zero where a driver compensates gravity in what it logs.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -90,6 +90,7 @@ class RobotSource(BaseModel):
     joints: tuple[str, ...] = ()
     held: dict[str, FiniteFloat] = {}
     limits: dict[str, GivenLimits] = {}
+    gravity: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
 
 
 def _text_or_group(value: Any) -> str:
