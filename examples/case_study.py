@@ -92,14 +92,14 @@ INTRODUCTION = """\
 # The Orthoglide case study
 
 Section 5 of Briot and Gautier, "Global identification of joint drive gains and dynamic parameters of parallel
-robots", on a robot whose true values are known. A plant takes the place of the machine: its forward dynamics with
-friction in all 15 joints, force ripple, encoder and current resolution, noise, and currents held for a millisecond;
-what the estimator sees are logs. The plant's main parameters are those of the paper's Table 3, so the tables can be
-read side by side; what the paper does not say (how masses are shared out among the bodies, small frictions, the
-trajectories) is ours.
+robots", repeated on a robot with known true values. A simulated plant replaces the machine: forward dynamics with
+friction in all 15 joints, force ripple, encoder and current resolution, noise, and currents held for a millisecond.
+The estimator sees only its logs. The plant's main parameters are those of the paper's Table 3, so the tables can be
+compared directly. We chose what the paper does not state: the distribution of mass among the bodies, small frictions
+and the trajectories.
 
-This page is made by `python examples/case_study.py docs`. `gtau demo --out demo` identifies the same robot from shorter
-logs, and weighs with it.
+`python examples/case_study.py docs` makes this page. `gtau demo --out demo` identifies the same robot from shorter
+logs and weighs a payload with it.
 
 ![The robot at home](../images/case-study-robot.png)
 
@@ -107,49 +107,47 @@ logs, and weighs with it.
 
 ![Positions, velocities and accelerations](../images/case-study-trajectory.png)
 
-Four runs of 20 s identify the robot, two without and two with a payload of 1.983 kg; half of them are sums of sines,
-half moves from point to point within the limits of the joints.
+Four runs of 20 s identify the robot, two without and two with a payload of 1.983 kg. Half of them are sums of sines,
+half are point-to-point moves within the joint limits.
 """
 TABLE_3_NOTES = """\
 The differences, point by point:
 
-- **Gains.** Ours are the plant's own to some hundredths of a per cent; whether the paper's are right to its 0.39 %
-  nobody can know but by weighing. Our standard deviations are smaller because a simulated robot has no elasticity,
-  backlash or warm-up, and they are honest (a block jackknife), which the paper's formula (39) is not where residuals
-  are autocorrelated.
-- **Axes** (`m_11R` to `fs_13`, `m_PR`). They agree because the plant was given them.
+- **Gains.** Ours match the plant to some hundredths of a per cent. The paper's 0.39 % can only be verified by weighing.
+  Our standard deviations are smaller because a simulated robot has no elasticity, backlash or warm-up. They come from a
+  block jackknife, which remains valid for autocorrelated residuals; the paper's formula (39) does not.
+- **Axes** (`m_11R` to `fs_13`, `m_PR`). They agree because the plant has the paper's values.
 - **`mx_21`, `off_21R`, `off_23R`, `fv_21R`, `fv_33R`, the passive frictions.** The paper keeps values such as `fv_33R
-  = -5.57`, a friction that drives, and opposite to `fv_21R = 5.57`: at the ratio 10 kept parameters take over what
-  cancelled ones did. Our plant has ordinary small frictions instead, the same in the three legs, and they are what is
-  found.
-- **The set.** Ours cancels what the Bayesian information criterion does not keep. A kept parameter absorbs what
-  cancelled ones did, so its standard deviation here is the one with all parameters: above 100 % it means that only a
-  sum with cancelled ones is known, though the torque needs the term. The paper's rule (`--ratio 10`) takes cancelled
-  ones for zero and compares each parameter with the most accurate one; with our smaller standard deviations it would
-  cancel even `m_PR`, and `m_11R` would take over its kilogram.
+  = -5.57`, a propelling friction, opposite to `fv_21R = 5.57`: at the ratio 10, kept parameters absorb the effects of
+  cancelled ones. Our plant has small passive frictions, equal in the three legs, and the identification recovers them.
+- **The set.** Ours is selected by the Bayesian information criterion. Kept parameters absorb the effects of
+  cancelled ones, so the standard deviations listed are those with all parameters. Above 100 %, only a sum with
+  cancelled parameters is identifiable, although the torque needs the term. The paper's rule (`--ratio 10`) sets
+  cancelled parameters to zero and compares each one with the most accurate; with our smaller standard deviations it
+  would cancel even `m_PR`, and `m_11R` would absorb its kilogram.
 """
 PAYLOAD_NOTES = """\
-With the manufacturer's gains the payload is found too light by as much as the gains are too small: the paper's case
-1. With the identified gains it is right. That the standard deviations are smaller than the paper's 0.02 kg is again a
-simulated robot's smoothness.
+With the manufacturer's gains the payload comes out too light by the same factor as the gains, as in the paper's case
+1. With the identified gains its mass is correct. The standard deviations are smaller than the paper's 0.02 kg, again
+because the simulated robot is ideal in other respects.
 """
 TABLE_4_NOTES = """\
 The differences, point by point:
 
-- **Simple and advanced PID.** The same size as the paper's: a PID with three poles at 100 rad/s lags by about `3 qdd
-  / w^2`, and feeding the velocity forward takes away all but its jerk. On trajectory 2 the paper's errors are twice
-  ours, so its trajectory, which is not given, accelerates about twice as much.
-- **Computed torque.** Ours leaves some micrometres where the paper has 60 to 150, so it is hundreds of times better
-  than the simple PID, not 30 times. The paper's rest is not the model's: a velocity that is measured 1 ms later than
-  the one fed forward would alone leave `3 w (1 ms) qdd / (3 w^2)`, 70 micrometres rms here. Our derivative acts on
-  the error, both parts of it filtered alike, and the plant is rigid; what is left is the half sample by which held
-  currents are late, ripple, and friction at reversals.
-- **Joint 3 on trajectory 1.** The vertical axis hardly moves, so there is little for the model to predict: the
-  smallest gain of all strategies, as in the paper.
+- **Simple and advanced PID.** The errors have the paper's size: a PID with three poles at 100 rad/s lags by about
+  `3 qdd / w^2`, and velocity feedforward leaves only the error due to jerk. On trajectory 2 the paper's errors are
+  twice ours, so its trajectory, which is not published, accelerates about twice as much.
+- **Computed torque.** Our errors are some micrometres, the paper's 60 to 150, so computed torque improves on the
+  simple PID by a factor of hundreds instead of 30. The model does not explain the paper's remaining error: a velocity
+  measured 1 ms later than the one fed forward would alone cause `3 w (1 ms) qdd / (3 w^2)`, 70 micrometres rms here.
+  Our derivative acts on the error, with both parts filtered alike, and the plant is rigid. The remaining error comes
+  from the half-sample delay of held currents, ripple, and friction at reversals.
+- **Joint 3 on trajectory 1.** The vertical axis hardly moves, so the model has little to predict: the improvement
+  over the PID is smallest here, as in the paper.
 - **Manufacturer's or identified gains.** No relevant difference, as in the paper: each model was identified with its
-  own gains, so current references come out nearly the same, and only the payload's nominal mass is converted wrongly.
-- **25 % error on the gains.** The payload then enters a fifth too small; the errors are visibly larger, relatively
-  more than in the paper, whose larger rest hides them.
+  own gains, so the current references are nearly equal; only the payload's nominal mass is converted wrongly.
+- **25 % error on the gains.** The payload then enters a fifth too small. The errors grow visibly, and relatively
+  more than in the paper, whose larger remaining error hides them.
 """
 
 

@@ -1,4 +1,4 @@
-"""gtau: drive gains and dynamic parameters of robots, serial and parallel, from their logs."""
+"""gtau: identify drive gains and dynamic parameters of serial and parallel robots from logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where results find what shows them: the package registers it, so that no estimation imports a report.
+"""Registry of views: results find their report and plots here without importing them.
 
 ``gtau/__init__`` names the module that has the views; it is imported when something is first shown.
 """

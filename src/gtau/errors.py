@@ -1,8 +1,8 @@
-"""The one error a user meets."""
+"""The one error that users see."""
 
 
 class GtauError(Exception):
-    """Input that gtau refuses.
+    """Error raised for input that gtau cannot use.
 
     The message is one sentence for a person: what is wrong, where (file, key, joint, time), and
     what to do about it.

@@ -1,4 +1,4 @@
-"""How long work reports where it stands."""
+"""Report the progress of long work."""
 
 from __future__ import annotations
 

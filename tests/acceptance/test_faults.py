@@ -383,7 +383,7 @@ def test_degrees_read_as_radians() -> None:
         logged.append(Run(f"run {k}", model.actuated, time, q, current, payload=payload))
     right = identify(model.robot, logged)
     assert worst([gain.verdict for gain in right.drive_gains.values()]) == Outcome.GOOD, sentences(right)
-    with pytest.raises(GtauError, match="if the log is in deg say so"):
+    with pytest.raises(GtauError, match="if the log is in deg, write that under 'units'"):
         identify(model.robot, [replace(run, position=np.degrees(run.position)) for run in logged])
 
 

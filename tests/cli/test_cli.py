@@ -204,7 +204,7 @@ def test_validate(here: Path) -> None:
         # The noise that is left after decimation.
         assert error["rms"] < 0.01 * gain
         assert error["relative"] == pytest.approx(100 * error["rms"] / error["signal"])
-    assert "does not prove the gains" in run("validate", "model.json", "experiment.yaml").stdout
+    assert "does not validate the gains" in run("validate", "model.json", "experiment.yaml").stdout
 
 
 def test_a_payload_that_the_model_does_not_know_is_a_point_mass_and_said_to_be(here: Path) -> None:
@@ -212,8 +212,10 @@ def test_a_payload_that_the_model_does_not_know_is_a_point_mass_and_said_to_be(h
     (here / "iron.yaml").write_text(text)
     (run_,) = document("validate", "model.json", "iron.yaml")["runs"]
     (note,) = run_["notes"]
-    assert note.startswith("payload 'iron' is none of the model's ('steel'), so it counts as a point mass of 1.2 kg")
-    assert "counts as a point mass" in " ".join(run("validate", "model.json", "iron.yaml").stdout.split())
+    assert note.startswith(
+        "payload 'iron' is not a payload of the model ('steel'), so it is treated as a point mass of 1.2 kg"
+    )
+    assert "treated as a point mass" in " ".join(run("validate", "model.json", "iron.yaml").stdout.split())
     assert document("validate", "model.json", "experiment.yaml")["runs"][0]["notes"] == []
 
 
@@ -237,7 +239,7 @@ def test_payload(here: Path, gains: str) -> None:
     assert found["gain_uncertainty_included"] == (gains == "identified")
     table = run("payload", "model.json", "weighing.yaml", "--gains", gains).stdout
     assert "'lead'" in table
-    assert ("with these gains taken for exact, 95 % interval" in " ".join(table.split())) == (gains == "prior")
+    assert ("with these gains assumed exact, 95 % interval" in " ".join(table.split())) == (gains == "prior")
     assert table.splitlines() == [line.rstrip() for line in table.splitlines()]
     assert f"Weighed with the {gains} drive gains" in table
 
@@ -641,7 +643,7 @@ def test_a_file_for_the_folder_is_refused_before_the_work(here: Path, monkeypatc
     for command in ("identify", "check"):
         result = run(command, "experiment.yaml", "--out", "free.csv")
         assert result.exit_code == 2
-        assert "free.csv cannot be the output folder, as free.csv is a file" in result.stderr
+        assert "free.csv cannot be the output folder, because free.csv is a file" in result.stderr
 
 
 def test_interrupted_while_importing(here: Path) -> None:
@@ -685,8 +687,8 @@ def test_logs_that_are_no_files(here: Path, kind: str) -> None:
         os.mkfifo(here / "free.csv")
     result = run("check", "experiment.yaml")
     assert result.exit_code == 2
-    what = "it is a link to 'gone.csv', which is not there" if kind == "link" else "is a device or a pipe"
-    assert f"there is no file 'free.csv'; {'' if kind == 'link' else 'what has this name '}{what}." in result.stderr
+    what = "it is a link to 'gone.csv', which does not exist" if kind == "link" else "is a device or a pipe"
+    assert f"there is no file 'free.csv'; {'' if kind == 'link' else 'it '}{what}." in result.stderr
 
 
 def test_a_reader_that_goes_away(here: Path) -> None:

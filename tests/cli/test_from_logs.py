@@ -85,11 +85,11 @@ def test_one_command_from_bags(tmp_path: Path, motion: Any, monkeypatch: pytest.
     assert gains == pytest.approx({"shoulder": 8.0, "elbow": 5.0}, rel=0.01)
     said = [each["what"] for each in document["notes"] if each["kind"] == "draft"]
     assert [words.split(":")[0] for words in said] == [
-        "payloads are taken from the names of the files",
-        "without a mass in the name, nothing is taken to be carried in empty",
-        "the robot is the one that the bag describes (/robot_description)",
-        "joints that are not in the log are held at home; shoulder, elbow move",
-        f"time is {TOPIC}/header/stamp, stamps of measurement, not those of receipt",
+        "payload masses come from the file names",
+        "no payload is assumed for empty, without a mass in the name",
+        "the robot comes from /robot_description of the bag",
+        "joints missing from the log are held at home; shoulder, elbow move",
+        f"time is {TOPIC}/header/stamp, measurement stamps, not receipt stamps",
     ]
     assert said[0].endswith(f"{LOADED} 0.8 kg")
     assert (tmp_path / "result" / "robot.urdf").read_text() == URDF
@@ -111,16 +111,16 @@ def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch:
     (tmp_path / "arm.urdf").write_text(URDF)
     refused = CliRunner().invoke(app, ["check", *logs])
     assert refused.exit_code == 2
-    assert "does not say of which robot it is; give it (--robot ROBOT)" in refused.stderr
+    assert "does not name its robot; give it by --robot ROBOT" in refused.stderr
     command = ["check", *logs, "--robot", "arm.urdf", "--payload", f"{LOADED}=0.75", "--out", "looked", "--json"]
     done = CliRunner().invoke(app, command)
     found = json.loads(done.stdout)
     said = [each["what"] for each in found["findings"] if each["kind"] == "draft"]
-    assert said[0] == f"{TOPIC}/shoulder/effort ... {TOPIC}/elbow/effort are taken as torques"
+    assert said[0] == f"{TOPIC}/shoulder/effort ... {TOPIC}/elbow/effort are assumed to be torques"
     (loaded,) = [run for run in read_experiment(tmp_path / "looked" / "experiment.yaml").runs if run.payload]
     assert loaded.payload is not None
     assert loaded.payload.mass == 0.75
-    assert not any("payloads are taken from" in words for words in said)
+    assert not any("payload masses come from" in words for words in said)
     CliRunner().invoke(app, [*command, "--kind", "current"])  # a draft that nobody edited is replaced
     assert read_experiment(tmp_path / "looked" / "experiment.yaml").signals.kind == "current"
 
@@ -134,7 +134,7 @@ def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypat
         (["--payload", "empty"], "--payload is 'empty'; write the name of a log and kg"),
         (["--payload", "empty=-1"], "the payload of 'empty' is -1 kg"),
         (logs[:1], "the log 'empty' is given twice; give every log once."),
-        (["experiment.yaml"], "experiment.yaml is an experiment file; give it alone, or logs without it."),
+        (["experiment.yaml"], "experiment.yaml is an experiment file; give either it or logs."),
     ):
         done = CliRunner().invoke(app, ["identify", *logs, *more])
         assert (done.exit_code, words in done.stderr) == (2, True), done.stderr
@@ -170,7 +170,7 @@ def test_stamps_of_receipt_are_taken_where_there_are_no_others(tmp_path: Path, m
     draft = draft_logs([log])
     assert draft.time == (f"{TOPIC}/received",)
     said = [note.what for note in guesses(draft, Path("e.yaml"))]
-    assert f"time is {TOPIC}/received, the stamps of receipt" in said
+    assert f"time is {TOPIC}/received, the receipt stamps" in said
 
 
 def test_topics_at_rates_of_their_own(tmp_path: Path, motion: Any) -> None:
@@ -181,8 +181,8 @@ def test_topics_at_rates_of_their_own(tmp_path: Path, motion: Any) -> None:
     draft = draft_logs([log])
     assert (draft.time, draft.command_time) == ((f"{TOPIC}/header/stamp",), ("/motor_currents/received",))
     said = [note.what for note in guesses(draft, Path("e.yaml"))]
-    assert "time is /motor_currents/received, the stamps of receipt" in said
-    assert any(words.startswith("columns were given to the joints in their order") for words in said)
+    assert "time is /motor_currents/received, the receipt stamps" in said
+    assert any(words.startswith("columns were assigned to the joints in order") for words in said)
 
 
 def lerobot(path: Path, log: tuple[np.ndarray, ...], episodes: int, arrays: bool) -> Path:
@@ -273,7 +273,7 @@ def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> No
     assert state.position == {"shoulder": "observation.state[3]", "elbow": "observation.state[1]"}
     assert (state.kind, state.command["elbow"]) == ("torque", "observation.state[2]")
     (tmp_path / "meta" / "info.json").write_text("[]")
-    with pytest.raises(GtauError, match=r"info.json is no description of a LeRobot data set that can be read"):
+    with pytest.raises(GtauError, match=r"info.json is not a readable description of a LeRobot data set"):
         draft_logs([log])
 
 
@@ -291,7 +291,9 @@ def test_torques_beside_currents_are_sensors_unless_computed_from_them(tmp_path:
     sensed, computed = drafts
     assert sensed.sensors == {"shoulder": "torque_shoulder", "elbow": "torque_elbow"}
     said = [note.what for note in guesses(sensed, Path("e.yaml"))]
-    assert "torque_shoulder, torque_elbow are taken as torque sensors behind the gears, which give the scale" in said
+    assert (
+        "torque_shoulder, torque_elbow are assumed to be torque sensors behind the gears, which set the scale" in said
+    )
     assert (computed.sensors, set(computed.torques)) == ({}, {"shoulder", "elbow"})
     (said,) = [note.what for note in guesses(computed, Path("e.yaml")) if note.what.startswith("torque_")]
     assert said.endswith("are not used: they are a straight line of the currents, from which they may be computed")
@@ -335,9 +337,9 @@ def test_the_airbot_pair(shared: Path, tmp_path: Path, monkeypatch: pytest.Monke
     assert 1.2 < gains["joint2"] < 1.7
     assert 1.2 < gains["joint3"] < 1.7
     assert [each["what"].split(":")[0] for each in document["notes"] if each["kind"] == "draft"] == [
-        "columns were given to the joints in their order",
-        "payloads are taken from the names of the files",
-        "without a mass in the name, nothing is taken to be carried in chirp_unloaded.csv",
+        "columns were assigned to the joints in order",
+        "payload masses come from the file names",
+        "no payload is assumed for chirp_unloaded.csv, without a mass in the name",
     ]
 
 

@@ -30,7 +30,7 @@ def test_currents_of_drives_are_not_doubted(run: Run) -> None:
 @pytest.mark.parametrize(
     ("factors", "sentence"),
     [
-        ([1e3, 1e3], r"A rms, more than drives of robots take; if it is in mA, say so \(units: \{current: mA\}\)"),
+        ([1e3, 1e3], r"A rms, more than drives of robots take; if it is in mA, write units: \{current: mA\}"),
         (
             [100.0, 1.0],
             r"the current of joint 'left' is [\d.]+ times that of 'right' .* the columns are in the same unit",

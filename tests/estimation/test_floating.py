@@ -91,7 +91,12 @@ REFUSED = [
     ("didim", BASE, {"method": "didim"}, "motion is simulated from the currents of motors"),
     ("order of the quaternion", BASE.replace("[qw, qx, qy, qz]", "[q1, qx, qy, qz]"), {}, "has the length"),
     ("twice", BASE.replace("[hx, hy, hz]", "[hx, hy, px]"), {}, "the column 'px' is given twice"),
-    ("a pose too", BASE + "\n  pose: {source: tracker, position: {x: px}}", {}, "of one that floats; remove 'pose'"),
+    (
+        "a pose too",
+        BASE + "\n  pose: {source: tracker, position: {x: px}}",
+        {},
+        "a floating one; remove 'pose'",
+    ),
     (
         "accelerometer",
         "{body: trunk, accelerometer: {columns: [ax, ay, az]}}",
@@ -117,7 +122,7 @@ def test_a_base_wants_columns_and_a_robot_that_floats(hung: Truth, tmp_path: Pat
     for changed, sentence in (
         (
             text.replace(f"  base: {BASE}\n", "").replace("units: {base: {length: mm}}\n", ""),
-            "'signals' do not say how",
+            "'signals' lack its motion",
         ),
         (
             text.replace("robot: arm.yaml", "robot: {file: arm.yaml, base: fixed}"),

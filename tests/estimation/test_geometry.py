@@ -234,7 +234,7 @@ def test_refused_columns() -> None:
     for pose, words in (
         ({"source": "controller"}, "a pose needs columns"),
         ({"source": "controller", "angles": {"sequence": "YZ", "columns": ["c"]}}, "has 2 angles, but 1 columns"),
-        ({"source": "controller", "angles": {"sequence": "YY", "columns": ["c", "d"]}}, "twice about one axis"),
+        ({"source": "controller", "angles": {"sequence": "YY", "columns": ["c", "d"]}}, "repeats an axis"),
         ({"source": "controller", "position": {"x": "c", "y": "c"}}, "given twice"),
         ({"source": "elsewhere", "position": {"x": "c"}}, "'controller'"),
     ):

@@ -11,9 +11,11 @@ from stated_arm import MASSES, chi, plant, robot, torque_run
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import FindingKind
+from gtau.estimation.diagnostics.inertia_audit import AuditedParameter
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.file_inertias import inertia_priors
 from gtau.estimation.results.result import Result
+from gtau.report.inertias import inertias_section
 from gtau.robots.robot import Robot
 
 
@@ -54,6 +56,11 @@ def test_the_link_whose_mass_is_wrong_is_named(true: Robot, tmp_path: Path) -> N
     shown = " ".join(result.summary(verbose=False).split())
     assert "The file's inertias predict the torques to" in shown
     assert "j3 (" in shown
+    unknown = [AuditedParameter(f"mx_{k}", "j3", "kg m", "not identifiable", 1.0) for k in range(2)]
+    counted, listed = (inertias_section(replace(audit, parameters=tuple(unknown)), short) for short in (True, False))
+    said = "2 base parameters are not identifiable from these motions to better than +-100 % of the link"
+    assert f"{said}; --verbose lists them" in counted.items[0].points
+    assert f"{said}: mx_0, mx_1" in listed.items[0].points
 
 
 def test_the_audit_is_in_the_file_of_the_model(true: Robot, tmp_path: Path) -> None:
@@ -100,7 +107,7 @@ def test_priors_hold_what_is_not_excited_and_leave_the_rest(true: Robot) -> None
             assert abs(after.value - before.value) < pull + 0.5 * before.std, name
     assert len(open_) >= 6
     assert len(excited) >= 3
-    assert "taken as priors to 30 %" in " ".join(held.summary().split())
+    assert "priors with a standard deviation of 30 %" in " ".join(held.summary().split())
     assert not [note for note in held.notes if note.finding == FindingKind.PRIOR_INERTIA]
 
 

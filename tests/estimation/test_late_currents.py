@@ -37,14 +37,14 @@ def reasons(result: Result) -> dict[str, str]:
 def test_a_delay_of_100_ms_is_named_as_one(lead: float, named: str) -> None:
     result = identify(ROBOT, logs(lead, lead))
     for joint, why in reasons(result).items():
-        assert why.startswith(f"its currents were logged {named}"), joint
+        assert why.startswith(f"the currents were logged {named}"), joint
     assert "preparation: {delay: " in next(iter(result.drive_gains.values())).verdict.advice
 
 
 def test_the_delay_of_one_joint_is_its_own() -> None:
     found = identify(ROBOT, logs(-0.05, 0.004))
     left, right = reasons(found).values()
-    assert left.startswith("its currents were logged 50 ms too late")
+    assert left.startswith("the currents were logged 50 ms too late")
     assert right.startswith("joint 'left' contradicts the model")
 
 
@@ -59,6 +59,6 @@ def test_currents_of_one_joint_in_another_unit_are_asked_about() -> None:
     runs = [replace(run, command=run.command * [1.0, 60.0]) for run in logs(0.0, 0.0)]
     result = identify(ROBOT, runs)
     (note,) = [each for each in result.notes if each.finding == F.GAINS_APART]
-    assert "the gains of 'right' and 'left' are a factor of" in str(note)
+    assert "the gains of 'right' and 'left' differ by a factor of" in str(note)
     assert result.drive_gains["right"].value == pytest.approx(GAINS[1] / 60, rel=0.01)
     assert all(each.finding != F.GAINS_APART for each in identify(ROBOT, logs(0.0, 0.0)).notes)

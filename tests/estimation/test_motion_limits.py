@@ -56,7 +56,7 @@ def test_a_little_outside_is_a_note(run: Run) -> None:
 
 
 def test_another_unit_is_refused(run: Run) -> None:
-    with pytest.raises(GtauError, match=r"far outside its limits 0 to 0.01 rad; if the log is in deg say so"):
+    with pytest.raises(GtauError, match=r"far outside its limits 0 to 0.01 rad; if the log is in deg, write"):
         prepared(limited(Limits(position=(0.0, 0.01))), run)
 
 
@@ -65,7 +65,7 @@ def test_a_placeholder_for_the_limit_of_speed_is_a_note_and_another_clock_refuse
     (note,) = prepared(slow, run).notes
     assert "times its limit of 0.01 rad/s" in note.what
     assert note.action.startswith(
-        "check columns and units; where the limit is a placeholder, write its own under 'robot'"
+        "check columns and units; if the limit is a placeholder, state the real one under 'robot'"
     )
     assert note.action.endswith("({file: ..., limits: {left: ...}})")
     with pytest.raises(GtauError, match=r"which no robot has; correct the unit of the time"):

@@ -113,7 +113,7 @@ def test_gains_that_are_taken_for_exact_are_named(
     assert exact_gains(experiment, "prior") == exact
     assert exact_gains(experiment, "identified") == ()
     said = " ".join(plain(weighing_page(model, [found], "prior", exact)).split())
-    assert ("leave out the uncertainty of" in said) == ("taken for exact" in said) == bool(exact)
+    assert ("exclude the uncertainty of" in said) == ("assumed exact" in said) == bool(exact)
     assert ("of the gains of left:" in said) == (exact == ("left",))
 
 
@@ -197,8 +197,8 @@ def test_a_known_center_gives_the_mass(hung: list[Run]) -> None:
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        ({"mass": 2.0}, r"of this one write 'parameters: \{mx: 0.2, my: 0, mz: -0.4\}'"),
-        ({"parameters": {"my": 0.1}}, "'center' and 'my' of the parameters say the same; remove one of them"),
+        ({"mass": 2.0}, r"for a known one write 'parameters: \{mx: 0.2, my: 0, mz: -0.4\}'"),
+        ({"parameters": {"my": 0.1}}, "'center' and 'my' of the parameters state the same; remove one of them"),
     ],
 )
 def test_a_center_is_given_once_and_of_an_unknown_mass(more: dict, sentence: str) -> None:

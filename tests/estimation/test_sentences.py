@@ -13,22 +13,22 @@ from gtau.estimation.diagnostics.sentences import WRENCHES, advice, named, note,
 from gtau.signals.notes import Kind
 
 NO_GRAVITY = (
-    "log what the motors deliver (UR: 'use_currents_as_efforts: true'), or write 'robot: {file: ..., gravity: [0, 0, "
-    "0]}' in the experiment file, for a model that has no gravity either"
+    "log the torques of the motors (UR: 'use_currents_as_efforts: true'), or write 'robot: {file: ..., gravity: [0, 0, "
+    "0]}' in the experiment file for a model without gravity"
 )
 GEARS = (
-    "write 'motor_torque' with the 'gear_ratio' of each joint in place of 'torque', 'current' where they are A, or "
+    "write 'motor_torque' with the 'gear_ratio' of each joint instead of 'torque', or 'current' if they are in A, or "
     "correct the limits"
 )
 # fmt: off
 SENTENCES = [  # finding, reason, advice
     (Finding(F.NEGATIVE_MASS, (), "m_trunkR", values={"mass": -41.23}),
-     "the wrenches give the robot a mass of -41.2 kg",
-     "log the forces on the body, or reverse their signs"),
+     "the wrenches imply a robot mass of -41.2 kg",
+     "log the forces exerted on the body, not by it, or reverse their signs"),
     (Finding(F.BASE_UNEXPLAINED, (), "trunk", values={"share": 0.42, "part": "moments"}),
      "the model leaves 42 % of the moments on the base 'trunk' unexplained",
-     "check the signs, axes, point ('at') and body of each wrench, that none is missing, and that they share the "
-     "positions' clock"),
+     "check the signs, axes, point ('at') and body of each wrench, that no wrench is missing, and that all use the "
+     "clock of the positions"),
     (Finding(F.TLS_CONFUSED),
      "total least squares cannot separate the payload from the noise (standard deviation over 50 %)",
      "use --method ml, or a heavier payload and longer runs with less noise"),
@@ -36,38 +36,38 @@ SENTENCES = [  # finding, reason, advice
      "all drive gains are negative",
      "check the sign of the currents and positions, gravity, which runs carry the payload, and on which body"),
     (Finding(F.SWAPPED, ("a", "b"), values={"kind": "current", "exchanged": 0.021, "as_logged": 0.84}),
-     "the currents of 'a' and 'b' look swapped: exchanged, 2.1 % of them is unexplained, as logged 84 %",
-     "check that position and current columns belong together, in all runs"),
+     "the currents of 'a' and 'b' look swapped: 2.1 % is unexplained after exchanging them, 84 % as logged",
+     "check that the position and current columns are of the same joint in all runs"),
     (Finding(F.LATE, ("a",), values={"kind": "current", "lag": 0.0998, "shifted": 0.0021, "as_logged": 0.17}),
-     "its currents were logged 100 ms too late: shifted by that, 0.21 % of them is unexplained, as logged 17 %",
-     "log them with the time stamps of the positions, or where those of all joints are as late, write 'preparation: "
+     "the currents were logged 100 ms too late: 0.21 % is unexplained after shifting them, 17 % as logged",
+     "log them with the time stamps of the positions, or if those of all joints are equally late, write 'preparation: "
      "{delay: 0.0998}'"),
     (Finding(F.REFUTED, ("left",),
      values={"size": 1.2, "unit": "deg", "share": 0.31, "move": -0.045},
      causes=(Finding(F.ENCODER_ZERO, ("left",)),)),
      "an error in the zero of encoder 'left' (1.2 deg) would explain 31 % of the residual variance and move this "
      "gain by -4.5 %",
-     "check the zeros of the encoders against the robot's own"),
+     "compare the encoder zeros with the robot's zero position"),
     (Finding(F.REFUTED, ("left",),
      values={"size": 1.2, "unit": "deg", "share": 0.31, "move": -23.0},
      causes=(Finding(F.ENCODER_ZERO, ("left",)),)),
      "an error in the zero of encoder 'left' (1.2 deg) would explain 31 % of the residual variance and move this "
      "gain by more than 1000 %",
-     "check the zeros of the encoders against the robot's own"),
+     "compare the encoder zeros with the robot's zero position"),
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False}),
-     "the model leaves 31 % of this joint's current unexplained",
-     "check that its position and current columns belong together, in all runs, and their signs and units"),
+     "the model leaves 31 % of the joint's current unexplained",
+     "check that the position and current columns are of the same joint in all runs, and check their signs and units"),
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.61, "kind": "torque", "given": True}),
-     "the model leaves 61 % of this joint's torque unexplained",
-     "check its position and torque columns, their signs and units, the clock of the log and its 'preparation'"),
+     "the model leaves 61 % of the joint's torque unexplained",
+     "check the position and torque columns, their signs and units, the clock of the log, and 'preparation'"),
     (Finding(F.PAYLOAD, ("left",), "steel"),
-     "it rests on payload 'steel', which contradicts the data",
+     "the scale comes from payload 'steel', which contradicts the data",
      "correct the payload"),
     (Finding(F.PAYLOAD, ("left",), "steel", {"given": True}),
      "payload 'steel', which contradicts the data, leaves this joint unexplained",
      "correct the payload"),
     (Finding(F.SENSOR, ("left",), "right"),
-     "it rests on the torque sensor of 'right', which contradicts all other data",
+     "the scale comes from the torque sensor of 'right', which contradicts all other data",
      "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"),
     (Finding(F.WHOLE_MASS, ("left",), "m_trunkR",
      values={"found": 41.2, "std": 0.3, "prior": 40.0, "prior_std": 0.1}),
@@ -77,56 +77,55 @@ SENTENCES = [  # finding, reason, advice
      "the iteration did not converge, so the data do not determine it",
      "resolve the contradictory joints first"),
     (Finding(F.LOST, values={"std": 0.8, "payload": True}),
-     "its relative standard deviation is 80 %",
-     "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
+     "the relative standard deviation is 80 %",
+     "use a heavier payload, and motions in which the joint lifts or accelerates it; check the direction of "
      "gravity, which runs carry the payload, and on which body"),
     (Finding(F.SIGN_OPEN, values={"payload": False}),
      "the 95 % interval includes zero",
-     "use longer runs, motions in which this joint lifts or accelerates more, or also a payload of known mass; "
+     "use longer runs, motions in which the joint lifts or accelerates more, or also a payload of known mass; "
      "check the direction of gravity"),
     (Finding(F.OTHER_ESTIMATOR, ("left",),
      values={"move": 0.032, "t": -14.2}, causes=(Finding(F.TWO_STAGE, ("left",)),)),
      "2SLS on the same data gives a gain 3.2 % larger, a difference of 14 standard deviations",
-     "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction "
-     "that grows with the load has the same effect"),
+     "check the signs and the payload of every run, and gravity; if these are correct, add runs with other motions: "
+     "friction that grows with the load has the same effect"),
     (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 1003.0, "prior": 2.0, "unit": "N m/A"}),
      "it is 1003 times its prior of 2 N m/A",
-     "check the payload's mass, which looks like g taken for kg, and the unit of the currents, A taken for mA"),
+     "check the payload's mass (g entered as kg?) and the unit of the currents (A declared as mA?)"),
     (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 0.001, "prior": 2.0, "unit": "N m/A"}),
      "it is 0.001 times its prior of 2 N m/A",
-     "check the unit of the currents, which looks like mA taken for A, and the payload's mass in kg"),
+     "check the unit of the currents (mA declared as A?) and the payload's mass in kg"),
     (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 3.0, "prior": 2.0, "unit": "N m/A"}),
      "it is 3 times its prior of 2 N m/A",
      "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"),
     (Finding(F.EFFORT, ("left",), values={"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m"}),
      "the torque of 'left' is 250 N m (rms), 2.5 times its limit of 100 N m",
-     "check the payload's mass (kg) and the unit of the currents; where the limit is a placeholder, write its own "
-     "under 'robot' of the experiment file ({file: ..., limits: {left: ...}})"),
+     "check the payload's mass (kg) and the unit of the currents; if the limit is a placeholder, state the real one "
+     "under 'robot' in the experiment file ({file: ..., limits: {left: ...}})"),
     (Finding(F.WIDE_SCALE, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
-     "its 95 % interval is +-5.1 %, limited by the uncertainty of its scale reference",
+     "the 95 % interval is +-5.1 %, limited by the uncertainty of its scale reference",
      "calibrate the sensors, or weigh the payload, more accurately"),
     (Finding(F.WIDE_RANDOM, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
-     "its 95 % interval is +-5.1 %",
-     "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; if other "
+     "the 95 % interval is +-5.1 %",
+     "use a heavier payload, longer runs, or motions in which the joint lifts or accelerates it more; if other "
      "joints are weak too, check which runs carry the payload, on which body, and gravity"),
     (Finding(F.WIDE_RANDOM, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": False}),
-     "its 95 % interval is +-5.1 %",
-     "use longer runs, motions in which this joint lifts or accelerates more, or also a payload of known mass; "
+     "the 95 % interval is +-5.1 %",
+     "use longer runs, motions in which the joint lifts or accelerates more, or also a payload of known mass; "
      "check the direction of gravity"),
     (Finding(F.WIDE_RIPPLE, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
-     "its 95 % interval is +-5.1 %, as residuals repeat at the same positions (ripple of the motors, cables or "
-     "springs)",
-     "use other paths in the loaded and unloaded runs; use a heavier payload and longer runs, too"),
+     "the 95 % interval is +-5.1 %, because residuals repeat at the same positions (motor ripple, cables or springs)",
+     "use other paths in the loaded and unloaded runs; also use a heavier payload and longer runs"),
     (Finding(F.WIDE_CAUSE, ("left",),
      values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": False},
      causes=(Finding(F.CURRENT_LAG, ("left",)),)),
-     "its 95 % interval is +-5.1 %, as the data cannot exclude a low-pass filter of the current of 'left', or an "
+     "the 95 % interval is +-5.1 %, because the data cannot exclude a low-pass filter of the current of 'left', or an "
      "elastic transmission",
-     "log the current before any filter, and move more slowly; use longer runs, too"),
+     "log the current before any filter, and move more slowly; also use longer runs"),
     (Finding(F.WIDE_CAUSE, ("left",),
      values={"half": 0.051, "accuracy": 0.03, "random": False, "payload": True},
      causes=(Finding(F.SATURATION, ("left",)),)),
-     "its 95 % interval is +-5.1 %, as the data cannot exclude the torque constant of 'left' falling with its "
+     "the 95 % interval is +-5.1 %, because the data cannot exclude the torque constant of 'left' falling with its "
      "current",
      "stay at lower currents, with slower motions or less load, and check that the log holds the actual "
      "current; friction that grows with the load has the same effect"),
@@ -134,7 +133,7 @@ SENTENCES = [  # finding, reason, advice
      "joint 'right' contradicts the model, whose parameters all joints share",
      "resolve that joint first"),
     (Finding(F.NEGATIVE_GAIN, ("left",)),
-     "negative gain, as positive current drives the joint backwards",
+     "negative gain: positive current drives the joint backwards",
      "reverse the sign of current or position if that is not intended"),
     (Finding(F.DELAY_NOISE),
      "the current's rate of change may be nothing but noise",
@@ -144,7 +143,7 @@ SENTENCES = [  # finding, reason, advice
      "treat it as a nuisance parameter, or move this joint faster"),
     (Finding(F.INSEPARABLE),
      "these motions cannot separate it from the parameters listed before it",
-     "add runs that move the joints in other ways"),
+     "add runs with different motions of the joints"),
     (Finding(F.NEAR_ZERO),
      "it is within two standard deviations of zero",
      "treat it as small, or move its joint faster and further"),
@@ -158,158 +157,159 @@ SENTENCES = [  # finding, reason, advice
      "it is negative by 11 standard deviations: a negative inertia",
      "check the signs of positions and currents, the sampling rate, the units and 'preparation'"),
     (Finding(F.PAYLOAD_MASS, values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg"}),
-     "by all other data it weighs 2.05 kg (standard deviation 0.01), not 2 kg",
-     "weigh the payloads again; one of the masses is wrong, or a run carries another payload than declared"),
+     "all other data give it a mass of 2.05 kg (standard deviation 0.01), not 2 kg",
+     "reweigh the payloads: a mass is wrong, or a run carries a payload other than declared"),
     (Finding(F.PAYLOAD_MASS,
      values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg", "given": "torque"}),
-     "by all other data it weighs 2.05 kg (standard deviation 0.01), not 2 kg",
-     "check which runs carry the payload, its mass (kg) and the unit and scale of the torques; where the mass is "
-     "certain, leave out --method, and it gives their scale"),
+     "all other data give it a mass of 2.05 kg (standard deviation 0.01), not 2 kg",
+     "check which runs carry the payload, its mass (kg) and the unit and scale of the torques; if the mass is "
+     "certain, leave out --method: it then sets their scale"),
     (Finding(F.PAYLOAD_MASS,
      values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg", "given": "current"}),
-     "by all other data it weighs 2.05 kg (standard deviation 0.01), not 2 kg",
-     "check which runs carry the payload, its mass (kg) and the gains that are given; where the mass is certain, "
-     "identify the gains, and it gives their scale"),
+     "all other data give it a mass of 2.05 kg (standard deviation 0.01), not 2 kg",
+     "check which runs carry the payload, its mass (kg) and the given gains; if the mass is certain, identify "
+     "the gains: it then sets their scale"),
     (Finding(F.PAYLOAD_PARAMETER,
      values={"parameter": "mx", "declared": 0.3, "found": 0.2, "std": 0.01, "unit": "kg m"}),
-     "given its mass and all other data its mx is 0.2 kg m (standard deviation 0.01), not 0.3 kg m",
-     "check mx and the frame it is given in, that of the body that carries the payload, and the mass; or leave mx "
-     "out"),
+     "given its mass and all other data, its mx is 0.2 kg m (standard deviation 0.01), not 0.3 kg m",
+     "check mx, its frame (that of the body that carries the payload) and the mass; or omit mx"),
     (Finding(F.SENSOR_SCALE, values={"scale": 1.051, "std": 0.004}),
      "all other data give torques 1.051 times its reading (standard deviation 0.004)",
      "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"),
     (Finding(F.UNLIKE_LEGS, (), "11", values={"parameter": "mx_12R", "share": 0.4}),
      "legs of the same geometry differ, most in mx_12R of leg '11' (40 % from the mean of the others)",
-     "check that they are built alike"),
+     "check that they are built identically"),
     (Finding(F.UNLIKE_LEGS, (), "11", values={"parameter": "mx_12R", "share": 40.0}),
      "legs of the same geometry differ, most in mx_12R of leg '11' (more than 1000 % from the mean of the others)",
-     "check that they are built alike"),
+     "check that they are built identically"),
     (Finding(F.PRIOR, (), "mx_3", values={"found": 41.2, "std": 0.3, "prior": 40.0, "prior_std": 0.1}),
      "the known parameter mx_3 is 41.2 from the data (standard deviation 0.3), but 40 from its prior (0.1)",
      "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"),
     (Finding(F.PRIOR_INERTIA, (), "elbow", values={"std": 0.3, "parameters": [["mx_3R", 2.41, 0.013, 1.2, "kg m"]]}),
-     "the inertias of 'elbow' in the robot's file, taken as priors to 30 %, contradict the data: mx_3R is 2.41 kg m "
-     "from the data (standard deviation 0.013), 1.2 in the file",
+     "the inertias of 'elbow' in the robot file, used as priors with a standard deviation of 30 %, contradict the "
+     "data: mx_3R is 2.41 kg m from the data (standard deviation 0.013), 1.2 in the file",
      "give 'prior_inertias' a larger value, or correct the file"),
     (Finding(F.POSITION_NOISE, (), "my_L2", values={"count": 3, "all": 20, "deviations": 2.13, "t": 5.2}),
-     "position noise biases 3 of 20 estimates by more than their standard deviations: my_L2 by 2.1 of them "
+     "position noise biases 3 of 20 estimates by more than one standard deviation: my_L2 by 2.1 standard deviations "
      "(instrumental variables, which such noise does not bias, differ by 5 standard deviations of the difference); "
-     "the intervals include it",
+     "the intervals include this bias",
      "use --method iv or didim, or encoders with less noise"),
     (Finding(F.POSITION_NOISE, ("left",), values={"count": 3, "all": 20, "deviations": 2.13, "t": 5.2}),
-     "position noise biases 3 of 20 estimates by more than their standard deviations: the gain of 'left' by 2.1 of "
-     "them (instrumental variables, which such noise does not bias, differ by 5 standard deviations of the "
-     "difference); the intervals include it",
+     "position noise biases 3 of 20 estimates by more than one standard deviation: the gain of 'left' by 2.1 standard "
+     "deviations (instrumental variables, which such noise does not bias, differ by 5 standard deviations of the "
+     "difference); the intervals include this bias",
      "use --method iv or didim, or encoders with less noise"),
     (Finding(F.RIPPLE, ("left",), values={"share": 0.44, "move": 0.012, "moved": "right", "base": False}),
-     "residuals repeat at the same positions (44 % of the variance at joint 'left'): ripple of the motors, cables "
-     "or springs, which the model lacks. They repeat in every run, so the scatter between blocks does not show "
-     "them; the standard deviations include how far the estimates move when they are modelled (that of the gain of "
-     "joint 'right' 1.2 %)",
+     "residuals repeat at the same positions (44 % of the variance at joint 'left'): motor ripple, cables or springs, "
+     "which are not modelled. They repeat in every run, so the scatter between blocks does not show "
+     "them; the standard deviations include the shift of the estimates when they are modelled (the gain of joint "
+     "'right' by 1.2 %)",
      ""),
     (Finding(F.RIPPLE, (), "trunk", values={"share": 0.44, "move": 0.0, "moved": "", "base": True}),
      "residuals repeat at the same positions (44 % of the variance of the base 'trunk'): a wrench is wrong or "
      "missing. They repeat in every run, so the scatter between blocks does not show them; the standard deviations "
-     "include how far the estimates move when they are modelled",
+     "include the shift of the estimates when they are modelled",
      ""),
     (Finding(F.COMMON_RESIDUALS, ("left", "right"), values={"correlations": [["left", 0.64], ["right", 0.5]]}),
      "residuals of runs that repeat a motion with different loads are correlated at 'left' (+0.64), 'right' (+0.50): "
-     "what the model lacks there depends on the motion alone, and cancels in the gains",
+     "the unmodelled torque there depends on the motion alone and cancels in the gains",
      ""),
     (Finding(F.OPPOSED_RESIDUALS, ("left",), values={"correlations": [["left", -0.512]]},
      causes=(Finding(F.LOAD_FRICTION, ("left",)),)),
-     "residuals of runs that repeat a motion with different loads are correlated at 'left' (-0.51): what the model "
-     "lacks there changes sign with the load, and moves gains; most likely load-dependent friction of 'left'",
-     "add runs at other speeds, or with other loads, to separate it from the rest"),
+     "residuals of runs that repeat a motion with different loads are correlated at 'left' (-0.51): the unmodelled "
+     "torque there changes sign with the load and biases the gains; most likely load-dependent friction of 'left'",
+     "add runs at other speeds, or with other loads, to separate it from other effects"),
     (Finding(F.SMALL_REFUTATION,
      values={"share": 0.12, "move": 0.0071}, causes=(Finding(F.GRAVITY, values={"gravity": [0.0, -1.2, 9.7]}),)),
-     "another gravity, about (0.0, -1.2, 9.7) m/s2 would explain 12 % of the residual variance and move no gain by "
-     "more than 0.71 %",
+     "a different gravity vector, about (0.0, -1.2, 9.7) m/s2 would explain 12 % of the residual variance and move no "
+     "gain by more than 0.71 %",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
     (Finding(F.NO_GRAVITY_SHOWN, values={"felt": 0.0031}),
-     "the torques show no gravity (0.3 % of a joint's torque at most): a driver compensates it, or the robot is "
+     "the torques contain no gravity (0.3 % of a joint's torque at most): a driver compensates it, or the robot is "
      "balanced",
      NO_GRAVITY),
     (Finding(F.WITHOUT_GRAVITY, ("left",), values={"left": {"left": [0.2, 0.01]}}),
-     "torques without gravity, as of a driver that compensates it, which leaves 1 % of 'left' unexplained instead of "
+     "torques without gravity, as from a driver that compensates it, which leaves 1 % of 'left' unexplained instead of "
      "20 %,",
      NO_GRAVITY),
     (Finding(F.WHOLE_NUMBERS, values={"kind": "torque", "largest": 873.0}),
-     "the torques are whole numbers, up to 873: shares of the rated torque (‰ in CiA 402, object 0x6077), mA or counts "
+     "the torques are whole numbers, up to 873: ‰ of the rated torque (CiA 402, object 0x6077), mA or counts "
      "rather than SI units",
      "state their unit and the rated values (units: {torque: ‰, rated: {...}}), or {torque: mA}"),
     (Finding(F.MOTOR_SIDE, values={"least": 83.2, "most": 138.4}),
-     "the true torques are 83.2 to 138 times those logged: by their size those of motors before their gears, or "
-     "currents",
+     "the true torques are 83.2 to 138 times those logged: by their size they are motor-side torques (before the "
+     "gear) or currents",
      GEARS),
     (Finding(F.MOTOR_SIDE, ("left",), values={"share": 0.0031, "limit": 150.0}),
-     "the torques reach 0.31 % of the limit of 'left' (150), and less of all others: by their size those of "
-     "motors before their gears, or currents",
+     "the torques reach 0.31 % of the limit of 'left' (150), and less for all others: by their size they are "
+     "motor-side torques (before the gear) or currents",
      GEARS),
     (Finding(F.MODEL_TORQUES, values={"kind": "torque", "friction": 0.003, "residual": 0.0057}),
-     "the torques have next to no friction (0.3 % of a joint's torque at most) and 0.57 % is unexplained: a model of "
-     "the controller computed them, and no motor",
+     "the torques have next to no friction (0.3 % of a joint's torque at most) and 0.57 % is unexplained: they come "
+     "from a model in the controller, not from the motors",
      "log measured currents or torques (UR: actual_current, not target_current or target_moment)"),
     (Finding(F.SCALE_UNTESTED, values={"why": "no joint shows it"}),
-     "the torques are taken as true, as their scale could not be tested: no joint shows it",
+     "the torques are assumed to be correct, because their scale could not be tested: no joint shows it",
      "add runs with a heavier payload of known mass, or longer ones"),
     (Finding(F.COMMON_SCALE, (), "steel", {"scale": 1.25, "std": 0.012, "mass": 0.96, "declared": 1.2}),
-     "one factor, 1.25 (standard deviation 0.012), explains the torque scale of all joints: so would a mass of 0.96 kg "
-     "of payload 'steel', stated as 1.2 kg",
-     "weigh the payload again before the torques are corrected"),
+     "one factor, 1.25 (standard deviation 0.012), explains the torque scale of all joints; a mass of 0.96 kg for "
+     "payload 'steel' (stated: 1.2 kg) would explain it equally",
+     "reweigh the payload before you correct the torques"),
     (Finding(F.GAINS_APART, ("a", "b"), values={"ratio": 61.2, "smaller": 0.2, "larger": 12.24, "unit": "N m/A"}),
-     "the gains of 'a' and 'b' are a factor of 61 apart (0.2 and 12.2 N m/A), which motors and gears of one robot "
-     "hardly are",
+     "the gains of 'a' and 'b' differ by a factor of 61 (0.2 and 12.2 N m/A), which is implausible for motors and "
+     "gears of one robot",
      "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not"),
     (Finding(F.WEAK_INSTRUMENTS, values={"strength": 1.43, "needed": 6.8}),
-     "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of 1.4, "
-     "where it needs 6.8), so that it would differ by its own bias",
+     "two-stage least squares could not serve as a comparison: its instruments are weak for these motions "
+     "(first-stage F of 1.4; 6.8 is needed), so the difference would show its own bias",
      "let the joints move independently of each other, or use a heavier payload"),
     (Finding(F.UNTESTED,
      values={"refusal": "the loops do not close at 1.2 s"},
      causes=(Finding(F.INSTRUMENTS), Finding(F.BANDWIDTH, values={"factor": 0.7}),)),
-     "estimates by instrumental variables or estimates with a bandwidth 0.7 times as large could not be made for "
+     "estimates by instrumental variables or estimates with a bandwidth 0.7 times as large could not be computed for "
      "comparison: the loops do not close at 1.2 s",
      ""),
     (Finding(F.AUTOCORRELATED, values={"factor": 2.34}),
-     "residuals are autocorrelated: standard errors are 2.3 times those of white noise, so the model lacks something, "
-     "such as friction of another kind, ripple of the motors, cables or elasticity",
+     "residuals are autocorrelated: standard errors are 2.3 times those of white noise, so the model lacks an effect, "
+     "such as another kind of friction, motor ripple, cables or elasticity",
      ""),
     (Finding(F.IMPOSSIBLE_PARAMETERS, values={"parameters": [["fv_1", -1.0, "N m s"]] * 4}),
      "physically impossible parameters: fv_1 = -1 N m s, fv_1 = -1 N m s, fv_1 = -1 N m s and 1 more",
      "check the signs of positions and currents, the sampling rate, the units and 'preparation'"),
     (Finding(F.NOT_SEPARATED, values={"parameters": ["mx_1", "my_1"]}),
      "these motions cannot separate mx_1, my_1 from the other base parameters: no value is given",
-     "add runs that move all joints in other ways"),
+     "add runs with different motions of all joints"),
     (Finding(F.MASS_UNSEEN, (), "tip", values={"sums": ["mx - 0.04 m", "my - 0.1445 m"]}),
-     "the mass of payload 'tip' is not identifiable, as only sums with other parameters of it act on the joints: "
-     "mx - 0.04 m, my - 0.1445 m",
-     "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"),
+     "the mass of payload 'tip' is not identifiable, because only sums with its other parameters affect the joint "
+     "torques: mx - 0.04 m, my - 0.1445 m",
+     "if its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"),
     (Finding(F.MASS_UNSEEN, (), "tip", values={"sums": []}),
-     "the mass of payload 'tip' is not identifiable, as it acts on no joint: what carries it turns about a fixed point",
-     "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"),
+     "the mass of payload 'tip' is not identifiable, because it affects no joint torque: the body that carries it "
+     "turns about a fixed point",
+     "if its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"),
     (Finding(F.FEW_ROWS, values={"rows": 12, "unknowns": 20}),
-     "the tests of the model were skipped, as the robot moves too little for them (12 rows in the middle of the runs, "
-     "for 20 unknowns): the intervals hold scatter alone",
+     "the tests of the model were skipped, because the robot moves too little (12 rows in the middle of the runs for "
+     "20 unknowns): the intervals cover random errors alone",
      "log longer motions"),
     (Finding(F.COMMAND_LAG, values={"kind": "current", "lag": 0.012, "std": 0.001, "bandwidth": 10.0}),
      "the currents lag behind the motion by 12 ms (standard deviation 1 ms), so they look low-passed, held or "
-     "logged late; a low-pass of that time constant attenuates them by 20 % at the bandwidth of the motion, 10 Hz",
+     "logged late; a low-pass filter with that time constant attenuates them by 20 % at the bandwidth of the motion, "
+     "10 Hz",
      "log the currents before any filter and with the time stamps of the positions"),
     (Finding(F.SLIGHT_COMMAND_LAG, values={"kind": "current", "lag": 0.02, "std": 0.001, "bandwidth": 10.0}),
-     "the currents lag behind the motion by more than 16 ms, so they look low-passed, held or logged late; a "
-     "low-pass of that time constant attenuates them by 38 % at the bandwidth of the motion, 10 Hz",
+     "the currents lag behind the motion by more than 16 ms, so they look low-passed, held or logged late; a low-pass "
+     "filter with that time constant attenuates them by 38 % at the bandwidth of the motion, 10 Hz",
      "log the currents before any filter and with the time stamps of the positions"),
     (Finding(F.CUBIC_FRICTION, ("left",)),
      "cubic friction of 'left'",
-     "add runs at other speeds, or with other loads, to separate it from the rest"),
+     "add runs at other speeds, or with other loads, to separate it from other effects"),
     (Finding(F.LOAD_FRICTION, ("left",)),
      "load-dependent friction of 'left'",
-     "add runs at other speeds, or with other loads, to separate it from the rest"),
+     "add runs at other speeds, or with other loads, to separate it from other effects"),
     (Finding(F.STRIBECK_FRICTION, ("left",)),
      "Stribeck friction of 'left'",
-     "add runs at other speeds, or with other loads, to separate it from the rest"),
+     "add runs at other speeds, or with other loads, to separate it from other effects"),
     (Finding(F.VISCOUS_DRIFT, ("left",)),
      "viscous friction of 'left' changing along the runs",
      "let the robot warm up before the runs, or split long runs"),
@@ -328,17 +328,17 @@ SENTENCES = [  # finding, reason, advice
      "log the current before any filter, and move more slowly"),
     (Finding(F.ENCODER_ZERO, ("left",)),
      "an error in the zero of encoder 'left'",
-     "check the zeros of the encoders against the robot's own"),
+     "compare the encoder zeros with the robot's zero position"),
     (Finding(F.GRAVITY_TILT, values={"towards": [1.0, 0.0, 0.0]}),
      "gravity tilted towards (1, 0, 0)",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
     (Finding(F.GRAVITY_STRENGTH),
-     "gravity of another strength",
+     "a different magnitude of gravity",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
     (Finding(F.GRAVITY, values={"gravity": [0.0, -1.2, 9.7]}),
-     "another gravity, about (0.0, -1.2, 9.7) m/s2",
+     "a different gravity vector, about (0.0, -1.2, 9.7) m/s2",
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
     (Finding(F.GRAVITY, ("left", "right"),
@@ -354,16 +354,16 @@ SENTENCES = [  # finding, reason, advice
      "poses, or turn the poses so that their z axis points up"),
     (Finding(F.WRENCH_OFFSET, (), "foot", values={"component": "force x"}),
      "an offset in the force x of the wrench on 'foot'",
-     "tare the force sensor before each run, with nothing on it, or subtract what it reads then"),
+     "tare the unloaded force sensor before each run, or subtract its unloaded reading"),
     (Finding(F.WRENCH_OFFSET, (), "foot", values={"force": [5.0, 0.0, -1.23], "moment": [0.1, 0.0, 0.0]}),
      "an offset of (5, 0, -1.2) N and (0.1, 0, 0) N m in the wrench on 'foot'",
-     "tare the force sensor before each run, with nothing on it, or subtract what it reads then"),
+     "tare the unloaded force sensor before each run, or subtract its unloaded reading"),
     (Finding(F.WRENCH_POINT, (), "foot", values={"axis": "x"}),
-     "the point about which the moment on 'foot' is stated, off in x",
-     "measure where the sensor is, and correct 'at' of that wrench"),
+     "the reference point of the moment on 'foot', off in x",
+     "measure the position of the sensor, and correct 'at' of that wrench"),
     (Finding(F.WRENCH_POINT, (), "foot", values={"shift": [0.02, 0.0, -0.001]}),
-     "the point about which the moment on 'foot' is stated, off by (20, 0, -1) mm",
-     "measure where the sensor is, and correct 'at' of that wrench"),
+     "the reference point of the moment on 'foot', off by (20, 0, -1) mm",
+     "measure the position of the sensor, and correct 'at' of that wrench"),
     (Finding(F.CLOCK, values={"factor": 1.4, "rate": 125.0}),
      "a sampling rate that is too high, as accelerations are too large against gravity (or wrong lengths throughout"
      " the robot)",
@@ -378,21 +378,21 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.GAIN_CHANGE, ("left",), values={"runs": ["a", "b"], "change": 0.02}),
      "a current of 'left' that is larger in runs 'a' and 'b' than in the others",
      "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
-     "loaded and unloaded runs, as a motor's torque constant falls as it warms up"),
+     "loaded and unloaded runs: a motor's torque constant falls as it warms up"),
     (Finding(F.GAIN_CHANGE, ("left",), values={"runs": ["a"], "change": -0.02}),
      "a current of 'left' that is smaller in run 'a' than in the others",
      "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
-     "loaded and unloaded runs, as a motor's torque constant falls as it warms up"),
+     "loaded and unloaded runs: a motor's torque constant falls as it warms up"),
     (Finding(F.BANDWIDTH, ("left",), values={"factor": 0.7}),
      "the gain of 'left' with a bandwidth 0.7 times as large",
-     "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"),
+     "log at a higher rate, from encoders with less noise, or set 'preparation' by hand"),
     (Finding(F.SLOW_ROWS, (), "mx_3", values={"fraction": 0.1}),
      "mx_3 without rows below 10 % of a joint's rms speed",
-     "make motions with fewer reversals, or give 'preparation' by hand"),
+     "use motions with fewer reversals, or set 'preparation' by hand"),
     (Finding(F.TWO_STAGE, ("left",)),
      "the gain of 'left' by two-stage least squares",
-     "check the signs and the payload of every run, and gravity; otherwise add runs of other motions, as friction "
-     "that grows with the load has the same effect"),
+     "check the signs and the payload of every run, and gravity; if these are correct, add runs with other motions: "
+     "friction that grows with the load has the same effect"),
     (Finding(F.INSTRUMENTS, (), "mx_3"),
      "mx_3 by instrumental variables",
      "use --method iv or didim, or encoders with less noise"),
@@ -437,7 +437,7 @@ def test_measured_wrenches_come_first_in_the_advice() -> None:
 def test_a_wrench_that_is_the_cause_is_all_that_is_to_be_checked() -> None:
     values = {"size": 1.0, "unit": "", "share": 0.6, "move": 0.1, "wrenches": True}
     found = Finding(F.REFUTED, ("left",), values=values, causes=(Finding(F.WRENCH_POINT, (), "3", {"axis": "x"}),))
-    assert advice(found) == "measure where the sensor is, and correct 'at' of that wrench"
+    assert advice(found) == "measure the position of the sensor, and correct 'at' of that wrench"
 
 
 @pytest.mark.parametrize("kind", [F.GRAVITY_TILT, F.GRAVITY_STRENGTH, F.GAIN_CHANGE, F.TWO_STAGE])

@@ -28,8 +28,8 @@ from gtau.signals.run import Run, read_run
 ROBOT = five_bar().robot
 KNOWN = Payload(name="steel", mass=STEEL["m"])
 UNTESTED = (
-    "The logs hold torques, taken as true: their scale was not tested. A run with a payload of known mass, beside one "
-    "without, tests it."
+    "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a payload "
+    "of known mass and one without."
 )
 
 
@@ -74,7 +74,7 @@ def test_the_correction_is_written_with_intervals(wrong: Result) -> None:
 def test_true_torques_are_said_to_be_consistent_with_1() -> None:
     found = identify(ROBOT, torques((1.0, 1.0)))
     assert [each.state for each in torque_scales(found)] == ["consistent with 1"] * 2
-    assert headline(found).startswith("The torque scale of every joint is consistent with 1, known to within")
+    assert headline(found).startswith("The torque scales of all joints are consistent with 1, known to within")
 
 
 def test_without_a_scale_torques_are_taken_as_true_and_said_to_be_untested() -> None:

@@ -114,7 +114,7 @@ REFUSED = [
         "body",
         AT_SOLE.replace("body: 3", "body: foot"),
         {},
-        "but bodies of robot 'arm' bear the names of their joints: 1, 2, 3; write the joint that moves it, and, with",
+        "but a body of robot 'arm' has the name of its joint: 1, 2, 3; write the joint that moves it, and, with",
     ),
     ("close", AT_SOLE.replace("body: 3", "body: '33'"), {}, "write the joint that moves it (did you mean '3'?)"),
     ("base", AT_SOLE.replace("body: 3", "body: trunk"), {}, "under 'wrenches' of 'base'"),

@@ -131,7 +131,7 @@ def test_an_mjcf_keeps_all_but_inertias_friction_and_gears(tmp_path: Path, rng: 
     assert 'file="part.stl"' in text
     assert 'ref="0.3"' in text
     notes = " ".join(exported.notes)
-    for said in ("inertiafromgeom is now 'auto'", "motors of shoulder, turn", "left as they are: slide", "flange"):
+    for said in ("inertiafromgeom is now 'auto'", "motors of shoulder, turn", "left unchanged: slide", "flange"):
         assert said in notes
     spec = mujoco.MjSpec.from_string(text)
     for kind in ("geoms", "meshes"):

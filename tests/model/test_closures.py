@@ -348,7 +348,9 @@ def test_joints_that_nothing_moves(robot, free, dof):
 def test_joints_outside_loops_that_nothing_moves(robot, free, it):
     """Nothing but a motor, or standing still, can hold these; no other home does."""
     message = refusal(close, robot)
-    assert message.startswith(f"robot '{robot.name}': no motor moves {free} and no closure holds {it}; hold what ")
+    assert message.startswith(
+        f"robot '{robot.name}': no motor moves {free} and no closure holds {it}; hold the joints "
+    )
     assert f"'held: {{{free.split(', ')[0]}: POSITION}}'" in message
     assert message.endswith("or mark the joint actuated.")
 

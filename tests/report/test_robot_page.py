@@ -73,7 +73,7 @@ def test_a_tool_that_nobody_named_is_said() -> None:
     robot = parse_native(BAR_ARM, "bar.yaml")
     assert robot.tool == "bar"
     (note,) = tool_note(robot)
-    assert note.startswith("a payload is assumed to sit on 'bar'")
+    assert note.startswith("the payload is assumed to be on 'bar'")
     assert "tool: BODY" in note
     assert note in " ".join(plain(robot_page(describe(robot))).split())
     named = parse_native(BAR_ARM + "tool: forearm\n", "bar.yaml")
@@ -162,7 +162,7 @@ def test_identification_says_what_is_odd_in_the_robot() -> None:
     loaded = replace(Plant().run("loaded", payload=STEEL, seed=1), payload=Payload(name="steel", mass=STEEL["m"]))
     notes = list(map(str, identify(robot, [Plant().run("free"), loaded]).notes))
     assert any(note.startswith("robot 'five-bar': position limits of many turns") for note in notes)
-    assert any(note.startswith("robot 'five-bar': a payload is assumed to sit on 'right_forearm'") for note in notes)
+    assert any(note.startswith("robot 'five-bar': the payload is assumed to be on 'right_forearm'") for note in notes)
 
 
 # The page

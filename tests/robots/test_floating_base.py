@@ -241,6 +241,6 @@ def test_the_command_shows_a_floating_base(tmp_path: Path) -> None:
 
 def test_fixing_a_base_is_advised_only_where_it_did_not_move(tmp_path: Path) -> None:
     robot = load_robot(written(tmp_path, "arm.urdf", ARM), base="floating")
-    with pytest.raises(GtauError, match=r"simulation is not supported there; where the base did not move, fix it by"):
+    with pytest.raises(GtauError, match=r"simulation is not supported there; if the base did not move, fix it by"):
         refuse_floating(robot, "simulation is")
     refuse_floating(load_robot("five-bar"), "simulation is")

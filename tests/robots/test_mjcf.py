@@ -460,7 +460,7 @@ def test_what_cannot_be_held(tmp_path: Path) -> None:
         ({"joints": ["C_*"]}, "no joint of robot 'legs' is called 'C_*'; choose from A_hip,"),
         ({"held": {"A_hup": 0.0}}, "'held': unknown joint 'A_hup'; did you mean 'A_hip'?"),
         ({"joints": ["A_*"], "held": {"A_hip": 0.0}}, "joint 'A_hip' is both among the 'joints' that move and 'held'"),
-        ({"held": dict.fromkeys(("A_hip", "A_knee", "B_hip", "B_knee"), 0.0)}, "no joint is left to move"),
+        ({"held": dict.fromkeys(("A_hip", "A_knee", "B_hip", "B_knee"), 0.0)}, "all joints are held"),
         ({"base": "free"}, "write 'fixed', how the base is turned"),
     ):
         with pytest.raises(GtauError) as refused:
@@ -677,7 +677,7 @@ def test_each_robot_on_a_moving_base_has_its_own(tmp_path: Path) -> None:
 def test_loops_without_actuators_are_refused(tmp_path: Path) -> None:
     text = f"""<mujoco><worldbody>{body("crank")}{body("rocker", "0.5 0 0", body("bar", "0 0 0.3"))}</worldbody>
       <equality><connect body1="bar" body2="crank" anchor="-0.5 0 -0.1"/></equality></mujoco>"""
-    with pytest.raises(GtauError, match="it has loops and no actuators, so it is not known which joints have motors"):
+    with pytest.raises(GtauError, match="it has loops but no actuators, so the actuated joints are unknown"):
         load(text, tmp_path)
 
 
@@ -700,7 +700,7 @@ def test_springs_that_leave_joints_free_are_to_be_held(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(text)
     with pytest.raises(GtauError) as refused:
         _ = InverseDynamics(load_robot(tmp_path / "robot.xml")).loops
-    assert "hold the springs right if they hardly give, by 'held: {right: POSITION}' or a list" in str(refused.value)
+    assert "hold the springs right if they hardly deflect, by 'held: {right: POSITION}' or a list" in str(refused.value)
     model = InverseDynamics(load_robot(tmp_path / "robot.xml", held={"right": 0.1}))
     assert model.loops is not None
     assert model.actuated == ("left",)

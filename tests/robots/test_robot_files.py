@@ -363,7 +363,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     (
         "tab in a name",
         good("  k:", '  "k\\t":'),
-        " holds U+0009, a character that is not printed; remove it.",
+        " holds U+0009, a non-printing character; remove it.",
     ),
     (
         "long name",

@@ -91,7 +91,7 @@ def test_rest_is_told_from_motion(rng: np.random.Generator) -> None:
     found = spectra(run_of(np.column_stack([motion(time), drift, shaken, np.full(samples, 0.1)]), rate))
     assert [each.moves for each in found] == [True, False, False, False]
     assert np.isnan(found[1].bandwidth)
-    with pytest.raises(GtauError, match="no joint's motion stands out"):
+    with pytest.raises(GtauError, match="no joint's motion exceeds its position noise"):
         choose_preparation([run_of(np.column_stack([drift, shaken]), rate)])
 
 

@@ -161,7 +161,7 @@ def test_currents_that_are_held_are_recognised(tmp_path: Path) -> None:
     time = regular()
     command = currents(time)[np.arange(SAMPLES) // 10 * 10]
     run = read_run(write(tmp_path / "h.csv", time, logged(time), command), SIGNALS)
-    assert any("commands are held: new ones come at about 100 Hz" in str(note) for note in run.notes)
+    assert any("commands are held: updated at about 100 Hz" in str(note) for note in run.notes)
     np.testing.assert_allclose(run.command[:-10], currents(time)[:-10], atol=2e-4)
     assert run.valid.all()
 
@@ -215,4 +215,4 @@ def test_packets_of_all_sizes_lack_no_sample(shared: Path, run: int) -> None:
         found = read_run(shared / "idle_and_bursts" / "arm_bursts" / f"run_{run}.parquet", signals, settings=settings)
         assert found.rate == pytest.approx(500, rel=1e-4)
         assert len(found.time) == 20_001
-        assert any(str(note).endswith("give it (time: {rate: HZ})") for note in found.notes)
+        assert any(str(note).endswith("give the right one (time: {rate: HZ})") for note in found.notes)

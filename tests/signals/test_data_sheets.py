@@ -110,5 +110,5 @@ def test_a_gear_is_not_counted_twice() -> None:
     """The motors of the catalog's TX40 are joints of their own, with the gears in its couplings."""
     robot = load_robot("staubli-tx40")
     check_drives({robot.actuated[0]: Drive(torque_constant=0.3)}, robot)
-    with pytest.raises(GtauError, match="is the shaft of a motor, whose gear is in the couplings of robot"):
+    with pytest.raises(GtauError, match="is the shaft of a motor, whose gear ratio is in the couplings of robot"):
         check_drives({robot.actuated[0]: Drive(gear_ratio=32, torque_constant=0.3)}, robot)

@@ -138,7 +138,7 @@ def test_masses_in_names_of_files_are_confirmed_first(tmp_path: Path, monkeypatc
     save(tmp_path / "loaded_1200g.csv", "t,q1,q2,torque1,torque2", TIME, Q, V)
     shown = CliRunner().invoke(app, ["init", "loaded_1200g.csv", "--yes"]).output
     points = shown.split("edit its lines marked CHECK:")[1]
-    assert points.strip().startswith("- confirm the masses of the payloads")
+    assert points.strip().startswith("- confirm the payload masses")
 
 
 def test_joints_are_sorted_by_number_only_where_all_have_one(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     assert "Then: gtau check e.yaml" in done.output
-    assert "CHECK: kg, from the name of the file" in (tmp_path / "e.yaml").read_text()
+    assert "CHECK: kg, from the file name" in (tmp_path / "e.yaml").read_text()
     result = CliRunner().invoke(app, ["identify", "e.yaml", "--json"])
     assert result.exit_code == 0, result.output
     gains = {each["joint"]: each["value"] for each in json.loads(result.output)["drive_gains"]}
@@ -347,7 +347,7 @@ def test_motors_beside_torques_are_the_command(commands: str, others: str, tmp_p
         )
         text = draft_text(draft, tmp_path)
         assert "  # joint_torque: " in text
-        assert text.count("CHECK: confirm that these grow with the currents") == (commands != "current")
+        assert text.count("CHECK: confirm that these are proportional to the currents") == (commands != "current")
         offered = text.replace("  # joint_torque", "  joint_torque").replace("NAME-OR-FILE", "five-bar")
         (tmp_path / "e.yaml").write_text(offered)
         assert read_experiment(tmp_path / "e.yaml").signals.sensors == ("j1", "j2")
@@ -402,7 +402,7 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
     assert "90 rad is more than a turn; write deg(...)" in CliRunner().invoke(app, [*init, "--base", "0,90,0"]).output
     floating = CliRunner().invoke(app, [*init, "--base", "floating"]).output
     assert "is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'." in floating
-    assert "name it too" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output
+    assert "also give --robot" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output
 
 
 def test_columns_of_a_base_and_of_wrenches_are_named(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def read(columns: dict[str, np.ndarray]) -> tuple[Run, list[Note]]:
 
 
 def glitches(run: Run) -> list[Note]:
-    return [note for note in run.notes if re.search("jumps? and comes? back", note.what)]
+    return [note for note in run.notes if re.search("(is an|are) outliers?", note.what)]
 
 
 @pytest.mark.parametrize("size", [0.02, 0.3, 3.0, 40.0])
@@ -47,7 +47,7 @@ def test_samples_that_jump_and_come_back_are_interpolated(size: float, width: in
         columns["qb"][at : at + width] += sign * size
     run, (note,) = read(columns)
     assert note.kind == Kind.REPAIR
-    assert note.what.startswith(f"interpolated {3 * width} positions of joint 'b' that jump and come back: the first")
+    assert note.what.startswith(f"interpolated {3 * width} positions of joint 'b' that are outliers: the first")
     assert (note.joint, note.time, note.share) == ("b", 1.4, 3 * width / N)
     np.testing.assert_allclose(run.position, clean, atol=8 * NOISE)
 
@@ -58,9 +58,7 @@ def test_missing_values_written_as_numbers_are_found(value: float, rng: np.rando
     expected = [columns[name][900] for name in ("qa", "qb")]
     columns["qa"][900] = columns["qb"][900] = value
     run, (note,) = read(columns)
-    assert note.what.startswith(
-        "interpolated 2 positions of joints 'a' (1), 'b' (1) that jump and come back: the first"
-    )
+    assert note.what.startswith("interpolated 2 positions of joints 'a' (1), 'b' (1) that are outliers: the first")
     assert f"of 'a' at 1.8 s (row 901), is {value:.4g} instead of 1.998 (rad or m)" in note.what
     np.testing.assert_allclose(run.position[900], expected, atol=8 * NOISE)
 
@@ -215,7 +213,7 @@ def test_check_shows_them_and_the_gains_stay(value: str, tmp_path: Path) -> None
     checked = CliRunner().invoke(app, ["check", str(experiment)])
     assert checked.exit_code == 0, checked.output
     shown = " ".join(checked.output.split())
-    assert "interpolated 1 position of joint 'left' that jumps and comes back: at 4 s (line 2002)" in shown
+    assert "interpolated 1 outlier in the position of joint 'left': at 4 s (line 2002)" in shown
     assert f" it is {value} instead of {float(row[1]):.4g} (rad or m)" in shown
     found = identify(experiment)
     for joint, gain in zip(("left", "right"), GAINS, strict=True):

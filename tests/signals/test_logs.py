@@ -248,7 +248,7 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
     ("no header", lambda x: x, "", "there is no column 't'; the file has no header, so its 5 columns are named 1 to 5"),
     ("column twice", lambda x: x, "t,qa,qb,va,qb", "has 2 columns named 'qb'; rename them"),
     ("no samples", lambda x: [], HEADER, "has 0 samples"),
-    ("short", lambda x: x[:60], HEADER, "has 60 samples; an identification needs a log of some seconds"),
+    ("short", lambda x: x[:60], HEADER, "has 60 samples; identification needs a log of several seconds"),
     ("a column of words", _set(2, "open"), HEADER, "column 'qb' holds no number (it begins with 'open')"),
     ("an empty column", _set(4, ""), HEADER, "column 'vb' holds no number; give the column"),
     ("a column of nan", _set(4, "nan"), HEADER, "column 'vb' holds no number (it begins with 'nan')"),
@@ -287,7 +287,7 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
         "time stops",
         lambda x: [*x[:500], *(f"1,{line.split(',', 1)[1]}" for line in x[500:])],
         HEADER,
-        "so they stand still or jump somewhere; correct the column",
+        "so they freeze or jump; correct the column",
     ),
     ("a gap", lambda x: x[:500] + x[600:], HEADER, "line 501: 0.202 s are missing after 0.998 s; cut the log there"),
     ("many gaps", _sparse, HEADER, "samples (steps of 2 to 6 ms); record it at a steady rate"),
@@ -374,8 +374,8 @@ UR10E = {
 def test_ur10e_log(shared: Path) -> None:
     run = read_run(shared / "ur10e" / "ur-20_02_19_14harm50sec.csv", UR10E)
     assert tuple(map(str, run.notes)) == (
-        "resampled from irregular steps of 2 to 13 ms to a uniform 95.30 Hz: the time stamps are trusted, as "
-        "a regular clock makes the positions no smoother",
+        "resampled from irregular steps of 2 to 13 ms to a uniform 95.30 Hz: the time stamps are used, because a "
+        "regular clock makes the positions no smoother",
     )
     assert run.position.shape == (5375, 6)
     assert run.valid.all()
@@ -388,7 +388,7 @@ def test_tx40_log(shared: Path) -> None:
     run = read_run(logs, {"time": {"rate": 5000}, "position": columns, "torque": columns})
     assert (run.position.shape, run.kind) == ((45000, 6), "torque")
     (note,) = run.notes
-    assert note.what == "336 samples of the positions are stale (repeat the one before): interpolated"
+    assert note.what == "336 samples of the positions are stale (repeat the previous one): interpolated"
     assert run.position[0, 1] == 50.265
     assert run.command[0, 1] == -0.76036
 

@@ -99,7 +99,7 @@ def test_a_run_at_rest_is_refused() -> None:
     run = run_with_rest()
     at_rest = replace(run, position=np.full_like(run.position, 0.3))
     preparation = choose_preparation([run])
-    with pytest.raises(GtauError, match="no joint's motion stands out"):
+    with pytest.raises(GtauError, match="no joint's motion exceeds its position noise"):
         choose_preparation([at_rest])
     with pytest.raises(GtauError, match="no joint moves"):
         prepare(at_rest, preparation)
@@ -125,7 +125,7 @@ def test_ur10e_speeds_are_those_of_its_controller(shared: Path) -> None:
 
 
 def test_ur10e_at_rest_and_one_joint_at_a_time(shared: Path) -> None:
-    with pytest.raises(GtauError, match="no joint's motion stands out"):
+    with pytest.raises(GtauError, match="no joint's motion exceeds its position noise"):
         choose_preparation([read_run(shared / "ur10e" / "ur-20_01_17-p1.csv", UR10E)])
     run = read_run(shared / "ur10e" / "jointwise" / "ur-20_01_22-joint_2.csv", UR10E)
     prepared = prepare(run, choose_preparation([run])).samples()

@@ -40,7 +40,10 @@ def test_what_is_given_is_taken(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("preparation", "message"),
     [
-        ("{position_filter: 300}", "position_filter is 300 Hz, but logs sampled at 500 Hz hold nothing above 250 Hz"),
+        (
+            "{position_filter: 300}",
+            "position_filter is 300 Hz, but logs sampled at 500 Hz contain nothing above",
+        ),
         ("{clock: late}", "clock"),
         ("{cutoff: 3}", "cutoff"),
         ("{decimation: 0}", "decimation"),
@@ -68,7 +71,7 @@ def test_parts_of_a_log(tmp_path: Path) -> None:
     [
         ("  - {log: a.csv, to: 8}\n  - {log: a.csv, from: 7}\n", "parts .from, to. that do not overlap"),
         ("  - {log: a.csv, from: 7, to: 3}\n", "write the earlier one as 'from'"),
-        ("  - {log: a.csv, from: 70}\n", "has no rows in the part that is asked for"),
+        ("  - {log: a.csv, from: 70}\n", "has no rows in the selected part"),
     ],
 )
 def test_parts_that_cannot_be(runs: str, message: str, tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_motor_torques_are_those_of_the_joints_by_the_gear_ratio(log: Path) -> N
 @pytest.mark.parametrize(
     ("signals", "units", "sentence"),
     [
-        ({}, {"current": "%"}, "which is not given; add 'rated: {JOINT: ...}' in A"),
+        ({}, {"current": "%"}, "which is missing; add 'rated: {JOINT: ...}' in A"),
         ({}, {"current": "%", "rated": {"a": 2}}, "units, rated: joint 'b' has no rated current"),
         ({}, {"rated": {"a": 2}}, "'rated' is given, but no unit is '%' or '‰'; remove it"),
         ({"gear_ratio": {"a": 2}}, {}, "'gear_ratio' is given without 'motor_torque'"),

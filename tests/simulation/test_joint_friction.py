@@ -189,7 +189,7 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
         ({"parameters": {"fl_left_forearm": 0.1}}, "no single motor"),
         ({"parameters": {"fl_arm": 0.1}}, "no joint 'arm' for the friction"),
         ({"parameters": {"fs_left": 0.1, "fb_left": -0.2}}, "the friction at rest, 'fs_left'"),
-        ({"parameters": {"fl_left": 0.1}, "engine": "mujoco"}, "not known to the engine 'mujoco'"),
+        ({"parameters": {"fl_left": 0.1}, "engine": "mujoco"}, "not supported by the engine 'mujoco'"),
         ({"curves": {"left_forearm": {"width": 1e-3}}}, "no constant ratio"),
         ({"curves": {"arm": {"width": 1e-3}}}, "no joint 'arm'"),
         ({"model": "model.json"}, "there is no file"),

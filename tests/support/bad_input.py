@@ -87,7 +87,7 @@ CLOSED = "closures:\n  - connect: [{body: right, d: 0.2}, {body: ground, xyz: [0
 LOGS = [
     Case("empty log", "free.csv is empty or begins with an empty line", {"free.csv": ""}),
     Case("header alone", "free.csv has 0 samples", lines(lambda x: x[:1])),
-    Case("three rows", "free.csv has 3 samples; an identification needs a log of some seconds", lines(lambda x: x[:4])),
+    Case("three rows", "free.csv has 3 samples; identification needs a log of several seconds", lines(lambda x: x[:4])),
     Case(
         "short runs",
         "the currents are explained as well without payload 'steel'",
@@ -106,7 +106,7 @@ LOGS = [
         column(1, lambda x: np.where(np.arange(len(x)) % 5, x, np.nan)),
     ),
     Case("infinite", "column 'v1' holds no number (it begins with 'inf')", column(3, lambda x: np.inf)),
-    Case("far out", "more than any joint or drive reaches", column(1, lambda x: 1e100 * x)),
+    Case("far out", "which is implausible for a joint or drive", column(1, lambda x: 1e100 * x)),
     Case(
         "degrees for radians",
         "its positions look like deg taken for rad; write deg under units.position",
@@ -115,12 +115,12 @@ LOGS = [
     Case("joints exchanged", "outside the assembly mode of home", lines(lambda x: ["t,q2,q1,v1,v2", *x[1:]])),
     Case(
         "positions and currents exchanged",
-        "no joint's motion stands out from the noise",
+        "no joint's motion exceeds its position noise",
         lines(lambda x: ["t,v1,v2,q1,q2", *x[1:]]),
     ),
     Case(
         "noise for positions",
-        "no joint's motion stands out from the noise",
+        "no joint's motion exceeds its position noise",
         numbers(lambda x: x * [1, 0, 0, 1, 1] + np.random.default_rng(1).normal(size=x.shape) * [0, 1e-3, 1e-3, 0, 0]),
     ),
     Case("a column renamed", "no column 'q1'; did you mean 'q_1'?", lines(lambda x: ["t,q_1,q2,v1,v2", *x[1:]])),
@@ -135,13 +135,13 @@ LOGS = [
         "line 2 has 10 columns where the header in line 1 has 5",
         lines(lambda x: [x[0], *(row.replace(".", ",") for row in x[1:])]),
     ),
-    Case("backwards", "so time does not advance; give the column of the time", lines(lambda x: [x[0], *x[:0:-1]])),
+    Case("backwards", "so time does not advance; give the time column", lines(lambda x: [x[0], *x[:0:-1]])),
     Case(
         "shuffled",
-        "so time does not advance; give the column of the time",
+        "so time does not advance; give the time column",
         lines(lambda x: [x[0], *x[3000:], *x[1:3000]]),
     ),
-    Case("time stands still", "so time does not advance; give the column of the time", column(0, lambda x: 0.0)),
+    Case("time stands still", "so time does not advance; give the time column", column(0, lambda x: 0.0)),
     Case("time without numbers", "column 't' holds no number", column(0, lambda x: np.nan)),
     Case(
         "time in milliseconds",
@@ -191,7 +191,7 @@ EXPERIMENTS = [
     ),
     Case(
         "a log for the experiment",
-        "free.csv does not say of which robot it is; give it (--robot ROBOT)",
+        "free.csv does not name its robot; give it by --robot ROBOT",
         command=("identify", "free.csv"),
     ),
     Case("not UTF-8", "the text is not UTF-8", {"experiment.yaml": b"robot: caf\xe9\n"}),
@@ -274,12 +274,12 @@ EXPERIMENTS = [
     ),
     Case(
         "no way to make the folder",
-        "experiment.yaml/out cannot be the output folder, as experiment.yaml is a file",
+        "experiment.yaml/out cannot be the output folder, because experiment.yaml is a file",
         command=("identify", "experiment.yaml", "--out", "experiment.yaml/out"),
     ),
     Case(
         "a file where the folder should be",
-        "taken cannot be the output folder, as taken is a file",
+        "taken cannot be the output folder, because taken is a file",
         {"taken": "x"},
         ("identify", "experiment.yaml", "--out", "taken"),
     ),

@@ -16,6 +16,7 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
+from gtau.report.watch import verdict_text
 from gtau.signals.run import Run
 from gtau.watch.statistics import LogStatistics, statistics_of
 from gtau.watch.watch import Watch
@@ -127,6 +128,24 @@ def test_contacts_and_clocks_are_named(model: Result, healthy: list[LogStatistic
     assert named.size == pytest.approx(-0.004, abs=3e-4)
 
 
+def test_a_log_outside_the_bands_is_not_called_unchanged(model: Result, healthy: list[LogStatistics]) -> None:
+    watch = Watch(model, baseline=4)
+    logs = [*healthy[:5], statistics_of(model, day(50, payload=0.05))]
+    said = []
+    for k, log in enumerate(logs):
+        status = watch.update_statistics(log, f"digest {k}", "2026-01-01")
+        said.append(verdict_text(watch, status.entry))
+        assert status.healthy
+    assert said[4].words == "No change since the baseline, 5 logs."
+    low, high = watch.baseline.bands()
+    outside = sum(
+        not low[watch.names.index(name)] <= value <= high[watch.names.index(name)]
+        for name, value in status.entry.values.items()
+    )
+    assert said[5].words.startswith(f"No alarm yet: {outside} of {len(status.entry.values)} charts of the last log are")
+    assert said[5].style == "neutral"
+
+
 def test_a_history_goes_on_after_a_kill_with_the_same_numbers(
     model: Result, healthy: list[LogStatistics], tmp_path: Path
 ) -> None:
@@ -178,10 +197,10 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     assert faulty.exit_code == 3, faulty.output
     words = " ".join(faulty.stdout.split())
     assert "load" in words
-    assert "no safety function" in words
+    assert "not a safety function" in words
     assert call().exit_code == 2
     report = (tmp_path / "history" / "report.html").read_text()
-    assert "no safety function" in report
+    assert "not a safety function" in report
     assert call(str(logs[6]), "--json").stdout == ""
     after = call(str(logs[7]), "--reset", "2026-01-08")
     assert after.exit_code == 0, after.output

@@ -1,4 +1,4 @@
-"""What the commands share: arguments, refusals in one sentence, JSON documents, the progress of long work."""
+"""Shared parts of the commands: arguments, refusals in one sentence, JSON documents, progress."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs in the place of an experiment file: what the commands say of them, and the draft that is then used."""
+"""Logs given instead of an experiment file: options, notes, and the draft that is then used."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Sources = Annotated[
     list[Path],
     typer.Argument(
         metavar="EXPERIMENT.yaml|LOG...",
-        help="Experiment file; or logs, for which one is drafted (DIR/experiment.yaml).",
+        help="Experiment file, or logs, from which one is drafted (DIR/experiment.yaml).",
         show_default=False,
     ),
 ]
@@ -45,7 +45,8 @@ Payloads = Annotated[
     typer.Option(
         "--payload",
         metavar="LOG=KG",
-        help="With logs: payload of one, 0 for none; default: as in loaded_0.48kg.mcap. Repeat for others.",
+        help="With logs: payload mass of a log (kg, 0 for none); default: from names such as loaded_0.48kg.mcap. "
+        "Repeatable.",
         show_default=False,
     ),
 ]
@@ -54,7 +55,7 @@ KindOfLogs = Annotated[
     typer.Option(
         "--kind",
         metavar="current|torque",
-        help="With logs: what their commands, such as 'effort', are; default: by their names.",
+        help="With logs: what command columns such as 'effort' contain; default: judged by name.",
         show_default=False,
     ),
 ]
@@ -64,7 +65,7 @@ PresetOfLogs = Annotated[
     typer.Option(
         "--preset",
         metavar="PRESET",
-        help="With logs: whose they are (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).",
+        help="With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).",
         show_default=False,
     ),
 ]
@@ -88,10 +89,10 @@ def experiment_of(
     stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
     if len(sources) == 1 and not _is_log(sources[0]):
         if given := [f"--{name}" for name, value in stated.items() if value]:
-            raise GtauError(f"{given[0]} is for logs; an experiment file says this itself, so leave it out.")
+            raise GtauError(f"{given[0]} is for logs; an experiment file states this itself, so omit it.")
         return sources[0], ()
     if others := [each for each in sources if each.suffix in (".yaml", ".yml") or kind_of(each) == EXPERIMENT]:
-        raise GtauError(f"{others[0]} is an experiment file; give it alone, or logs without it.")
+        raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
     from gtau.signals.draft_file import guesses
     from gtau.signals.drafting import draft_logs, with_sensors, write_draft
 
@@ -100,13 +101,13 @@ def experiment_of(
     draft = with_sensors(drafted)
     if draft.robot is None:
         raise GtauError(
-            f"{sources[0]} does not say of which robot it is; give it (--robot ROBOT), a name of the catalog (gtau "
-            "robot) or the path of its URDF, MJCF or robot file."
+            f"{sources[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
+            "of a URDF, MJCF or robot file."
         )
     if "rate" in draft.open:
         raise GtauError(
-            f"{sources[0]} has neither times nor velocities, from which its rate could be found; draft a file by "
-            "'gtau init', write the rate there (time: {rate: HZ}), and give that file."
+            f"{sources[0]} has neither times nor velocities to find its sampling rate from; draft a file by 'gtau "
+            "init', write the rate there (time: {rate: HZ}), and give that file."
         )
     file = folder / "experiment.yaml"
     write_draft(draft, file)

@@ -1,4 +1,4 @@
-"""Commands that hand a model on: export, use."""
+"""Commands that export and use a model."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def export(
             "--samples",
             min=0,
             metavar="N",
-            help="Also draw N models from what was identified, for domain randomization: samples.npz.",
+            help="Also draw N models from the identified distribution, for domain randomization: samples.npz.",
         ),
     ] = 0,
     models: Annotated[
-        int, typer.Option("--models", min=0, metavar="N", help="Draws that are also written as models.")
+        int, typer.Option("--models", min=0, metavar="N", help="Number of draws also written as models.")
     ] = 16,
     seed: Annotated[int, typer.Option("--seed", min=0, metavar="SEED", help="Seed of the draws.")] = 0,
     json_: Json = False,
@@ -76,7 +76,8 @@ def use(
         ),
     ] = None,
     payload: Annotated[
-        str | None, typer.Option("--payload", metavar="NAME", help="Payload of the model that the robot carries.")
+        str | None,
+        typer.Option("--payload", metavar="NAME", help="Payload that the robot carries, by its name in the model."),
     ] = None,
     frame: Annotated[
         str | None,
@@ -102,11 +103,11 @@ def use(
     """Compute motor, model and external joint torques along a log, to see contacts and collisions.
 
     External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). For
-    each joint are printed its rms, away from reversals and over all samples, its largest value, when that was, the
-    residual of the identification, and the share of samples beyond four residuals. With --frame the wrench of these
-    torques is printed, too, with its intervals; what a pose does not show has no value. LOG has the columns t, qJOINT
-    and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names others. FILE gets
-    motor, model and external torque of every sample.
+    each joint it prints the rms away from reversals and over all samples, the largest value and its time, the
+    residual of the identification, and the share of samples beyond four residuals. With --frame it also prints the
+    wrench of these torques with its intervals; components that a pose does not show have no value. LOG has the
+    columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names
+    others. FILE gets motor, model and external torque of every sample.
     """
     with refusals(json_):
         from dataclasses import asdict
@@ -116,7 +117,9 @@ def use(
         from gtau.export.along_log import summary_text, torques_along_log, write_table
 
         if force_only and frame is None:
-            raise GtauError("--force-only says what acts at a frame; give it by --frame LINK, or leave it out.")
+            raise GtauError(
+                "--force-only applies to a contact frame; name the frame by --frame LINK, or omit --force-only."
+            )
         result = Result.load(model)
         at = None if frame is None else _frame(result, frame, experiment)
         with progress_bar() as progress:

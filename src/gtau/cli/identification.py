@@ -64,8 +64,8 @@ def identify(
         str | None,
         typer.Option(
             metavar=METHODS,
-            help="Estimator; docs/lookup/verdicts.md says when to choose which. Default: ml; tls with --as-paper; wls "
-            "where logs hold torques and nothing tests their scale.",
+            help="Estimator; docs/lookup/verdicts.md compares them. Default: ml; tls with --as-paper; wls if the logs "
+            "hold torques whose scale cannot be tested.",
             show_default=False,
         ),
     ] = None,
@@ -92,7 +92,7 @@ def identify(
         typer.Option(
             "--prior-inertias",
             metavar="STD",
-            help="Take the inertias of the robot's file as priors of this relative standard deviation, 0.3 for 30 %.",
+            help="Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %.",
             show_default=False,
         ),
     ] = None,
@@ -102,7 +102,7 @@ def identify(
             min=0.01,
             max=50.0,
             metavar="PERCENT",
-            help="A drive gain is good where its 95 % interval is within +- PERCENT of it.",
+            help="A drive gain is good if its 95 % interval is within +- PERCENT of its value.",
         ),
     ] = 3.0,
     verbose: Annotated[
@@ -112,11 +112,11 @@ def identify(
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
-    Logs in the place of EXPERIMENT.yaml are drafted as by 'gtau init', without a question; the summary lists what was
-    guessed, which --payload, --kind and --robot state, or the draft, DIR/experiment.yaml, once it is corrected.
+    Given logs instead of EXPERIMENT.yaml, it drafts that file as 'gtau init' does, without questions; the summary
+    lists the guesses, which you correct by --payload, --kind and --robot or in the draft, DIR/experiment.yaml.
 
-    The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, or the result misses what
-    EXPERIMENT.yaml requires of it.
+    The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, or the result misses a
+    requirement of EXPERIMENT.yaml.
     """
     with refusals(json_):
         refuse_as_folder(out)
@@ -241,7 +241,7 @@ def payload(
         str,
         typer.Option(
             metavar="LINK|POSE",
-            help="Where centre of mass and inertia are stated: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
+            help="Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
             "(m, rad) from the frame of the body that carries the payload. Default: that frame.",
             show_default=False,
         ),
@@ -257,7 +257,7 @@ def payload(
 ) -> None:
     """Weigh unknown payloads from loaded runs and a run without payload.
 
-    States mass, centre of mass and inertia about it, of a body that can exist, with 95 % intervals.
+    Reports mass, centre of mass and inertia about it, of a physically possible body, with 95 % intervals.
     """
     with refusals(json_):
         refuse_as_folder(out)

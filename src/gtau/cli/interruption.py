@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP, in one way for all commands: one sentence and exit code 128 + signal, within two seconds.
+"""Handle Ctrl-C, SIGTERM and SIGHUP alike: one sentence and exit code 128 + signal, within two seconds.
 
 The first one raises KeyboardInterrupt, so that unfinished files are removed and child processes ended. Compilers and
 solvers that call back into Python swallow that exception, or report it as a traceback; so a thread ends the program

@@ -1,4 +1,4 @@
-"""Commands that look at logs before anything is identified: init, check."""
+"""Commands on logs before an identification: init, check."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def init(
             raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
         ask = not (yes or json_) and _on_terminal()
         if robot is None and ask and not is_rosbag(logs[0]):
-            robot = typer.prompt("Robot (name in the catalog or path of a file; empty if unknown)", default="") or None
+            robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
         if base is not None and robot is None:
-            raise GtauError("--base places a robot; name it too (--robot ROBOT).")
+            raise GtauError("--base places a robot; also give --robot ROBOT.")
         draft = draft_logs(logs, robot, base_choice(base), preset=preset)
         if ask:
             draft = _answered(draft)
@@ -144,14 +144,14 @@ def check(
     method: Annotated[
         str | None,
         typer.Option(
-            metavar=METHODS, help="Estimator that is to follow; default: that of identify.", show_default=False
+            metavar=METHODS, help="Estimator to be used afterwards; default: that of identify.", show_default=False
         ),
     ] = None,
     json_: Json = False,
 ) -> None:
     """Check the logs before identifying: errors, warnings, and what was repaired.
 
-    Logs in the place of EXPERIMENT.yaml are drafted without a question, to DIR or else 'result'.
+    Given logs instead of EXPERIMENT.yaml, it drafts that file without questions, in DIR or else 'result'.
     The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
     """
     with refusals(json_):

@@ -1,4 +1,4 @@
-"""Commands about robots, without logs of their own: robot, excite, simulate, compare-control, demo, tutorial."""
+"""Commands on robots: robot, excite, simulate, compare-control, demo, tutorial."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def robot(
     ] = None,
     joints: Annotated[
         list[str] | None,
-        typer.Option("--joints", metavar="PATTERN", help="Joints that move ('FL_*'); others are held. Repeatable."),
+        typer.Option("--joints", metavar="PATTERN", help="Joints that move ('FL_*'); the others are held. Repeatable."),
     ] = None,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="List the base parameters, and what each of them regroups.")
@@ -51,7 +51,7 @@ def robot(
     with refusals(json_):
         if source is None:
             if save or figure or base or joints:
-                raise GtauError("no robot is named; give a name of the catalog or the path of a file.")
+                raise GtauError("no robot is named; give a catalog name or the path of a file.")
             _list_catalog(json_)
             return
         with progress_bar():
@@ -116,7 +116,7 @@ def excite(
     ] = "gains",
     payload_mass: Annotated[
         list[float] | None,
-        typer.Option(metavar="KG [KG...]", help="Also show the effect of payloads of other masses."),
+        typer.Option(metavar="KG [KG...]", help="Also show the effect of other payload masses."),
     ] = None,
     starts: Annotated[
         int, typer.Option(metavar="N", min=1, help="Number of searches, each from the best of some random motions.")
@@ -179,7 +179,7 @@ def _masses(first: list[float], words: list[str]) -> list[float]:
             )
     for mass in first:
         if not 0 < mass < float("inf"):
-            raise GtauError(f"--payload-mass {mass:g} is not a mass; write one in kg, above 0.")
+            raise GtauError(f"--payload-mass {mass:g} is not a mass; write a positive number in kg.")
     return first
 
 
@@ -243,7 +243,7 @@ def simulate(
         else:
             typer.echo("\n".join(f"written: {path}" for path in written))
             if light:
-                typer.echo(f"without mass and inertia, as 'parameters' names none of theirs: {', '.join(light)}")
+                typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
 
 
 def compare_control(

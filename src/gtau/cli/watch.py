@@ -30,28 +30,37 @@ def watch(
         typer.Argument(metavar="LOG...", help="Finished logs, oldest first, or folders of them.", show_default=False),
     ] = None,
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder of the history, which is gone on with; report.html.")
+        Path,
+        typer.Option("--out", metavar="DIR", help="Folder of the history, continued if it exists, and of report.html."),
     ] = Path("history"),
     experiment: Annotated[
         Path | None,
         typer.Option("--experiment", metavar="EXPERIMENT.yaml", help="Take columns and units from an experiment file."),
     ] = None,
     payload: Annotated[
-        str | None, typer.Option("--payload", metavar="NAME", help="Payload of the model that the robot carries.")
+        str | None,
+        typer.Option("--payload", metavar="NAME", help="Payload that the robot carries, by its name in the model."),
     ] = None,
     baseline: Annotated[
         str,
         typer.Option(
-            "--baseline", metavar="N|DIR", help="Number of healthy logs that set what is normal, or a folder of them."
+            "--baseline", metavar="N|DIR", help="Number of healthy logs that form the baseline, or a folder of them."
         ),
     ] = "10",
     false_alarms: Annotated[
         float,
-        typer.Option("--false-alarms-per-year", min=1e-6, metavar="NUMBER", help="Of all charts of the whole fleet."),
+        typer.Option(
+            "--false-alarms-per-year",
+            min=1e-6,
+            metavar="NUMBER",
+            help="False alarms a year, over all charts of the whole fleet.",
+        ),
     ] = 1.0,
-    robots: Annotated[int, typer.Option("--robots", min=1, metavar="NUMBER", help="Robots of the fleet.")] = 1,
+    robots: Annotated[
+        int, typer.Option("--robots", min=1, metavar="NUMBER", help="Number of robots in the fleet.")
+    ] = 1,
     logs_per_year: Annotated[
-        float, typer.Option("--logs-per-year", min=1.0, metavar="NUMBER", help="Logs of each robot.")
+        float, typer.Option("--logs-per-year", min=1.0, metavar="NUMBER", help="Logs a year of each robot.")
     ] = 365.0,
     reset: Annotated[
         str | None,
@@ -59,15 +68,15 @@ def watch(
     ] = None,
     follow: Annotated[
         bool,
-        typer.Option("--follow", help="Follow one folder of finished logs, or a text log that grows, until Ctrl-C."),
+        typer.Option("--follow", help="Follow one folder of finished logs, or a growing text log, until Ctrl-C."),
     ] = False,
     block: Annotated[
         float,
-        typer.Option(
-            "--block", min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a log that grows."
-        ),
+        typer.Option("--block", min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a growing log."),
     ] = 30.0,
-    json_: Annotated[bool, typer.Option("--json", help="Print a line of JSON a log instead of a table.")] = False,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print a line of JSON for each log instead of a table.")
+    ] = False,
 ) -> None:
     """Watch a robot: compare its logs with what is normal, and name what has changed.
 
@@ -92,7 +101,7 @@ def watch(
         healthy, count = _baseline(baseline)
         sources = logs or []
         if follow and len(sources) != 1:
-            raise GtauError("--follow takes one folder, or one text log that grows; give it alone.")
+            raise GtauError("--follow takes one folder or one growing text log; give it alone.")
         given = logs_of([*healthy, *([] if follow else sources)])
         if not (given or follow):
             raise GtauError("there is no log to compare; give logs, oldest first.")

@@ -1,4 +1,4 @@
-"""The demo's Orthoglide, down to every standard parameter, with drives of known gain; and the files that describe it.
+"""The Orthoglide of the demo: its true standard parameters, drives of known gain, and files.
 
 The sums that can be identified (paper, Table 3) are the paper's; how they are shared out among the bodies is ours,
 from the dimensions of such a machine.
@@ -124,7 +124,7 @@ CONTROL: dict[str, tuple[tuple[float, float, float], ...]] = {
     ),
 }
 SIMULATION = """\
-# The robot that stands in for a real one: its true parameters, its drives and sensors, and the runs. Made again from
+# The robot that replaces a real one: its true parameters, its drives and sensors, and the runs. Made again from
 # this file, the logs are the same: gtau simulate simulation.yaml --out simulated
 """
 

@@ -1,4 +1,4 @@
-"""The demo: the whole job on logs made on the spot, of an Orthoglide whose true values are known."""
+"""Run the demo: simulate, identify and weigh on an Orthoglide with known true values."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""How every file that people write is read, checked and refused."""
+"""Read, check and refuse files that people write."""

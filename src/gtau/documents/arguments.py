@@ -1,4 +1,4 @@
-"""The types of what people pass to the functions of the package: another one is refused in a sentence."""
+"""Check the argument types of public functions; refuse a wrong type in one sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables as CSV, with nothing in them that a spreadsheet computes."""
+"""Write tables as CSV, safe from formulas in spreadsheets."""
 
 from __future__ import annotations
 

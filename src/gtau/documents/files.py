@@ -1,4 +1,4 @@
-"""Finding and recognising files, reading those of a sane size, and writing them so that they are whole or not there."""
+"""Find, recognise and read files of bounded size, and write them atomically."""
 
 from __future__ import annotations
 
@@ -51,9 +51,11 @@ def refuse_as_folder(path: str | Path | None) -> None:
     except OSError as error:  # such as a name that is too long
         raise GtauError(f"{path} cannot be the output folder ({error.strerror}); choose another one.") from None
     if not existing.is_dir():
-        raise GtauError(f"{path} cannot be the output folder, as {existing.name} is a file; choose another one.")
+        raise GtauError(f"{path} cannot be the output folder, because {existing.name} is a file; choose another one.")
     if not os.access(existing, os.W_OK):
-        raise GtauError(f"{path} cannot be the output folder, as {existing} is write-protected; choose another one.")
+        raise GtauError(
+            f"{path} cannot be the output folder, because {existing} is write-protected; choose another one."
+        )
 
 
 def folder_of(path: str | Path) -> Path:
@@ -124,7 +126,7 @@ DESIGN = Kind("a design file", "use it with 'gtau excite'")
 FLEET = Kind("a fleet file", "use it with 'gtau fleet'")
 ROBOT = Kind("a robot file", "use it with 'gtau robot', or name it under 'robot' in an experiment file")
 LOG = Kind("a log", "name it under 'runs' in an experiment file")
-DESIGNED = Kind("a design that 'gtau excite' wrote", "the trajectory beside it is what the robot is to follow")
+DESIGNED = Kind("a design that 'gtau excite' wrote", "the robot follows the trajectory beside it")
 FOLDER = Kind("a folder", "give the file itself")
 PICTURE = Kind("a picture", "give the file itself")
 BINARY = Kind("a binary file of another program", "give the file itself")

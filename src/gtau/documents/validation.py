@@ -1,4 +1,4 @@
-"""Files checked against pydantic models: one sentence says what is wrong first."""
+"""Validate files against pydantic models and report the first error in one sentence."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def name_problem(name: str) -> str | None:
         return f"the name {name[:20]!r}... has {len(name)} characters; write {LONGEST_NAME} at most"
     for character in name:
         if not character.isprintable():
-            return f"the name {name!r} holds U+{ord(character):04X}, a character that is not printed; remove it"
+            return f"the name {name!r} holds U+{ord(character):04X}, a non-printing character; remove it"
     return None
 
 

@@ -1,4 +1,4 @@
-"""YAML files that people write, read safely, with the line of every key; and YAML as a person would write it.
+"""Read YAML files safely, with the line of every key, and write readable YAML.
 
 Nothing in a file is ever executed or guessed: scalars stay the text they were written as (a joint may be called
 ``11``, ``01`` or ``on``), and anchors, tags and repeated keys are refused.
@@ -163,7 +163,7 @@ class _Composer:
 SYNTAX = (
     ("found character '\\t'", "a tab stands where only spaces may; indent with spaces"),
     ("that cannot start any token", "a value that begins with a special character must be quoted; write it in '...'"),
-    ("mapping values are not allowed", "a ':' follows a value; put the key on a line of its own, or quote the value"),
+    ("mapping values are not allowed", "a ':' follows a value; put the key on its own line, or quote the value"),
     ("could not find expected ':'", "a line has no 'key: value'; add the colon, or indent it as the lines above"),
     ("expected ',' or", "a bracket or brace is not closed, or a comma is missing; add it"),
     ("expected <block end>", "the indentation does not match that of the lines above; align them"),

@@ -1,4 +1,4 @@
-"""The gate before an identification: what the logs of an experiment hold, and everything that is wrong with them."""
+"""Check the logs of an experiment before an identification: their contents and all their faults."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class LogCheck:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentCheck:
-    """The logs of an experiment that can be read, how they are prepared, and ``notes`` on all that was found.
+    """The readable logs of an experiment, their preparation, and ``notes`` on all findings.
 
     ``preparation`` is None where none of the logs for the identification can be read, ``geometry`` where no pose is
     logged.
@@ -117,7 +117,7 @@ class ExperimentCheck:
 
     @property
     def worst(self) -> Grade:
-        """Grade of the worst finding."""
+        """The grade of the worst finding."""
         return next(iter(by_grade(self.notes)), Grade.INFORMATION)
 
     def _repr_html_(self) -> str:
@@ -136,7 +136,7 @@ def check_logs(
     progress: Progress = silent,
     prior_inertias: float | None = None,
 ) -> ExperimentCheck:
-    """Find everything in the logs of an experiment that an identification would refuse, suffer from or mention.
+    """Check the logs of an experiment: find everything that an identification would refuse, repair or report.
 
     It takes what :func:`gtau.identify` takes. A log that cannot be used does not keep the others from being checked.
     ``method`` is the estimator of the identification; its default if left out.

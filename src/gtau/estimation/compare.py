@@ -1,4 +1,4 @@
-"""All estimators on the same logs, beside each other."""
+"""Compare all estimators on the same logs."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class EstimatorComparison:
         return f"EstimatorComparison(joints {', '.join(self.joints)}; {', '.join(row.method for row in self.rows)})"
 
     def to_frame(self) -> pl.DataFrame:
-        """Return the comparison as a Polars table, one row an estimator and joint; ``.to_pandas()`` converts it."""
+        """Return the comparison as a Polars table, one row per estimator and joint; ``.to_pandas()`` converts it."""
         import polars as pl
 
         rows = [
@@ -98,7 +98,7 @@ def compare(
     progress: Progress = silent,
     prior_inertias: float | None = None,
 ) -> EstimatorComparison:
-    """Identify with every estimator, each as :func:`gtau.identify` does, which takes the same.
+    """Identify with every estimator, with the arguments of :func:`gtau.identify`, and compare the results.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What an estimator requires of an experiment before it estimates, for all commands alike."""
+"""Check the requirements of an estimator on an experiment, for all commands."""
 
 from __future__ import annotations
 

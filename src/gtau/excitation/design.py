@@ -29,7 +29,7 @@ SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # parts of an interrupted motion, of whi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Design:
-    """A motion within its limits: x, the value of its criterion, and the use of the limits on the finer grid.
+    """A designed motion within its limits: x, the criterion value, and the use of each limit on the finer grid.
 
     ``cut_short`` says that the search was stopped before it had tried all starts.
     """

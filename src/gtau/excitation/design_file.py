@@ -320,7 +320,7 @@ def _prior(
             raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
         gains = np.array([prior.gains.get(joint, 1.0) for joint in model.actuated])
         if missing:
-            assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are torques then"
+            assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are then torques"
         sigma = rough_noise(model, base, chi) / np.abs(gains)
         if len(prior.noise) < len(gains):
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"

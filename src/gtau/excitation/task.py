@@ -50,7 +50,7 @@ class MotionLimits:
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """All that a design needs.
+    """The data of an excitation design.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class DesignProblem:
         return Information(self.unknowns, self.sigma, self.rate * self.repetitions)
 
     def window(self, step: float) -> Window:
-        """Return how rows near reversals are lost on a grid of instants ``step`` apart."""
+        """Return which rows near reversals are lost on a time grid of spacing ``step``."""
         return Window(step, self.decimator.guard / self.rate, SPEED_FRACTION, self.approach_speed)
 
     @cached_property
@@ -185,7 +185,7 @@ class DesignProblem:
         return compile_program([c], [position]), compile_program([c, weights], [back])
 
     def with_payload_mass(self, mass: float) -> DesignProblem:
-        """Return the same task with all known payloads of another ``mass``, kg."""
+        """Return the same task with a different ``mass``, kg, of all known payloads."""
         changed = tuple(
             None if each is None else each.model_copy(update={"mass": mass}) if each.mass is not None else each
             for each in self.payloads

@@ -43,8 +43,8 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     elements = [element for world in file.root.findall("worldbody") for element in _bodies(world)]
     if len(elements) != compiled.nbody - 1 or file.root.find(".//replicate") is not None:
         raise GtauError(
-            f"{source} includes or repeats bodies that do not stand in the file itself; save it from MuJoCo as one "
-            "file and give that."
+            f"{source} includes or repeats bodies from outside the file itself; save it from MuJoCo as one file and "
+            f"give that."
         )
     inertias, lumped = _inertias(mujoco, model, compiled), []
     for number, element in enumerate(elements, start=1):
@@ -56,7 +56,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     left = list(_put_springs(file, model))
     said = [*_put_gears(file, model), *_allow_inertias(file)]
     if left:
-        said.append(f"these springs are no tendons with a stiffness, and were left as they are: {', '.join(left)}")
+        said.append(f"these springs are not tendons with a stiffness and were left unchanged: {', '.join(left)}")
     _check(mujoco, file)
     unable = {Parameter(kind, name).name for kind in SPRING for name in left}
     expressed = {
@@ -171,7 +171,7 @@ def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
     if put:
         notes.append(f"ctrl of the motors of {', '.join(put)} is now the current in A; check their ctrlrange")
     if left:
-        notes.append(f"actuators that are no motors were left as they are: {', '.join(left)}")
+        notes.append(f"actuators other than motors were left unchanged: {', '.join(left)}")
     return notes
 
 

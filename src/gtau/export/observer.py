@@ -27,7 +27,7 @@ from gtau.signals.run import Run
 
 @takes(result=("a result", (Result,)), run=("a run (gtau.read_run)", (Run,)), bandwidth=NUMBER)
 def momentum_observer(result: Result, run: Run, bandwidth: float) -> np.ndarray:
-    """Estimate external torques along a run from the samples up to each: what the exported C observer would say there.
+    """Estimate external torques along a run causally, as the exported C observer does.
 
     Parameters
     ----------

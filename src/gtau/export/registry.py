@@ -69,7 +69,7 @@ def export_model(
     models: int = MODELS,
     seed: int = 0,
 ) -> Exported:
-    """Write an identified model in the form that a controller, simulator or paper takes.
+    """Export an identified model for a controller, simulator or paper.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def export_model(
 
 @takes(payload=("what PayloadEstimate.in_frame returns", (PayloadBody,)), kind=TEXT, out=PATH)
 def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported:
-    """Write a weighed payload in the form that a controller takes.
+    """Export a weighed payload for a controller.
 
     Parameters
     ----------

@@ -223,8 +223,8 @@ def _result(future: Any) -> Any:
         return future.result()
     except KilledWorker as killed:
         return WorkersDied(
-            f"it killed one Dask worker after the other, the last one {killed.last_worker.address}, most often for "
-            "lack of memory; give them more."
+            f"it killed one Dask worker after the other, the last one {killed.last_worker.address}, usually for lack "
+            f"of memory; give them more."
         )
     except (CancelledError, DaskCancelledError, CommClosedError):
         raise GtauError(

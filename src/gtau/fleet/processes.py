@@ -82,7 +82,7 @@ def process_map(
             yield from _until_death(function, left, (k,), 1)
             if k in left:
                 del left[k]
-                yield k, GtauError("its process died twice, most often for lack of memory; give it more.")
+                yield k, GtauError("its process died twice, usually for lack of memory; give it more.")
 
 
 def handed_out(jobs: int) -> int:

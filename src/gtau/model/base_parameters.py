@@ -26,7 +26,7 @@ DRAWS = 12  # after which the rank must have settled
 
 @dataclass(frozen=True, repr=False)
 class BaseParameters:
-    """A set of base parameters and what each regroups.
+    """A set of base parameters, each with the standard parameters that it regroups.
 
     Attributes
     ----------

@@ -176,11 +176,11 @@ class InverseDynamics:
         return self._regressors[names]
 
     def adopt(self, regressor: Regressor) -> None:
-        """Take a regressor that was derived for several robots at once as that of its ``names``."""
+        """Adopt a regressor, derived for several robots at once, for its ``names``."""
         self._regressors[regressor.names] = regressor
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
-        """Return the columns of wrenches on bodies, six of each: their product with the wrenches are torques ``J^T w``.
+        """Return the columns of wrenches on bodies, six per body: times the wrenches they give torques ``J^T w``.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ class InverseDynamics:
         return inputs, ca.jacobian(tau, ca.vertcat(*chi.values()))
 
     def gravity_torques(self, names: Sequence[str]) -> Regressor:
-        """Return a regressor whose three columns are the torques (n,) for each m/s2 of gravity along the base's axes.
+        """Return a regressor whose three columns are the torques (n,) per m/s2 of gravity along the axes of the base.
 
         Its program takes values of the standard parameters ``names``, the others being zero, as parameters.
         """
@@ -304,7 +304,7 @@ class InverseDynamics:
         share(stretch, c.shape[1])
 
     def samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
-        """Check arrays (N, n), a column for each actuated joint, and return them as (n, N); raises GtauError."""
+        """Check arrays (N, n), one column per actuated joint, and return them as (n, N); raises GtauError."""
         n = len(self.actuated)
         samples = [np.asarray(array, dtype=float) for array in arrays]
         if samples[0].ndim != 2 or samples[0].shape[1] != n or len({array.shape for array in samples}) > 1:

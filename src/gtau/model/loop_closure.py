@@ -192,8 +192,8 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
     if best is None:
         nearly = min(open_ones, key=lambda c: float(np.abs(errors(c)[0]).max()))
         raise GtauError(
-            f"robot '{errors.layout.robot.name}': the loops do not close near the home configuration, nor in any other "
-            f"pose that was tried, at best {errors.gap(nearly)}; check the placements of the closures and of the "
+            f"robot '{errors.layout.robot.name}': the loops do not close near the home configuration, nor in any "
+            f"other pose tried, at best {errors.gap(nearly)}; check the placements of the closures and of the "
             "joints in the loops, and their units, or write a 'home' closer to the assembled robot."
         )
     return best[1]

@@ -134,12 +134,13 @@ def _refuse_free(robot: Robot, layout: Coordinates, G_p: np.ndarray, rank: int) 
     if alone := [layout.names[k] for k in layout.passive[free & ~held]]:
         raise GtauError(
             f"robot '{robot.name}': no motor moves {', '.join(alone)} and no closure holds "
-            f"{'them' if len(alone) > 1 else 'it'}; hold what stands still in the logs, {_by_held(alone[0])}, fix a "
+            f"{'them' if len(alone) > 1 else 'it'}; hold the joints that stand still in the logs, "
+            f"{_by_held(alone[0])}, fix a "
             "base that floats by 'base: fixed', or mark the joint actuated."
         )
     stiff = ""
     if sprung := [joint.name for joint in robot.joints if joint.spring is not None and joint.name in names]:
-        stiff = f"hold the springs {', '.join(sprung)} if they hardly give, {_by_held(sprung[0])}, "
+        stiff = f"hold the springs {', '.join(sprung)} if they hardly deflect, {_by_held(sprung[0])}, "
     raise GtauError(
         f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home configuration "
         f"{', '.join(names)} can still move ({len(layout.passive) - rank} dof); {stiff}actuate more joints, or move "
@@ -161,8 +162,9 @@ def _refuse_redundant(robot: Robot, G: np.ndarray, rank: int, excess: int) -> No
     why += [f"loops or couplings tie {', '.join(apart)} at home"] * bool(apart)
     raise GtauError(
         f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints for {len(free)} "
-        f"dof, where {' and '.join(why)}; mark {excess} of them passive (in MJCF, without an actuator), hold what "
-        f"stands still in the logs, {_by_held((apart or fixed)[0])}, or check the closures and the dof of platforms."
+        f"dof, where {' and '.join(why)}; mark {excess} of them passive (in MJCF, without an actuator), hold the "
+        f"joints that stand still in the logs, {_by_held((apart or fixed)[0])}, or check the closures and the dof of "
+        f"platforms."
     )
 
 

@@ -1,4 +1,4 @@
-"""The logs of an experiment before an identification: as a page, as a document and as files."""
+"""Show the logs of an experiment before an identification, as page, document and files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same logs by every estimator, as a page."""
+"""Show a comparison of all estimators on the same logs, as a page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BELIEVED = ("good", "weak")
 
 
 def comparison_page(found: EstimatorComparison, prior: Mapping[str, float] | None = None) -> Page:
-    """Show what each estimator makes of the data."""
+    """Show the results of each estimator."""
     verdict = Text(headline(found), tuple(remarks(found)), "neutral")
     words = "residual: of the worst joint, in % of its current; time: of the estimation alone; ±: 95 % intervals"
     return page(
@@ -30,12 +30,12 @@ def headline(found: EstimatorComparison) -> str:
     rows = [row for row in found.rows if row.gains is not None and row.std is not None]
     believed = [row for row in rows if row.outcome is not None and row.outcome.value in BELIEVED]
     if len(believed) < 2:
-        return f"{len(believed) or 'None'} of {len(rows)} estimators that find drive gains can be believed."
+        return f"{len(believed) or 'None'} of {len(rows)} estimators that find drive gains give trustworthy ones."
     gains = np.array([row.gains for row in believed])
     spread = 100 * np.ptp(gains, axis=0) / np.abs(np.median(gains, axis=0))
     j = int(np.argmax(spread))
     return (
-        f"{len(believed)} of {len(rows)} estimators find gains that can be believed; these agree to "
+        f"{len(believed)} of {len(rows)} estimators find trustworthy gains, which agree to "
         f"{percent_text(spread[j])} % or better, and differ most at {found.joints[j]}."
     )
 

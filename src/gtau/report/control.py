@@ -1,4 +1,4 @@
-"""Tracking errors of control laws (the paper's Table 4), as a page."""
+"""Show tracking errors of control laws (the paper's Table 4), as a page."""
 
 from __future__ import annotations
 

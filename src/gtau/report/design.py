@@ -1,4 +1,4 @@
-"""A designed motion: as a document, as a page and as files."""
+"""Show a designed motion as document, page and files."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
 
 
 def design_document(design: Design, assumed: Mapping[str, str], masses: Sequence[float]) -> dict[str, Any]:
-    """Describe what a design promises as a JSON document.
+    """Describe the predictions of a design as a JSON document.
 
     ``assumed`` is what the design file left out, as :func:`gtau.read_design` returns it, and ``masses`` are those of
     other payloads to be tried with it.
@@ -126,7 +126,7 @@ def _advice(weak: Weak) -> dict[str, Any]:
     else:
         text = (
             f"a run of joint '{weak.joint}' alone, {weak.how}, would bring it to {100 * weak.then:.3g} %; "
-            "it may also be designed for: --criterion " + weak.name
+            "or use it as criterion: --criterion " + weak.name
         )
     relative = 100 * weak.relative if np.isfinite(weak.relative) else None
     return {"name": weak.name, "rel_std": relative, "advice": text}
@@ -150,10 +150,12 @@ def _rms(expected: Forecast) -> float:
 
 
 def design_page(document: dict[str, Any]) -> Page:
-    """Show what a design promises, of the document that :func:`design_document` makes."""
+    """Show the predictions of a design, from the document of :func:`design_document`."""
     short = any(_meaningless(each) for each in document["parameters"])
     unknown = (
-        Text(f"-: of zero, or more than {MOST} % of a value that is only assumed", style="soft") if short else None
+        Text(f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %", style="soft")
+        if short
+        else None
     )
     return page(
         f"Exciting motion for {document['robot']}",
@@ -199,10 +201,10 @@ def _verdict(document: dict[str, Any]) -> Text:
         for advice, names in weak.items()
     ]
     if document["without_effect"]:
-        said.append(f"without any effect on the motors, whatever the motion: {', '.join(document['without_effect'])}")
+        said.append(f"no effect on the motors along any motion: {', '.join(document['without_effect'])}")
     if document["cut_short"]:
         said.append("the search was cut short; a longer one may find a better motion")
-    said.append("these standard deviations hold for white noise; model errors add to them")
+    said.append("these standard deviations are for white noise; model errors add to them")
     return Text(words, tuple(said), "neutral")
 
 

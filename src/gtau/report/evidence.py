@@ -1,4 +1,4 @@
-"""Runs beside what a model predicts of them: what pages show of a result and its data."""
+"""Compare runs with the predictions of a model, for pages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ POSES = 1500  # of a run, in the path of the payload's body
 
 @dataclass(frozen=True, eq=False)
 class RunEvidence:
-    """A run beside what the model predicts of it; ``refusal`` says why nothing is predicted.
+    """A run and its prediction; ``refusal`` says why there is none.
 
     ``errors`` are those of every sample, ``prediction`` holds one of the decimation factor,
     ``samples`` all of them where they are wanted.
@@ -96,8 +96,9 @@ def _unknown_payload(result: IdentifiedModel, run: Run) -> tuple[str, ...]:
         return ()
     known = ", ".join(f"'{name}'" for name in dict.fromkeys(each.name for each in result.payloads))
     return (
-        f"payload '{payload.name}' is none of the model's ({known or 'it has none'}), so it counts as a point mass of "
-        f"{payload.mass:.4g} kg at the origin of '{result.robot.tool}'; correct the name, or give its 'parameters'",
+        f"payload '{payload.name}' is not a payload of the model ({known or 'it has none'}), so it is treated as a "
+        f"point mass of {payload.mass:.4g} kg at the origin of '{result.robot.tool}'; correct the name, or give its "
+        f"'parameters'",
     )
 
 

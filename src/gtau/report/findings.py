@@ -1,4 +1,4 @@
-"""What was repaired, left out or noticed, as a section of a page."""
+"""Show findings (repairs, omissions, warnings) as a section of a page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ APART = 4  # notes of one kind on different logs that are still listed one by on
 def findings_section(notes: Sequence[Note], most: int | None = None) -> Section:
     """List notes, the worst first, at most ``most`` of them."""
     shown = findings_table(notes, most)
-    nothing = Text("Nothing was repaired, left out or noticed.")
+    nothing = Text("Nothing was repaired, left out or flagged.")
     return section("Findings", shown if shown.rows else nothing, id="notes")
 
 

@@ -1,4 +1,4 @@
-"""Many robots as a page, as a document, and as a table in files."""
+"""Show a fleet as page, document, and tables in files."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ def _verdict(found: FleetTable) -> Section:
         words, style = "No robot could be identified.", "bad"
     elif outliers:
         apart = f"{counted(len(outliers), 'drive gain')} of {counted(len(robots), 'robot')}"
-        words, style = f"{apart} stand apart from the fleet.", "weak"
+        words, style = f"{apart} differ from the rest of the fleet.", "weak"
     elif any(joint.comparable for joint in found.joints):
         words, style = "No drive gain is an outlier in the fleet.", "good"
     else:
-        words, style = "The robots are identified, but too few to detect outliers among them.", "neutral"
+        words, style = "The robots are identified, but they are too few to detect outliers.", "neutral"
     facts = {"identified": len(found.robots), "refused": len(found.refused), "outliers": len(outliers)}
     return section("Verdict", Text(words, tuple(remarks(found)), style), Facts(facts), id="verdict")  # type: ignore[arg-type]
 

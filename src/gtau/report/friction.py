@@ -1,4 +1,4 @@
-"""Friction as the model predicts it: what was identified on all samples, and the torque left to it over the speed."""
+"""Show the identified friction of each joint, and the friction torque over speed."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from gtau.signals.run import arrange
 POINTS = 3000  # of a panel
 WORDS = (
     "Friction of each joint, identified on all samples at the gains and inertia above: fv qd + (fs + fb exp(-|qd| / "
-    "v_s) + fl |load|) z + off. Predictions and exports take it. z is the sign of the speed where a joint slides; "
-    "before that, a spring over the width of presliding. A width or a speed v_s is given where blocks of the logs that "
-    "were left out show it, and a joint without a width keeps the sign. Errors are those of blocks left out, per cent "
-    "of the torque that is left to friction, with this law and with viscous and Coulomb friction alone. SI units; ± is "
+    "v_s) + fl |load|) z + off. Predictions and exports use it. z is the sign of the speed where a joint slides; "
+    "before that, a spring over the width of presliding. A width or a speed v_s is given where held-out blocks of the "
+    "logs support it; a joint without a width keeps the sign. Errors are of held-out blocks, in per cent of the "
+    "torque left to friction, with this law and with viscous and Coulomb friction alone. SI units; ± is "
     "half a 95 % interval."
 )
-CURVES = "The torque that gains and inertia leave to friction, and what is predicted of it, at the rows of the runs."
+CURVES = "The torque that gains and inertia leave to friction, and its prediction, at the rows of the runs."
 KINDS = ("fv", "fs", "fb", "fl", "off")
 
 

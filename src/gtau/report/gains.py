@@ -1,4 +1,4 @@
-"""Drive gains and payloads on pages: what was found, how well it is known, and what its scale rests on."""
+"""Show drive gains and payloads: estimates, intervals, and the sources of their scale."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NOT_SHOWN = 1000.0  # per cent: a larger standard deviation is shown as larger
 def gains_section(
     result: IdentifiedModel, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
 ) -> Section:
-    """Show drive gains with their 95 % intervals, beside the prior ones, and what their scale rests on."""
+    """Show drive gains with their 95 % intervals, beside the prior ones, and the sources of their scale."""
     estimated = any(gain.std is not None for gain in result.drive_gains.values())
     of_torques = result.kind == "torque"
     words = "±: half the 95 % interval; random, model: standard deviations; % of the "
@@ -79,7 +79,7 @@ def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
 
 
 def reasons_table(result: IdentifiedModel) -> Table | None:
-    """Tabulate why gains are not good, or what was noticed, and what to do; None where there is nothing to say."""
+    """Tabulate why gains are not good, and what to do; None if all are good."""
     columns = (
         Column("joint"),
         Column("verdict", Kind.BADGE),
@@ -158,8 +158,8 @@ def scale_lines(result: IdentifiedModel) -> list[str]:
     if not words:
         return []
     if len(set(words.values())) == 1:
-        return [f"The scale of all gains rests on {next(iter(words.values()))}."]
-    return [f"The scale of '{joint}' rests on {each}." for joint, each in words.items()]
+        return [f"The scale of all gains comes from {next(iter(words.values()))}."]
+    return [f"The scale of '{joint}' comes from {each}." for joint, each in words.items()]
 
 
 def all_sources(result: IdentifiedModel) -> str:

@@ -1,4 +1,4 @@
-"""What logged poses say of the robot's lengths and encoder zeros, as a section of a page."""
+"""Show findings of logged poses on lengths and encoder zeros, as a section of a page."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ROUNDING = 1e-3  # of the rms: a smaller bias is shown as zero
 ESTIMATED = {
     "controller": "Nothing but the delay of the poses was estimated beside the constants.",
     "tool": "The position of the tool on the body was estimated too.",
-    "tracker": "Where the tracker (in each run) and its marker stand was estimated beside the constants.",
+    "tracker": "The positions of the tracker (in each run) and its marker were estimated beside the constants.",
 }
 
 
@@ -29,7 +29,7 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
         *(section(trace.run, _traces(test, k), folded=k > 0) for k, trace in enumerate(test.traces)),
         section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
         section(
-            "Constants, each by itself: the one that explains most of the residual variance first",
+            "Constants, each by itself, sorted by the share of the residual variance explained",
             _constants(test),
             Text(f"{len(test.tried) - LISTED} more explain less; model.json and --json list them.")
             if len(test.tried) > LISTED

@@ -1,4 +1,4 @@
-"""An identification: on a terminal, in short and in full, and as a report."""
+"""Show an identification: short and full on a terminal, and as a report."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ PATHS = 8  # runs whose path is drawn
 
 
 def summary_page(result: IdentifiedModel) -> Page:
-    """Show what can be believed, drive gains, payloads, fit and the notes that matter most, on one screen."""
+    """Show verdict, drive gains, payloads, fit and the most important notes on one screen."""
     notes = [each for each in findings(result) if each.kind != NoteKind.DRAFT]
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
@@ -61,12 +61,12 @@ def summary_page(result: IdentifiedModel) -> Page:
 
 
 def _draft_section(result: IdentifiedModel) -> Section | None:
-    """List all that a drafted experiment file takes for granted."""
+    """List all assumptions of a drafted experiment file."""
     guessed = [each for each in result.notes if each.kind == NoteKind.DRAFT]
     if not guessed:
         return None
     said = tuple("; ".join(filter(None, (each.what, each.action))) for each in guessed)
-    return section("Taken from the logs", Text(f"Correct what is wrong in {guessed[0].source}:", said))
+    return section("Assumptions from the logs", Text(f"Correct any wrong entry in {guessed[0].source}:", said))
 
 
 def full_page(result: IdentifiedModel) -> Page:
@@ -120,7 +120,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
 
 
 def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section:
-    """Show the verdict in words, and the figures that a reader asks for first."""
+    """Show the verdict in words, with the key figures."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
     if outcomes[Outcome.CONTRADICTORY] or outcomes[Outcome.NOT_IDENTIFIABLE] or missed(result):
@@ -259,7 +259,7 @@ def _consistency_section(found: Consistency | None) -> Section | None:
     words = (
         f"{len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
         f"{_growth(_overall(found))}, those of the worst joint, {joint}, {_growth(found.loss[joint])}. model.json has "
-        "every standard parameter under 'standard'; what the data leave open was chosen."
+        "every standard parameter under 'standard'; values that the data leave open were chosen."
     )
     rows = [(move.name, move.free, move.consistent, move.deviations) for move in shown]
     return section("Physically consistent parameters", table(columns, rows), Text(words), id="consistency")

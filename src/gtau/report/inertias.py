@@ -1,4 +1,4 @@
-"""The inertias of the robot's file held against the data, as a section of a page."""
+"""Compare the inertias in the robot file with the data, as a section of a page."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
     wrong = audit.of("contradicted")
     return section(
         "Inertias of the robot file",
-        Text(_headline(audit), tuple(_points(audit))),
+        Text(_headline(audit), tuple(_points(audit, short))),
         _table(audit, short) if wrong or not short else None,
         id="inertias",
     )
@@ -24,18 +24,18 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
 
 def _headline(audit: InertiaAudit) -> str:
     said = (
-        f"The file's inertias predict the torques to {audit.stated_error:.2g} %, the identified ones to "
-        f"{audit.identified_error:.2g} % (rms over the joints; friction and gains as identified)."
+        f"The file's inertias predict the torques to within {audit.stated_error:.2g} %, the identified ones "
+        f"to within {audit.identified_error:.2g} % (rms over the joints; friction and gains as identified)."
     )
     if audit.prior:
         said += (
-            f" They were taken as priors to {100 * audit.prior:.3g} %, and the intervals include them; what follows is "
-            "from the data without them."
+            f" They are priors with a standard deviation of {100 * audit.prior:.3g} %, and the intervals include them; "
+            "the comparison below uses the data without them."
         )
     return said
 
 
-def _points(audit: InertiaAudit) -> list[str]:
+def _points(audit: InertiaAudit, short: bool) -> list[str]:
     wrong, tested = audit.of("contradicted"), len(audit.of("contradicted")) + len(audit.of("agrees"))
     said = []
     if not wrong:
@@ -43,12 +43,20 @@ def _points(audit: InertiaAudit) -> list[str]:
     elif audit.links:
         said.append(f"the data contradict {len(wrong)} of the {tested} base parameters that they determine")
         steps = [f"{each.name} ({each.error:.2g} %)" for each in audit.links]
-        said.append(f"what to change in the file, in turn, with the torque error then left: {', '.join(steps)}")
+        said.append(f"correct in the file, in this order (torque error after each step): {', '.join(steps)}")
     if open_ := audit.of("not stated"):
-        said.append(f"{len(open_)} regroup a rotor inertia (armature) that the file does not state")
+        said.append(f"{len(open_)} include a rotor inertia (armature) that the file does not state")
     if unknown := audit.of("not identifiable"):
-        names = ", ".join(each.name for each in unknown)
-        said.append(f"not identifiable from these motions, to less than +-100 % of the link: {names}")
+        several = len(unknown) > 1
+        said.append(
+            f"{len(unknown)} base parameter{'s are' if several else ' is'} not identifiable from these motions to "
+            "better than +-100 % of the link"
+            + (
+                f"; --verbose lists {'them' if several else 'it'}"
+                if short
+                else f": {', '.join(each.name for each in unknown)}"
+            )
+        )
     return said
 
 

@@ -1,4 +1,4 @@
-"""Clock, repairs and spectra of logs, on pages and as figures."""
+"""Show clock, repairs and spectra of logs, on pages and as figures."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FREQUENCY = Axis("frequency, Hz", log=True)
 
 
 def payload_words(run: Run) -> str:
-    """Describe in words what a run carries."""
+    """Describe the payload of a run."""
     if run.payload is None:
         return "no payload"
     mass = "of unknown mass" if run.payload.mass is None else f"of {run.payload.mass:g} kg"

@@ -1,4 +1,4 @@
-"""How results show themselves in notebooks: the views that :mod:`gtau.display` finds."""
+"""Views of results in notebooks, registered in :mod:`gtau.display`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def html(shown: object) -> str:
 
 
 def text(result: Result, verbose: bool) -> str:
-    """Write a result as text: all of it, or what can be believed, on one screen."""
+    """Write a result as text: all of it, or one screen."""
     return plain(full_page(result) if verbose else summary_page(result))
 
 

@@ -1,4 +1,4 @@
-"""Pages as data: what a command shows, written once; :mod:`gtau.report.render` has one renderer for each medium.
+"""Pages as data, written once for each command; :mod:`gtau.report.render` has one renderer for each medium.
 
 A page consists of sections of tables, charts, texts, facts and drawings of robots. Cells are values, not words: numbers
 keep all their digits, and a column says how they are written.

@@ -44,8 +44,8 @@ def parameters_section(result: IdentifiedModel) -> Section:
     essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (
         f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
-        f"{len(result.parameters) - essential} raises the torque residual of the worst joint by {loss:.2g} %. With a "
-        "standard deviation above 100 % a value means nothing by itself: it is known only in sums with others."
+        f"{len(result.parameters) - essential} raises the torque residual of the worst joint by {loss:.2g} %. A value "
+        f"with a standard deviation above 100 % is meaningless by itself: only sums with other parameters are known."
     )
     if (condition := result.statistics.get("condition_number")) is not None:
         words += (
@@ -144,9 +144,9 @@ def singular_values_section(result: IdentifiedModel) -> Section | None:
         return None
     words = (
         f"Of W_tot ({PAPER}, eq. 33), rows weighted by the residuals and columns of unit length. The smallest belongs "
-        f"to the solution; the next is {values[-2] / values[-1]:.3g} times larger. A ratio near 1 comes from "
-        "parameters that the motion hardly excites, those with large standard deviations, and makes total least "
-        "squares unreliable."
+        f"to the solution; the next is {values[-2] / values[-1]:.3g} times larger. A ratio near 1 means that the "
+        f"motion hardly excites some parameters, those with large standard deviations, and makes total least squares "
+        f"unreliable."
     )
     return section("Singular values", Text(words), singular_values_chart(values), id="singular-values")
 
@@ -179,8 +179,8 @@ def alternatives_section(result: IdentifiedModel) -> Section | None:
         Column("share of the residual, %", Kind.SHARE, decimals=1),
     )
     words = (
-        "Each alternative has one unknown more than the model. Its size is what the data find, its probability how "
-        "well they support it; what they leave open of it widens the intervals of the gains. Alternatives are "
+        "Each alternative adds one unknown to the model. Its size is estimated from the data, its probability states "
+        "how well they support it; its remaining uncertainty widens the intervals of the gains. Alternatives are "
         "listed by their probability times the largest move of a gain."
     )
     listed = section(f"All {len(rows)} alternatives", table(columns, rows, name="alternatives-table"), folded=True)

@@ -43,7 +43,7 @@ class Plots:
         """Draw drive gains with their 95 % intervals, in per cent of the gain, beside ``prior`` ones."""
         chart = gains_chart(self.result.drive_gains, prior or {})
         if chart is None:
-            raise GtauError("the drive gains were given, so there are no intervals to draw; give prior gains.")
+            raise GtauError("the drive gains were given, so there are no intervals to plot; give prior gains.")
         return figure_of(chart)
 
     def torques(
@@ -110,8 +110,8 @@ class Plots:
         runs = {run.name: run for run in self.result.data}
         if not runs:
             raise GtauError(
-                "a result that was loaded from a file has no runs; give one, as in "
-                "result.plot.torques(joint, gtau.read_run(...))."
+                "a result that was loaded from a file has no runs; give one, as in result.plot.torques(joint, "
+                "gtau.read_run(...))."
             )
         if name is not None and name not in runs:
             raise GtauError(f"there is no run '{name}'; choose from {', '.join(runs)}.")

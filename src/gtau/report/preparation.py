@@ -1,4 +1,4 @@
-"""How a log was prepared, as a figure: spectra, steps of the clock, rows used."""
+"""Plot the preparation of a log: spectra, steps of the clock, rows used."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def preparation_chart(log: LogCheck) -> Chart:
     rules = tuple(Rule(x=each, label=f"{name} {each:.3g} Hz") for each, name in marks if each is not None)
     share = Axis("share of the peak", log=True)
     speeds, accelerations = (_shares(log, what) for what in ("speed", "acceleration"))
-    ends = "Power of the accelerations; the signal ends where noise takes over (dots)"
+    ends = "Power of the accelerations; dots: noise dominates"
     panels = [
         Panel(FREQUENCY, share, speeds, "Power of the velocities", rules, height=2.3),
         Panel(FREQUENCY, share, accelerations, ends, rules, height=2.3),

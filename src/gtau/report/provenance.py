@@ -1,4 +1,4 @@
-"""Where a report comes from: the command, its inputs by their hashes, versions, settings, and the time it took."""
+"""Provenance of a report: command, hashes of its inputs, versions, settings, run time."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def fingerprint(path: Path) -> tuple[str, str]:
         parts = sorted(each for each in path.iterdir() if each.is_file())
         return f"{len(parts)} files", _digest(parts)
     if not path.is_file():
-        return "–", "not there any more"
+        return "–", "no longer exists"
     return _size(path.stat().st_size), _digest([path])
 
 

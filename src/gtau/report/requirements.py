@@ -1,4 +1,4 @@
-"""What the experiment file requires of a result, on pages."""
+"""Show the requirements of the experiment file on a result."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gtau.report.page import Column, Kind, Section, section, table
 
 
 def requirements_section(result: IdentifiedModel) -> Section | None:
-    """Tabulate what is required, what was found, and whether that passes; None where nothing is required."""
+    """Tabulate each requirement, the value found, and pass or fail; None without requirements."""
     if not result.requirements:
         return None
     rows = [

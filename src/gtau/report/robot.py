@@ -1,4 +1,4 @@
-"""A robot as a document and as a page: joints, loops, singular poses and base parameters."""
+"""Show a robot as document and page: joints, loops, singular poses and base parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A robot at home as points and lines on a page: what its sketch shows."""
+"""Lay out a robot at home as points and lines on a page."""
 
 from __future__ import annotations
 

@@ -31,8 +31,8 @@ from gtau.report.residual_statistics import autocorrelation, histogram, spectrum
 from gtau.robots.units import torque_unit
 
 REVERSALS = (
-    "Gains and inertia are identified away from reversals, where friction does not change its sign. All samples: the "
-    "reversals too, with the friction identified on them."
+    "Gains and inertia are identified away from reversals, where friction does not change its sign. All samples: "
+    "including reversals, with the friction identified on them."
 )
 TORQUE = (Column("torque", Kind.NUMBER, 4), Column("%", Kind.NUMBER, decimals=2))
 
@@ -134,12 +134,12 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
         parts.append(section(title, shown, chart, folded=opened[run.used]))
         opened[run.used] = True
     words = (
-        "A small residual does not prove the gains, as both sides carry them. In the shaded stretches friction "
-        "changes its sign or samples are missing; identification of gains and inertia leaves them out."
+        "A small residual does not validate the gains, because they scale both sides. In the shaded intervals "
+        "friction changes its sign or samples are missing; the identification of gains and inertia excludes them."
     )
     each_run = (
-        "Torque errors are of single runs, at every sample, and so not the torque residuals of the fit, which are of "
-        "the decimated rows used of all runs together. R²: share of the measured torque's variance that the model "
+        "Torque errors are of single runs at every sample; the torque residuals of the fit are of the decimated rows "
+        "used, over all runs. R²: share of the measured torque's variance that the model "
         "explains, over all these runs, away from reversals."
     )
     every = section("Torque errors of every run", errors_table(runs), Text(REVERSALS, style="soft"), folded=True)
@@ -204,7 +204,7 @@ def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> S
     series = {joint: [(each.time, each.residuals[:, j]) for each in used] for j, joint in enumerate(joints)}
     words = (
         "Over all runs used, masked samples left out. White residuals have a flat spectrum and an autocorrelation "
-        "within the band; where they do not, the standard deviations account for it by the block jackknife."
+        "within the band; where they do not, the block jackknife accounts for it in the standard deviations."
     )
     units = {joint: torque_unit(result.robot, joint) for joint in joints}
     panels = residual_panels(series, units)

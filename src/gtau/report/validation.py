@@ -1,4 +1,4 @@
-"""How well a model predicts other runs, and what payloads weigh: pages, documents and figures."""
+"""Show predictions on other runs, and weighed payloads: pages, documents and figures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gtau.report.torques import (
 )
 
 CAUTION = (
-    "A small error does not prove the gains: both sides carry them. Weigh a known payload ('gtau payload') for that."
+    "A small error does not validate the gains: they scale both sides. Weigh a known payload ('gtau payload') for that."
 )
 SHOWN = 10.0  # s of a run in its figure
 
@@ -130,13 +130,13 @@ def weighing_page(
     exact: Sequence[str] = (),
     bodies: Sequence[PayloadBody] = (),
 ) -> Page:
-    """Show what payloads weigh with the ``gains`` (identified or prior), of which those of joints ``exact`` are."""
+    """Show the payloads weighed with the ``gains`` (identified or prior), those of joints ``exact`` assumed exact."""
     said = [f"Weighed with the {gains} drive gains."]
     if exact:
         of = "the prior gains" if len(exact) == len(result.gains) else f"the gains of {', '.join(exact)}"
         said.append(
-            f"the intervals leave out the uncertainty of {of}: 1 % of error in all gains is 1 % of a mass; "
-            "write it as 'prior_gains: {joint: {value: 2.4, std: 0.1}}'"
+            f"the intervals exclude the uncertainty of {of}: an error of 1 % in all gains is 1 % of a mass; write it as"
+            " 'prior_gains: {joint: {value: 2.4, std: 0.1}}'"
         )
     return page(
         f"Payloads of {result.robot.name}",
@@ -195,7 +195,7 @@ def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:
 
 def masses_words(payloads: Sequence[PayloadEstimate], exact: bool) -> str:
     """Summarise the masses in one sentence, with the intervals that gains leave, some of them taken for ``exact``."""
-    parts, given = [], "with these gains taken for exact, " if exact else ""
+    parts, given = [], "with these gains assumed exact, " if exact else ""
     for each in payloads:
         mass = each.parameters.get("m")
         if mass is None or mass.value is None:

@@ -1,4 +1,4 @@
-"""A watched robot: the table on the screen, the report with the history of each joint, and the document."""
+"""Show a watched robot: the table on the screen, and the report with the history of each joint."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from gtau.watch.state import Alarm, Entry, Explained
 from gtau.watch.watch import Status, Watch
 
 SAFETY = (
-    "It is no safety function: it finds wear and mistakes between logs, and protects nobody. Keep the robot's own "
-    "safety functions."
+    "This is not a safety function: it detects wear and mistakes between logs and protects nobody. Keep the robot's "
+    "own safety functions."
 )
 WORDS = {
     "gain": "drive gain",
@@ -41,12 +41,12 @@ WORDS = {
 }
 TODO = {
     "gain": "check motor, belt and gear, then identify the robot again",
-    "load": "compare what is mounted with what the controller was given, and weigh it by 'gtau payload'",
+    "load": "compare the mounted load with the payload set in the controller, and weigh it by 'gtau payload'",
     "friction": "check temperature, lubrication, brake and gear",
     "zero": "check the encoder's zero against its mark, and the coupling",
-    "delay": "check what logs the currents, and its filters",
-    "clock": "check how the time of the log was stamped",
-    "contact": "check cables and what the robot may touch, and run the motion again",
+    "delay": "check the current logging and its filters",
+    "clock": "check the time stamps of the log",
+    "contact": "check for cables and obstacles that touch the robot, and run the motion again",
 }
 KINDS = {
     "m": "payload, mass",
@@ -61,13 +61,15 @@ KINDS = {
     "rms": "residual, logarithm",
 }
 STRONGEST = 12  # charts on a terminal
+HEALTHY = 0.95  # probability of the bands of :meth:`Baseline.bands`
+BY_CHANCE = 1e-3  # of as many charts outside their bands, independent ones; the words are a hint, not an alarm
 
 
 def explained_words(each: Explained) -> str:
-    """Put an explanation into words, with its interval."""
+    """Describe an explanation, with its interval."""
     of = f" of {each.joint}" if each.joint else ""
     if each.kind == "contact":
-        return f"contact{of} (residual {each.size:.3g} times as uneven as in any healthy log)"
+        return f"contact{of} (residual {each.size:.3g} times less even than in any healthy log)"
     if each.kind == "gain":
         size = f"{100 * each.size:+.2g} ± {100 * each.half:.2g} %"
     elif each.kind == "delay" or each.kind == "clock":
@@ -81,14 +83,14 @@ def explained_words(each: Explained) -> str:
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
-    """Say what has changed since when, and what to do."""
+    """Describe the change, its beginning, and what to do."""
     span = alarm.since
     if alarm.earliest != alarm.latest:
         span += f" (between {alarm.earliest} and {alarm.latest})"
     if not alarm.explanations:
         return (
             f"The robot has changed since {span}; no single explanation fits.",
-            (f"Largest changes: {', '.join(alarm.charts)}.", "Identify the robot again, and compare both models."),
+            (f"Largest changes: {', '.join(alarm.charts)}.", "Identify the robot again and compare both models."),
         )
     said = [explained_words(each) for each in alarm.explanations]
     if len(said) == 1:
@@ -98,8 +100,8 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
     todo = dict.fromkeys(TODO[each.kind] for each in alarm.explanations)
     points = [f"{each[0].upper()}{each[1:]}." for each in todo]
     if len(said) > 1:
-        points.append("A reference motion from 'gtau excite' distinguishes more than this motion.")
-    points.append("After maintenance begin a new baseline by --reset DATE.")
+        points.append("A reference motion from 'gtau excite' distinguishes more causes than this motion.")
+    points.append("After maintenance start a new baseline by --reset DATE.")
     return head, tuple(points)
 
 
@@ -121,7 +123,33 @@ def verdict_text(watch: Watch, entry: Entry | None) -> Text:
             (promise, SAFETY),
             "neutral",
         )
-    return Text(f"No change since the baseline, {watch.count} logs.", (promise, SAFETY), "good")
+    return Text(_without_alarm(watch, entry), (promise, SAFETY), "neutral" if _outside(watch, entry) else "good")
+
+
+def _without_alarm(watch: Watch, entry: Entry) -> str:
+    outside = _outside(watch, entry)
+    if not outside:
+        return f"No change since the baseline, {watch.count} logs."
+    return (
+        f"No alarm yet: {len(outside)} of {len(entry.values)} charts of the last log are outside their healthy range, "
+        f"{outside[0]} the furthest. At this rate of false alarms that is not enough evidence; record another log."
+    )
+
+
+def _outside(watch: Watch, entry: Entry) -> list[str]:
+    """List the charts of a log outside their healthy 95 % bands, the furthest first; none if chance explains them."""
+    from scipy.stats import binom
+
+    baseline = watch.baseline
+    low, high = baseline.bands(HEALTHY)
+    place = {name: k for k, name in enumerate(watch.names)}
+    distances = {
+        name: abs(value - baseline.mean[place[name]]) / (high - low)[place[name]]
+        for name, value in entry.values.items()
+        if np.isfinite(low[place[name]])
+    }
+    outside = sorted((name for name, each in distances.items() if each > 0.5), key=lambda name: -distances[name])
+    return outside if binom.sf(len(outside) - 1, len(distances), 1 - HEALTHY) < BY_CHANCE else []
 
 
 def watch_page(watch: Watch, last: Status | None, count: int | None = STRONGEST) -> Page:
@@ -140,7 +168,7 @@ def watch_page(watch: Watch, last: Status | None, count: int | None = STRONGEST)
 
 
 def _table(last: Status, count: int | None) -> Table:
-    low, high = last.baseline.bands()
+    low, high = last.baseline.bands(HEALTHY)
     columns = (
         Column("chart", Kind.NAME),
         Column("this log", Kind.SPREAD, 3),
@@ -169,13 +197,13 @@ def _table(last: Status, count: int | None) -> Table:
 
 
 def _legend(watch: Watch, last: Status, count: int | None) -> str:
-    """Say what the columns are."""
+    """Explain the columns."""
     listed = ""
     if count is not None and len(last.charts) > count:
         listed = f"The {count} of {len(last.charts)} charts that changed most; all are in report.html. "
     return (
-        f"{listed}This log: value ± half a 95 % interval. e: e-detector; an alarm where its mean over all charts "
-        f"reaches {watch.limit:g}. CUSUM: over its limit for the same rate of false alarms."
+        f"{listed}This log: value ± half a 95 % interval. e: e-detector; an alarm is raised if its mean over all "
+        f"charts reaches {watch.limit:g}. CUSUM: over its limit for the same rate of false alarms."
     )
 
 
@@ -196,7 +224,7 @@ def watch_report(watch: Watch, last: Status | None, entries: Sequence[Entry]) ->
         joint = name.partition("_")[2]
         groups.setdefault("payload" if joint == "load" else joint, []).append(name)
     baseline = watch.baseline
-    low, high = baseline.bands()
+    low, high = baseline.bands(HEALTHY)
     place = {name: k for k, name in enumerate(watch.names)}
     resets = [k for k, entry in enumerate(entries) if entry.begins]
     alarms = [k for k, entry in enumerate(entries) if entry.alarm is not None and not _alarmed(entries, k - 1)]

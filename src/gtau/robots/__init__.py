@@ -1,1 +1,1 @@
-"""What a robot is, and the readers that make one from a file."""
+"""The robot description, and readers of robot files."""

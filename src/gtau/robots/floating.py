@@ -109,8 +109,9 @@ def refuse_floating(robot: Robot, what: str) -> None:
     """Refuse a robot whose base floats, where ``what`` ("exciting trajectories are") wants a fixed one."""
     if robot.floating:
         raise GtauError(
-            f"robot '{robot.name}': its base '{robot.floating}' floats, and {what} not supported there; where "
-            "the base did not move, fix it by 'robot: {file: ..., base: fixed}', or --base fixed."
+            f"robot '{robot.name}': its base '{robot.floating}' floats, and {what} not supported there; if the base "
+            f"did not move, fix it by"
+            " 'robot: {file: ..., base: fixed}', or --base fixed."
         )
 
 

@@ -95,7 +95,7 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
         if joint.has_mass:
             heavy.add(before.body)
     if not joints:
-        raise GtauError(f"robot '{robot.name}': no joint is left to move; hold fewer of them.")
+        raise GtauError(f"robot '{robot.name}': all joints are held; hold fewer of them.")
 
     def moved(end: Attachment) -> Attachment:
         at = carried[end.body]

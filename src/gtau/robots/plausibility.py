@@ -39,8 +39,8 @@ def tool_note(robot: Robot) -> tuple[str, ...]:
     last = [joint.name for joint in robot.joints if joint.has_mass][-1:] == [robot.tool]
     why = "the last link of the robot's file" if last else "which carries the fingers"
     return (
-        f"a payload is assumed to sit on '{robot.tool}', {why}; if it sits on another, "
-        "write 'tool: BODY' in the robot file (gtau robot --save makes one of any robot)",
+        f"the payload is assumed to be on '{robot.tool}', {why}; if it is on another body, write"
+        " 'tool: BODY' in the robot file (gtau robot --save makes one of any robot)",
     )
 
 
@@ -81,8 +81,8 @@ def _angles(robot: Robot) -> Iterator[str]:
     ]
     if far:
         yield (
-            f"position limits of many turns: {', '.join(far)}; angles are in rad, so where these are degrees divide "
-            "them by 57.2958, or write deg(...) in a robot file"
+            f"position limits of many turns: {', '.join(far)}; angles are in rad; if these are degrees, divide them by"
+            " 57.2958, or write deg(...) in a robot file"
         )
 
 

@@ -1,4 +1,4 @@
-"""What a robot is: a spanning tree of one-dof joints, perhaps free platforms, and closures.
+"""The robot: a spanning tree of one-dof joints, optional free platforms, and closures.
 
 A serial arm is the case without closures; nothing else in the package distinguishes the two.
 Everything here is frozen data. The mathematics lives in :mod:`gtau.model`.
@@ -236,8 +236,8 @@ class Robot:
 
     def __repr__(self) -> str:
         return (
-            f"Robot({self.name!r}, {len(self.joints)} joints, actuated: "
-            f"{', '.join(self.actuated)}, platforms: {len(self.platforms)}, closures: {len(self.closures)})"
+            f"Robot({self.name!r}, {len(self.joints)} joints, actuated: {', '.join(self.actuated)}, platforms: "
+            f"{len(self.platforms)}, closures: {len(self.closures)})"
         )
 
     @property

@@ -228,7 +228,7 @@ class Angles(Keys):
                 "given; give one for each"
             )
         if any(a == b for a, b in zip(self.sequence, self.sequence[1:], strict=False)):
-            raise ValueError(f"the sequence '{self.sequence}' turns twice about one axis; write another axis between")
+            raise ValueError(f"the sequence '{self.sequence}' repeats an axis; write a different axis between")
         return self
 
     @property

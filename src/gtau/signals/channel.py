@@ -1,4 +1,4 @@
-"""A channel: one signal in A, N m or N that the equations of the model explain, or take for given."""
+"""A channel: one signal in A, N m or N that the model explains or takes as given."""
 
 from __future__ import annotations
 

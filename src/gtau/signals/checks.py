@@ -1,4 +1,4 @@
-"""Checks of a log: what is safe is repaired and said, the rest is refused.
+"""Check a log: make safe repairs and report them, refuse the rest.
 
 A sample that is missing, for whatever reason, is interpolated, so that filters have a uniform grid to
 work on, and marked as not valid, so that no row of an identification rests on it. The log is read in blocks.
@@ -34,7 +34,7 @@ def check(
     """Check a log, repair what is safe, and put it on a uniform grid.
 
     Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples of a joint
-    whose command is clipped at a limit are masked, and positions that jump and come back are interpolated. Irregular
+    whose command is clipped at a limit are masked, and outliers of positions are interpolated. Irregular
     sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
     :mod:`gtau.signals.clock` for what the samples' instants are.
 
@@ -91,8 +91,8 @@ def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
         if max(-least, most) > LARGEST_VALUE:
             value = most if most > -least else least
             raise GtauError(
-                f"{source.name}, column '{column}' reaches {value:.3g}, more than any joint or drive reaches; correct "
-                "the column, or give its unit."
+                f"{source.name}, column '{column}' reaches {value:.3g}, which is implausible for a joint or drive; "
+                f"correct the column, or give its unit."
             )
     still = (low == high)[:n]
     if still.all():
@@ -116,7 +116,7 @@ def _refuse_standing_time(samples: Samples) -> None:
     if not time[-1] > time[0]:
         raise GtauError(
             f"{source.name}, column '{source.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s in "
-            "the first, so time does not advance; give the column of the time, or the rate instead (time: {rate: HZ})."
+            "the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
         )
 
 
@@ -211,8 +211,8 @@ def _refuse_late(samples: Samples, clock: Clock) -> None:
     if clock.late > max(LATEST, 3 * clock.period):
         raise GtauError(
             f"{samples.source.name}, column '{samples.source.columns[-1]}': by a regular clock of {clock.rate:.4g} Hz "
-            f"the time stamps are up to {clock.late:.3g} s late, so they stand still or jump somewhere; correct the "
-            "column, or give the rate instead (time: {rate: HZ})."
+            f"the time stamps are up to {clock.late:.3g} s late, so they freeze or jump; correct the column"
+            ", or give the rate instead (time: {rate: HZ})."
         )
 
 
@@ -228,5 +228,5 @@ def _refuse_rates(samples: Samples, clock: Clock) -> None:
         )
         raise GtauError(
             f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
-            f"{clock.period:.3g} s), which is no sampling rate of a drive; {repair}."
+            f"{clock.period:.3g} s), which is not a plausible sampling rate; {repair}."
         )

@@ -1,4 +1,4 @@
-"""Columns of a log: which hold what, and their units."""
+"""Assign columns of a log to signals and units."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class Signals(Keys):
 
     @property
     def command_time_columns(self) -> tuple[str, ...]:
-        """Columns of the commands' time, one or two, where they have stamps of their own."""
+        """Columns of the commands' time, one or two, if they have separate time stamps."""
         return _columns_of_time(self.time.command) if isinstance(self.time, StampsOfEach) else ()
 
     @model_validator(mode="before")
@@ -188,8 +188,7 @@ class Signals(Keys):
     def _pose_of_a_fixed_base(self) -> Signals:
         if self.pose is not None and self.base is not None:
             raise ValueError(
-                "a 'pose' tests the geometry of a robot whose base is fixed, and 'base' is of one that floats; remove "
-                "'pose'"
+                "'pose' tests the geometry of a fixed-base robot, but 'base' describes a floating one; remove 'pose'"
             )
         return self
 
@@ -202,8 +201,8 @@ class Signals(Keys):
                 raise ValueError(f"the column '{column}' under 'wrenches' is given twice; give each component its own")
         if self.base is not None and any(each.body == self.base.body for each in self.wrenches):
             raise ValueError(
-                f"'wrenches' names the floating base '{self.base.body}'; write what acts on it under "
-                "'wrenches' of 'base'"
+                f"'wrenches' names the floating base '{self.base.body}'; describe wrenches on it under 'wrenches' of "
+                f"'base'"
             )
         return self
 
@@ -212,7 +211,7 @@ class Signals(Keys):
         measured = {"joint_torque": self.sensors, "wrenches": self.wrenches or (self.base and self.base.wrenches)}
         for kind, there in measured.items():
             if getattr(self.calibration, kind) is not None and not there:
-                raise ValueError(f"'calibration' is given for '{kind}', of which there are none; remove it")
+                raise ValueError(f"'calibration' is given for '{kind}', which the signals lack; remove it")
         return self
 
     @model_validator(mode="after")
@@ -226,7 +225,7 @@ class Signals(Keys):
             if column in self.command.values():
                 raise ValueError(
                     f"the column '{column}' is given both as a {self.kind} and as a joint_torque; 'joint_torque' is "
-                    "for sensors behind the gear, not for torques that a drive computes from its current"
+                    f"for sensors behind the gear, not for torques computed from motor currents"
                 )
         return self
 
@@ -241,7 +240,9 @@ class Signals(Keys):
     def _ratios_of_motor_torques(self) -> Signals:
         ratios = self.gear_ratio or {}
         if self.motor_torque is None and ratios:
-            raise ValueError("'gear_ratio' is given without 'motor_torque'; remove it, or name the torques so")
+            raise ValueError(
+                "'gear_ratio' is given without 'motor_torque'; remove it, or name the torques 'motor_torque'"
+            )
         for joint in self.motor_torque or {}:
             if not ratios.get(joint):
                 raise ValueError(
@@ -282,7 +283,7 @@ def _one_or_by_joint(kind: Kind) -> Any:
 
 
 class Units(Keys):
-    """Units of the log's columns, or quantities that stand for 1 in it (``0.0012 A``); SI where nothing is said.
+    """Units of the log's columns, or quantities that stand for 1 in it (``0.0012 A``); SI by default.
 
     ``joint_torque`` are those of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
     ``%`` and ``‰`` are shares.
@@ -307,7 +308,7 @@ class Units(Keys):
             raise ValueError("'rated' is given, but no unit is '%' or '‰'; remove it, or give that unit")
         if not self.rated and any(unit in SHARES for unit in units):
             raise ValueError(
-                "a unit is a share of the rated value, which is not given; add 'rated: {JOINT: ...}' in A (N m, N)"
+                "a unit is relative to the rated value, which is missing; add 'rated: {JOINT: ...}' in A (N m, N)"
             )
         return self
 
@@ -343,7 +344,7 @@ class Units(Keys):
             return ratio * si_factor(unit, signals.kind)
         if joint not in self.rated:
             raise document_of("units", {}).error(
-                ("rated",), f"joint '{joint}' has no rated {signals.kind}, of which its column is a share; add it"
+                ("rated",), f"joint '{joint}' has no rated {signals.kind}, to which its column is relative; add it"
             )
         return ratio * SHARES[unit] * self.rated[joint]
 

@@ -73,8 +73,8 @@ def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
     for joint, drive in drives.items():
         if robot.joint(joint).parameters == "drive" and drive.gear_ratio != 1.0:
             raise GtauError(
-                f"drives.{joint}.gear_ratio is {drive.gear_ratio:g}, but '{joint}' is the shaft of a motor, whose gear "
-                f"is in the couplings of robot '{robot.name}'; leave 'gear_ratio' out."
+                f"drives.{joint}.gear_ratio is {drive.gear_ratio:g}, but '{joint}' is the shaft of a motor, whose "
+                f"gear ratio is in the couplings of robot '{robot.name}'; leave 'gear_ratio' out."
             )
 
 

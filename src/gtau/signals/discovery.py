@@ -1,4 +1,4 @@
-"""A draft of an experiment file: what logs hold; :mod:`gtau.signals.draft_file` writes it."""
+"""Draft an experiment file from the contents of logs; :mod:`gtau.signals.draft_file` writes it."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         reasons["received"] = " and ".join(unstamped)
         unsure.append("received")
     elif time and time[0].endswith("/header/stamp"):
-        reasons["time"] += "; stamps of measurement, not those of receipt"
+        reasons["time"] += "; measurement stamps, not receipt stamps"
     clocks = position_log.other_clocks()
     if clocks:
         reasons["time"] += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
@@ -242,7 +242,7 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
     if len(pairs) < len(joints):
         raise GtauError(
             f"the log has positions and commands of {len(pairs)} joints ({', '.join(pairs)}), but robot "
-            f"'{robot.name}' has {len(joints)} actuated ones; give the logs, or the robot, of the other."
+            f"'{robot.name}' has {len(joints)} actuated ones; give matching logs and robot."
         )
     numbers = {joint: int(found[-1]) for joint in joints if (found := re.findall(r"\d+", joint))}
     how = "matched by column order"

@@ -1,4 +1,4 @@
-"""The text of a drafted experiment file, and notes on everything in it that is only a guess."""
+"""Write the text of a drafted experiment file, and notes on every guess in it."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ UNSURE = {
     "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
     "joints": "confirm that the columns are in the order of the joints",
     "unit": "confirm the unit of the positions (units: {position: ...})",
-    "rate": "write the sampling rate, which the log does not hold (time: {rate: HZ})",
+    "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
-    "mass": "confirm the masses of the payloads, from the names of the files: the scale of all drive gains",
+    "mass": "confirm the payload masses, read from the file names: they set the scale of all drive gains",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
-    "motor": "confirm that these grow with the currents; torques of motors are 'motor_torque:', with a 'gear_ratio:'",
-    "clock": "confirm the time column, as others grow, too",
+    "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
+    "'gear_ratio:'",
+    "clock": "confirm the time column, as other columns increase too",
     "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
-    "received": "messages without stamps of measurement have those of receipt, with the jitter of the middleware",
+    "received": "messages without measurement stamps get receipt stamps, with the jitter of the middleware",
     "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
     "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
     "(--payload LOG=KG)",
     "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
     "(docs/lookup/experiment-file.md, 'A base that floats')",
-    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a base that "
-    "floats under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
+    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a floating "
+    "base under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
 """Questions to the user, by the open points of the draft."""
@@ -85,13 +86,13 @@ def draft_text(draft: Draft, folder: Path) -> str:
             "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies').",
         ]
     if draft.sensors:
-        doubt = CHECK + UNSURE["sensors"] if "sensors" in draft.open else "sensors behind the gears, by their names"
+        doubt = CHECK + UNSURE["sensors"] if "sensors" in draft.open else "torque sensors behind the gears (by name)"
         lines += _by_joint("joint_torque", draft.sensors, doubt)
     if draft.torques:
         lines.append(
             f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
         )
-        lines.append("  # gains; if these are such, remove the '#':")
+        lines.append("  # gains; if these columns are such torques, remove the '#':")
         lines += [f"  #{line[1:]}" for line in _by_joint("joint_torque", draft.torques, "")]
     if draft.others:
         lines.append(f"  # Not used: columns {'; '.join(draft.others)}.")
@@ -105,11 +106,12 @@ def draft_text(draft: Draft, folder: Path) -> str:
             lines += [] if episode is None else [f"    episode: {episode}"]
             if (mass := draft.masses.get(run[0])) is not None:
                 payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
-                doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the name of the file"
+                doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name"
                 lines.append(_line(f"    payload: {_flow(payload)}", doubt))
     if draft.kind == "current" and not draft.masses and not draft.sensors:
         lines += [
-            "# Drive gains need the mass (kg) of the payload of one run or more, and a run with another one or none:",
+            "# Drive gains need the mass (kg) of the payload of at least one run, and a run with a different payload "
+            "or none:",
             "#   payload: {name: steel, mass: 1.2, mass_std: 0.001}",
         ]
     return "\n".join(lines) + "\n"
@@ -120,44 +122,44 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
     commands, columns = list(draft.command.values()), _pairs(draft.position)
     first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
     taken = {
-        "joints": f"columns were given to the joints in their order: {columns}",
-        "unit": f"positions are taken in {draft.units.get('position')}: {draft.reasons.get('unit')}",
-        "velocities": f"the sampling rate is taken as {draft.rate or 0:g} Hz",
-        "kind": f"{first} are taken as {draft.kind}s",
-        "motor": f"{first} are taken as currents",
-        "gravity": f"{first} are taken as torques without gravity",
-        "clock": f"the time is {' and '.join(draft.time)}, and other columns grow, too",
-        "received": f"time is {draft.reasons.get('received', '')}, the stamps of receipt",
+        "joints": f"columns were assigned to the joints in order: {columns}",
+        "unit": f"positions are assumed to be in {draft.units.get('position')}: {draft.reasons.get('unit')}",
+        "velocities": f"the sampling rate is assumed to be {draft.rate or 0:g} Hz",
+        "kind": f"{first} are assumed to be {draft.kind}s",
+        "motor": f"{first} are assumed to be currents",
+        "gravity": f"{first} are assumed to be torques without gravity",
+        "clock": f"time is {' and '.join(draft.time)}, but other columns increase too",
+        "received": f"time is {draft.reasons.get('received', '')}, the receipt stamps",
         "torques": f"{_first(tuple(draft.torques.values()))} are not used"
         + (f": they are {draft.reasons['torques']}" if "torques" in draft.reasons else ""),
-        "sensors": f"{_first(tuple(draft.sensors.values()))} are taken as torque sensors behind the gears, "
-        "which give the scale",
-        "base": f"{_first(draft.motion)} are not used, as the base is taken as fixed",
-        "wrenches": f"{_first(draft.wrenches)} are not used, as if nothing touched the robot",
-        "reference": f"{first} are references and not measured",
+        "sensors": f"{_first(tuple(draft.sensors.values()))} are assumed to be torque sensors behind the gears, which "
+        f"set the scale",
+        "base": f"{_first(draft.motion)} are not used: the base is assumed to be fixed",
+        "wrenches": f"{_first(draft.wrenches)} are not used: no external contact is assumed",
+        "reference": f"{first} are references, not measurements",
     }
     other = "torque" if draft.kind == "current" else "current"
-    advice = UNSURE | {"kind": f"if they are {other}s, state it (--kind {other})"}
+    advice = UNSURE | {"kind": f"if they are {other}s, correct it by --kind {other}"}
     found = [(taken[key], advice[key]) for key in draft.open if key in taken]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
     loads = [f"{path.name} {draft.masses[path]:g} kg" for path in named if path in draft.masses]
     if loads:
-        found.append((f"payloads are taken from the names of the files: {', '.join(loads)}", STATE))
+        found.append((f"payload masses come from the file names: {', '.join(loads)}", STATE))
     if empty := [path.name for path in named if path not in draft.masses]:
-        found.append((f"without a mass in the name, nothing is taken to be carried in {', '.join(empty)}", STATE))
+        found.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", STATE))
     for log, episodes in draft.episodes.items():
         what = f"each of the {len(episodes)} episodes in {log.name} is a run"
-        found.append((what, "remove those of the 'runs' that are not to be used"))
+        found.append((what, "remove unwanted episodes from 'runs'"))
     if draft.urdf is not None:
-        found.append(("the robot is the one that the bag describes (/robot_description)", "for another give --robot"))
+        found.append(("the robot comes from /robot_description of the bag", "for a different robot give --robot"))
     if draft.moving:
-        found.append((f"joints that are not in the log are held at home; {', '.join(draft.moving)} move", ""))
+        found.append((f"joints missing from the log are held at home; {', '.join(draft.moving)} move", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
-        found.append((f"time is {draft.time[0]}, stamps of measurement, not those of receipt", ""))
+        found.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
     return tuple(Note(Kind.DRAFT, what, action, source=str(file)) for what, action in found)
 
 
-STATE = "if that is wrong, state it (--payload LOG=KG, 0 for none)"
+STATE = "correct them by --payload LOG=KG (0 for none)"
 
 
 def _pairs(columns: Mapping[str, str]) -> str:

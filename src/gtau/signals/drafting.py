@@ -1,4 +1,4 @@
-"""From logs to the draft of an experiment, and on to its file: shared by ``gtau init`` and ``gtau identify LOG...``."""
+"""Draft an experiment file from logs: shared by ``gtau init`` and ``gtau identify LOG...``."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prio
 
 
 class Experiment(Keys):
-    """An experiment file; its paths are relative to the working directory or absolute once read.
+    """An experiment file; once read, its paths are absolute or relative to the working directory.
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
     ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
@@ -177,7 +177,7 @@ class Experiment(Keys):
 
     @property
     def gain_stds(self) -> dict[str, float]:
-        """Standard deviations of these gains, where they are known."""
+        """Standard deviations of these gains, if known."""
         sheets = {joint: drive.gain[1] for joint, drive in self.drives.items() if drive.gain is not None}
         return {joint: gain.std for joint, gain in self.prior_gains.items() if gain.std is not None} | sheets
 
@@ -208,7 +208,7 @@ class Experiment(Keys):
             if any(run.overlaps(used) for used in self.runs):
                 raise ValueError(
                     f"the log '{run.log[0]}' is listed under 'runs' and under 'validation'; remove one of them, as "
-                    "a run that was used proves nothing"
+                    "a run used for identification validates nothing"
                 )
         return self
 
@@ -263,7 +263,7 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
 def _check_base(signals: Signals, robot: Robot) -> None:
     if robot.floating and signals.base is None:
         raise GtauError(
-            f"the base '{robot.floating}' of robot '{robot.name}' floats, and 'signals' do not say how it moved; add "
+            f"the base '{robot.floating}' of robot '{robot.name}' floats, but 'signals' lack its motion; add "
             "'base' with the columns of its 'position' and 'quaternion', and of the 'wrenches' on it."
         )
     if signals.base is not None and signals.base.body != robot.floating:

@@ -1,4 +1,4 @@
-"""Faults of logged signals: positions that jump and come back, or stay away, and commands clipped at a limit."""
+"""Find faults of logged signals: outliers and jumps of positions, commands clipped at a limit."""
 
 from __future__ import annotations
 
@@ -180,13 +180,13 @@ def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Note:
     time, logged = float(samples.time[first.sample]), float(samples.position[first.sample, first.joint])
     at = f"at {time:.9g} s ({samples.place(first.sample)})"
     if len(glitches) == 1:
-        what = f"interpolated 1 position of joint '{names[first.joint]}' that jumps and comes back: {at} it is"
+        what = f"interpolated 1 position of joint '{names[first.joint]}' that is an outlier: {at} it is"
     elif len(counts) == 1:
-        what = f"interpolated {len(glitches)} positions of joint '{names[first.joint]}' that jump and come back: "
+        what = f"interpolated {len(glitches)} positions of joint '{names[first.joint]}' that are outliers: "
         what += f"the first, {at}, is"
     else:
         listed = ", ".join(f"'{joint}' ({count})" for joint, count in counts.items())
-        what = f"interpolated {len(glitches)} positions of joints {listed} that jump and come back: "
+        what = f"interpolated {len(glitches)} positions of joints {listed} that are outliers: "
         what += f"the first, of '{names[first.joint]}' {at}, is"
     return Note(
         Kind.REPAIR,
@@ -261,8 +261,8 @@ REVERSING = 1.5  # travel of a joint over its range; a motion in one direction h
 NEAR_ZERO = 0.02  # smallest over largest magnitude; no joint of nine robots is unsigned in 23 shared logs
 TOUCHING = 0.5  # of the joints: others hold against gravity
 UNSIGNED = (
-    "never negative although joints reverse, so the columns hold magnitudes; log signed values (some drives keep the "
-    "sign in a bit or a column of its own)"
+    "never negative although joints reverse, so the columns hold magnitudes; log signed values (some drives store the "
+    "sign in a separate bit or column)"
 )
 
 
@@ -317,8 +317,8 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
                 raise GtauError(f"{source.name}: {what} is {UNSIGNED}.")
             if at > MAX_CLIPPED * count:
                 raise GtauError(
-                    f"{source.name}: {what} is clipped at {level:.4g} in "
-                    f"{at} of {count} samples; record it again with slower motions or a higher limit of the drive."
+                    f"{source.name}: {what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
+                    f"with slower motions or a higher limit of the drive."
                 )
             masked = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
             action = "log again with smaller accelerations, or a higher limit of the drive"

@@ -1,4 +1,4 @@
-"""Speeds and accelerations from positions, without phase."""
+"""Compute speeds and accelerations from positions, without phase shift."""
 
 from __future__ import annotations
 

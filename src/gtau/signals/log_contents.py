@@ -133,7 +133,7 @@ class LogContents:
                 return unit, f"median step {step:.4g} {unit}, {1 / (step * factor):.4g} Hz"
         return (
             "s",
-            f"median step {step:.4g}: in s, ms, us or ns no sampling rate of a drive; correct the column",
+            f"median step {step:.4g}: not a plausible sampling rate in s, ms, us or ns; correct the column",
         )
 
     def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:

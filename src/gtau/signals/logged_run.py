@@ -125,8 +125,8 @@ class LoggedRun(Keys):
                     raise ValueError(f"there is no file '{each}'{_close_file(each)}")
         if len({len(found) for found in matches}) > 1:
             raise ValueError(
-                f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are taken in "
-                "pairs, so let both match as many"
+                f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are paired in "
+                f"order, so both must match the same number"
             )
         return placed
 
@@ -148,9 +148,9 @@ def _logs_at(path: Path) -> list[Path]:
 
 def _close_file(path: Path) -> str:
     if path.is_symlink():
-        return f"; it is a link to '{path.readlink()}', which is not there"
+        return f"; it is a link to '{path.readlink()}', which does not exist"
     if path.exists():
-        return "; what has this name is a device or a pipe"
+        return "; it is a device or a pipe"
     names = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
     close = get_close_matches(path.name, names, n=1)
     if close:

@@ -22,7 +22,7 @@ PAYLOAD_KINDS = ("m", *FIRST_MOMENTS, *INERTIAL[:6])
 
 
 class Payload(Keys):
-    """A load on the robot's tool; without ``mass`` it is unknown and to be weighed.
+    """A load on the robot's tool; without ``mass`` it is unknown and will be weighed.
 
     ``mass`` and its standard deviation in kg; ``parameters`` are further known inertial parameters
     (``xx xy xz yy yz zz`` in kg m2, ``mx my mz`` in kg m) in the frame of the body that carries it; ``center`` is the
@@ -55,7 +55,7 @@ class Payload(Keys):
     @model_validator(mode="after")
     def _deviation_of_a_mass(self) -> Payload:
         if self.mass is None and "mass_std" in self.model_fields_set:
-            raise ValueError("'mass_std' stands without 'mass'; add the mass or remove it")
+            raise ValueError("'mass_std' is given without 'mass'; add the mass or remove it")
         return self
 
     @model_validator(mode="after")
@@ -63,10 +63,10 @@ class Payload(Keys):
         if self.center is None:
             return self
         if twice := [kind for kind in FIRST_MOMENTS if kind in self.parameters]:
-            raise ValueError(f"'center' and '{twice[0]}' of the parameters say the same; remove one of them")
+            raise ValueError(f"'center' and '{twice[0]}' of the parameters state the same; remove one of them")
         if self.mass is not None:
             moments = ", ".join(f"{k}: {self.mass * c:.6g}" for k, c in zip(FIRST_MOMENTS, self.center, strict=True))
-            raise ValueError(f"'center' is for an unknown mass; of this one write 'parameters: {{{moments}}}'")
+            raise ValueError(f"'center' is for an unknown mass; for a known one write 'parameters: {{{moments}}}'")
         return self
 
 

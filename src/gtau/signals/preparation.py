@@ -1,4 +1,4 @@
-"""From a run to what the model and the estimators take: q, qd, qdd, the command, and a mask."""
+"""Prepare a run for model and estimators: q, qd, qdd, the command, and a mask."""
 
 from __future__ import annotations
 
@@ -274,7 +274,7 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     if first is None or last is None:
         edge = filter_edge(run.rate, preparation.cutoff)
         raise GtauError(
-            f"run '{run.name}': no joint moves between its filters' ends ({edge} of {samples} samples at either "
+            f"run '{run.name}': no joint moves between its filter margins ({edge} of {samples} samples at either "
             "side); give a longer log of a moving robot."
         )
     kept = range(first, last + 1)
@@ -315,8 +315,8 @@ def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, r
             noisy.append(f"'{joint}' ({100 / np.sqrt(max(each.signal_to_noise, 1)):.0f} %)")
     if noisy:
         what = (
-            f"noise of the position makes up a good part of the rms speed of joint{'s' * (len(noisy) > 1)} "
-            f"{', '.join(noisy)}: inertias come out too small"
+            f"position noise contributes much of the rms speed of joint{'s' * (len(noisy) > 1)} "
+            f"{', '.join(noisy)}: inertias are underestimated"
         )
         yield Note(Kind.NOISE, what, "move faster, or use --method iv or didim")
     if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:

@@ -1,4 +1,4 @@
-"""The choice of a preparation from the runs: bandwidth, position filter and decimation."""
+"""Choose a preparation from the runs: bandwidth, position filter and decimation."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _given_cutoff(given: float | Literal["none"], rate: float) -> float | None:
         return None
     if given >= 0.5 * rate:
         raise GtauError(
-            f"preparation.position_filter is {given:g} Hz, but logs sampled at {rate:.4g} Hz hold nothing above "
+            f"preparation.position_filter is {given:g} Hz, but logs sampled at {rate:.4g} Hz contain nothing above "
             f"{rate / 2:.4g} Hz; give a lower cut-off, or none."
         )
     return given
@@ -91,8 +91,8 @@ def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
     found = spectra(run)
     if not any(each.moves for each in found):
         raise GtauError(
-            f"run '{run.name}': no joint's motion stands out from the noise of its position; leave the run out, or "
-            "give a log of a moving robot."
+            f"run '{run.name}': no joint's motion exceeds its position noise; leave the run out, or give a log of a "
+            f"moving robot."
         )
     return found
 

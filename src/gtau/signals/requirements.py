@@ -1,4 +1,4 @@
-"""What the owner of an experiment requires of its result, as the experiment file says it."""
+"""Requirements of the experiment file on the result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A log on a uniform grid: what is missing is interpolated and marked, and so are values that are held.
+"""Resample a log to a uniform grid; interpolate and mask missing and held values.
 
 Signals that are logged faster than they are updated repeat values, which are no samples.
 """
@@ -117,12 +117,12 @@ class Holds:
                 continue
             if each.period > 1:
                 slow = (
-                    f"the {what} are held: new ones come at about {rate / each.period:.4g} Hz, every {each.period} "
-                    "samples; interpolated between them"
+                    f"the {what} are held: updated at about {rate / each.period:.4g} Hz, every {each.period} samples; "
+                    "interpolated between updates"
                 )
                 found.append(Note(Kind.HELD, slow, f"log the {what} at the rate at which they change"))
             else:
-                few = f"{stale} samples of the {what} are stale (repeat the one before): interpolated"
+                few = f"{stale} samples of the {what} are stale (repeat the previous one): interpolated"
                 found.append(Note(Kind.REPAIR, few, "log in the controller's own cycle", share=stale / count))
         return found
 
@@ -273,7 +273,7 @@ def _of_clock(clock: Clock, given: bool) -> list[Note]:
     why = "as preparation.clock says" if given else "which makes the positions smoother"
     if not clock.regular:
         if not given:
-            why = "the time stamps are trusted, as a regular clock makes the positions no smoother"
+            why = "the time stamps are used, because a regular clock makes the positions no smoother"
         what = (
             f"resampled from irregular steps of {clock.shortest * 1e3:.3g} to {clock.longest * 1e3:.3g} ms "
             f"to a uniform {clock.rate:.2f} Hz: {why}"
@@ -288,7 +288,7 @@ def _of_clock(clock: Clock, given: bool) -> list[Note]:
         f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at a regular "
         f"{clock.rate:.2f} Hz instead, {why}"
     )
-    repair = "if the rate is another one, give it (time: {rate: HZ})" if clock.packets else ""
+    repair = "if this rate is wrong, give the right one (time: {rate: HZ})" if clock.packets else ""
     return [Note(Kind.READING, what, repair)]
 
 

@@ -1,4 +1,4 @@
-"""A run: what one log says, checked, in SI units and on a uniform grid."""
+"""A run: the checked signals of a log, in SI units and on a uniform grid."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Run:
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """What the columns of ``command`` are."""
+        """The channels in the columns of ``command``."""
         joints = (
             Channel(joint, "base" if joint in self.base else "motor", joint, row)
             for row, joint in enumerate(self.joints)

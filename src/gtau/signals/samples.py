@@ -68,7 +68,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Part:
-    """The part of a log that is used: without its first ``skip`` rows, and between two times in s from the next.
+    """The part of a log to use: without its first ``skip`` rows, and between two times in s.
 
     Where it is an ``episode``, the log's rows end at ``stop``.
     """
@@ -120,8 +120,8 @@ def refuse_short(source: Source, count: int) -> None:
     """Refuse a log of so few samples."""
     if count < MIN_SAMPLES:
         raise GtauError(
-            f"{source.name} has {counted(count, 'sample')}; an identification needs a log of some seconds "
-            f"(at least {MIN_SAMPLES} samples)."
+            f"{source.name} has {counted(count, 'sample')}; identification needs a log of several seconds (at least "
+            f"{MIN_SAMPLES} samples)."
         )
 
 
@@ -178,12 +178,12 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], pa
     samples, lacking = gathered(source, blocks, part)
     if not lacking.count and part != WHOLE:
         raise GtauError(
-            f"{source.name} has no rows in the part that is asked for (skip: {part.skip}, from: {part.begin:g}, to: "
+            f"{source.name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: "
             f"{part.end:g} s); correct these keys."
         )
     refuse_short(source, lacking.count)
     if lacking.empty:
-        notes.append(Note(Kind.READING, f"left out {counted(lacking.empty, 'row')} that hold other signals only"))
+        notes.append(Note(Kind.READING, f"left out {counted(lacking.empty, 'row')} that hold only other signals"))
     for column, number in zip(source.columns, lacking.numbers, strict=True):
         if not number:
             entry = source.texts.get(column, "")

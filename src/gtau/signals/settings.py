@@ -1,4 +1,4 @@
-"""Settings of the preparation that a user may give by hand."""
+"""Settings of the preparation that a user may set by hand."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class PreparationSettings(Keys):
 
     @property
     def given(self) -> tuple[str, ...]:
-        """Names of what is set by hand, in the order of the class."""
+        """Names of the settings made by hand, in the order of the class."""
         return tuple(name for name in type(self).model_fields if name in self.model_fields_set)
 
 

@@ -1,4 +1,4 @@
-"""Arrays longer than memory: written block by block, and read so; how much of a long log is worked on at once."""
+"""Arrays larger than memory, written and read block by block, and the size of these blocks."""
 
 from __future__ import annotations
 
@@ -118,8 +118,8 @@ def _room() -> Iterator[None]:
         yield
     except OSError as error:
         raise GtauError(
-            f"a long log needs some GB in the folder for temporary files, {tempfile.gettempdir()}, where nothing "
-            f"more can be written ({(error.strerror or str(error)).lower()}); make room there, or set TMPDIR to "
+            f"a long log needs some GB in the folder for temporary files, {tempfile.gettempdir()}, which is full "
+            f"({(error.strerror or str(error)).lower()}); make room there, or set TMPDIR to "
             "another folder."
         ) from None
 

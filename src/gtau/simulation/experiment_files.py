@@ -112,7 +112,7 @@ def make_run(
 def simulate_experiment(
     source: str | Path | Simulation | Mapping[str, Any], out: str | Path, progress: Progress = silent
 ) -> tuple[Path, ...]:
-    """Make the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.
+    """Simulate the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The same plant by MuJoCo, which shares no equations with the estimator: closures are its equality constraints.
+"""Simulate the plant in MuJoCo, which shares no equations with the estimator.
 
 Viscous friction and rotor inertia are MuJoCo's damping and armature; all other friction is applied as in
 :mod:`gtau.simulation.plant`, anew in every step. MuJoCo's constraints give way a little.
@@ -60,13 +60,14 @@ class MujocoPlant:
         robot, layout = model.robot, model.layout
         if robot.couplings:
             raise GtauError(
-                f"robot '{robot.name}' has couplings, which the engine 'mujoco' does not know; use the engine 'gtau'."
+                f"robot '{robot.name}' has couplings, which the engine 'mujoco' does not support; use the engine "
+                f"'gtau'."
             )
         chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         friction = friction or plain_friction(model, chi)
         if by_load := [name for name, value in friction.values.items() if value and parameter_of(name).kind == "fl"]:
             raise GtauError(
-                f"friction by load ('{by_load[0]}') is not known to the engine 'mujoco'; use the engine 'gtau'."
+                f"friction by load ('{by_load[0]}') is not supported by the engine 'mujoco'; use the engine 'gtau'."
             )
         viscous = [Parameter("fv", joint.name).name for joint in robot.joints]
         chi |= {name: max(friction.values.get(name, 0.0), 0.0) for name in viscous}
@@ -75,7 +76,7 @@ class MujocoPlant:
         except ValueError as error:
             raise GtauError(
                 f"robot '{robot.name}': MuJoCo does not accept its parameters ({str(error).splitlines()[0]}); give "
-                "every body a mass and inertia that it could be built with, or use the engine 'gtau'."
+                f"every body a physically possible mass and inertia, or use the engine 'gtau'."
             ) from None
         self._mujoco, self.model = mujoco, model
         self._data = mujoco.MjData(self._model)

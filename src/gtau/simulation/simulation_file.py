@@ -143,7 +143,7 @@ class SimulatedRun(Keys):
         if self.payload is not None and self.payload.mass is None:
             raise ValueError(f"the payload '{self.payload.name}' has no mass; a simulation needs it")
         if self.weigh and self.payload is None:
-            raise ValueError("'weigh' stands without 'payload'; add one or remove it")
+            raise ValueError("'weigh' is given without 'payload'; add a payload or remove it")
         return self
 
 
@@ -225,8 +225,8 @@ class Simulation(Keys):
                 raise ValueError(f"two runs are called '{name}'; give every run its own name")
         if self.bandwidth > self.rate / 5:
             raise ValueError(
-                f"a bandwidth of {self.bandwidth:g} rad/s cannot be had at a rate of {self.rate:g} Hz; "
-                f"write at most {self.rate / 5:g}"
+                f"a bandwidth of {self.bandwidth:g} rad/s is impossible at a rate of {self.rate:g} Hz; write at most "
+                f"{self.rate / 5:g}"
             )
         return self
 

@@ -1,1 +1,1 @@
-"""Watching a robot: whether it is still the one that was identified."""
+"""Watch whether a robot is still the one that was identified."""

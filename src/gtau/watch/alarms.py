@@ -1,4 +1,4 @@
-"""From the evidence of the charts to an alarm: since when, and which explanations fit."""
+"""Derive an alarm from the evidence of the charts: since when, and which explanations fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is normal between healthy logs: bands of each chart, and the covariance of all of them.
+"""Baseline of healthy logs: bands of each chart, and the covariance of all charts.
 
 Healthy days differ by more than the interval of one day's log says, so what is normal comes from the scatter between
 logs. With some ten logs and forty charts the empirical covariance has no full rank; it is shrunk towards the standard

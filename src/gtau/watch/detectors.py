@@ -66,7 +66,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a chart says: logarithm of its e-detector, the likeliest first log of the change and the interval of it.
+    """Evidence of a chart: logarithm of its e-detector, the likeliest first log of the change and the interval of it.
 
     Logs are counted from the first one of the chart; None without any evidence.
     """

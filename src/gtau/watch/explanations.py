@@ -1,4 +1,4 @@
-"""What explains an alarm: gain, load, friction, encoder zero, delay, clock or contact, as competing hypotheses.
+"""Explain an alarm by competing hypotheses: gain, load, friction, encoder zero, delay, clock or contact.
 
 A single change of one kind moves all charts in a known way (``response``). Each hypothesis is fitted to the difference
 between the logs after the change and those before it by generalised least squares, with the covariance between healthy

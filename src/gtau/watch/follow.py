@@ -1,4 +1,4 @@
-"""Following a robot in production: a folder that fills with finished logs, or a text log that grows, block by block.
+"""Follow a robot in production: a folder of finished logs, or a growing text log, block by block.
 
 Each block goes through the batch pipeline as a log of its own, so that its numbers are those of finished logs; they
 come as soon as the block is whole. Blocks are recognised by their content: after an end at any moment, following the
@@ -32,7 +32,7 @@ Read = Callable[[Path], Run]
 
 @dataclass(frozen=True)
 class Skipped:
-    """A block that says nothing, such as of a robot at rest, and why."""
+    """A block without information, such as of a robot at rest, and why."""
 
     log: str
     why: str
@@ -41,7 +41,7 @@ class Skipped:
 def follow(
     watch: Watch, source: Path, read: Read, seconds: float, ended: Callable[[], bool] = lambda: False
 ) -> Iterator[Status | Skipped]:
-    """Follow a folder of finished logs, or a text log that grows, for ever.
+    """Follow a folder of finished logs, or a growing text log, until it ends.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def follow(
     read : callable
         Reads the log at a path.
     seconds : float
-        Length of the blocks of a log that grows.
+        Length of the blocks of a growing log.
     ended : callable
         Says, where nothing new is there, whether nothing more will come.
 
@@ -66,7 +66,7 @@ def follow(
     elif source.is_file():
         yield from _growing(watch, source, read, seconds, ended)
     else:
-        raise GtauError(f"there is nothing to follow at {source}; give a folder, or a text log that grows.")
+        raise GtauError(f"there is nothing to follow at {source}; give a folder or a growing text log.")
 
 
 def _folder(watch: Watch, folder: Path, read: Read, ended: Callable[[], bool]) -> Iterator[Status | Skipped]:
@@ -102,9 +102,7 @@ def _growing(
         wanted, number = 0, 0
         while True:
             if log.stat().st_size < file.tell():
-                raise GtauError(
-                    f"{log} has become shorter while it was followed; follow the new log from its beginning."
-                )
+                raise GtauError(f"{log} has become shorter while it was followed; start following the new log.")
             read_now = file.read(CHUNK)
             lines.add(read_now)
             if not wanted and lines.count >= FIRST_LINES:

@@ -1,4 +1,4 @@
-"""Finished logs of a watched robot: which they are, in which order, and when they were recorded."""
+"""List finished logs of a watched robot, their order, and when they were recorded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may have changed since the identification, as columns of torque along a log, and their normal equations.
+"""Possible changes since the identification, as torque columns along a log, and their normal equations.
 
 The residual of the identified model along a log, ``y = g v(t - d) - tau_model`` (eq. 16), is held against one column a
 quantity: the torque that one unit of its change adds. The rows are those of the identification: the same filters,
@@ -45,7 +45,7 @@ ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 
 @dataclass(frozen=True)
 class Quantity:
-    """One thing that may change: its kind (that of a payload's parameter for the load), joint and unit."""
+    """A quantity that may change: its kind (that of a payload's parameter for the load), joint and unit."""
 
     kind: str
     joint: str
@@ -79,7 +79,7 @@ class NormalEquations:
 
 
 def quantities_of(model: IdentifiedModel) -> tuple[Quantity, ...]:
-    """List what is watched of a model, in the order of the columns."""
+    """List the watched quantities of a model, in the order of the columns."""
     robot, idm = model.robot, model.model
     payload = carried_payload(idm, model.base, 0, Payload(name="load"))
     load = (Quantity(kind, "", unit_of(kind, robot, robot.tool)) for kind in payload.unknown.values())

@@ -1,4 +1,4 @@
-"""The history of a watched robot: a line of JSON for each log, from which everything else follows.
+"""The history of a watched robot: one line of JSON per log, from which all else is computed.
 
 A line is added whole and forced to the disk before anything is said of its log, and a line that was cut off by a power
 failure or a kill is dropped when the file is next opened; so whatever happens, the next run goes on with the same
@@ -27,7 +27,7 @@ class _Line(BaseModel):
 
 
 class Settings(_Line):
-    """Head of a history: the model, and what stands behind the stated time between false alarms.
+    """Head of a history: the model, and the settings behind the stated time between false alarms.
 
     ``baseline`` logs set what is normal; of ``robots`` that send ``logs_per_year`` each there are ``false_alarms`` a
     year.
@@ -61,7 +61,7 @@ class Explained(_Line):
 
 
 class Alarm(_Line):
-    """What is said of a change: explanations that cannot be distinguished, the best one first, and since which log."""
+    """An alarm: explanations that cannot be distinguished, the best first, and the log since which they hold."""
 
     explanations: tuple[Explained, ...]
     since: str

@@ -1,4 +1,4 @@
-"""The statistics of a log: the size of each change if it were the only one beside friction, and its standard deviation.
+"""Statistics of a log: the size of each change, estimated alone beside friction, and its standard deviation.
 
 Friction of a healthy robot differs from day to day, so friction and offsets of all joints are always free. Beside them
 one change is estimated at a time: a drive gain at fixed inertia, an encoder zero, a delay, or the load. By the theorem
@@ -34,7 +34,7 @@ RESIDUAL = "rms"  # kind of the residual's charts
 
 @dataclass(frozen=True, eq=False)
 class LogStatistics:
-    """What a log says of its robot.
+    """Statistics of one log.
 
     Attributes
     ----------

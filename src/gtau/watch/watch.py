@@ -1,4 +1,4 @@
-"""A watched robot: its charts, log by log, and the alarm that follows from them."""
+"""Watch a robot: update its charts log by log, and raise an alarm."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """What is known after a log: the entry of the history, and each chart's evidence.
+    """State after a log: its entry in the history, and the evidence of each chart.
 
     ``charts`` (k,) with the ``baseline`` of each, ``evidences`` and ``cusums`` (k,), the larger sum over its limit.
     """
@@ -47,18 +47,18 @@ class Status:
 
 
 class Watch:
-    """A watched robot: feed it finished logs, oldest first, and it says whether the robot has changed.
+    """Watch a robot: feed it finished logs, oldest first, and it reports whether the robot has changed.
 
-    It is no safety function: it finds wear and mistakes between logs, it protects nobody.
+    This is not a safety function: it detects wear and mistakes between logs and protects nobody.
 
     Parameters
     ----------
     model : Result
         From :func:`gtau.identify` or :meth:`gtau.Result.load`.
     out : path, optional
-        Folder of the history, which is gone on with; in memory if left out.
+        Folder of the history, continued if it exists; in memory if omitted.
     baseline : int
-        Number of healthy logs that set what is normal.
+        Number of healthy logs that form the baseline.
     false_alarms_per_year : float
         Of the whole fleet.
     robots : int
@@ -89,7 +89,7 @@ class Watch:
         logs_per_year: float = 365.0,
     ):
         if baseline < FEWEST:
-            raise GtauError(f"a baseline of {baseline} logs is too short; give at least {FEWEST} healthy logs.")
+            raise GtauError(f"a baseline of {baseline} logs is too short; use at least {FEWEST} healthy logs.")
         if not (false_alarms_per_year > 0 and robots >= 1 and logs_per_year > 0):
             raise GtauError("false alarms per year, robots and logs per year are positive numbers; correct them.")
         self.model = model
@@ -122,17 +122,17 @@ class Watch:
 
     @property
     def limit(self) -> float:
-        """What the mean e-detector may reach: the average number of logs between false alarms of this robot."""
+        """Limit of the mean e-detector: the average number of logs between false alarms of this robot."""
         return self.settings.limit
 
     @property
     def phase(self) -> str:
-        """``baseline`` while what is normal is being learned, then ``watching``."""
+        """``baseline`` until the baseline is complete, then ``watching``."""
         return "baseline" if self.count < self.settings.baseline else "watching"
 
     @property
     def baseline(self) -> Baseline:
-        """What is normal, by ``names``."""
+        """Healthy mean and scatter of the charts in ``names``."""
         table = [[values.get(name, np.nan) for name in self.names] for values in self.first]
         return baseline_of(np.reshape(np.array(table, dtype=float), (len(table), len(self.names))))
 
@@ -174,7 +174,7 @@ class Watch:
         Raises
         ------
         GtauError
-            Where the log does not suit the model; nothing has changed then.
+            If the log does not fit the model; the history is then unchanged.
         """
         return self.update_statistics(statistics_of(self.model, run), digest or run_digest(run), date or now())
 
@@ -256,7 +256,7 @@ def _shown(log: LogStatistics, values: np.ndarray) -> dict[str, float]:
 
 
 def model_digest(model: Result) -> str:
-    """Compute by which a model is known again: its robot, gains and parameters."""
+    """Compute the digest that identifies a model: its robot, gains and parameters."""
     document = to_document(model)
     known = {key: document[key] for key in ("robot_file", "drive_gains", "parameters") if key in document}
     return hashlib.sha256(repr(known).encode()).hexdigest()

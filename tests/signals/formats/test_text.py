@@ -82,7 +82,7 @@ def test_binary_garbage_in_the_middle_names_the_line(tmp_path: Path) -> None:
     with pytest.raises(GtauError) as refusal:
         read_run(path, SIGNALS)
     assert str(refusal.value) == (
-        f"{path}, line 301 is not text: the log was damaged there; delete the line, or record the log again."
+        f"{path}, line 301 is not text: the log is damaged there; delete the line, or record the log again."
     )
 
 
@@ -123,7 +123,7 @@ def test_rows_of_other_topics_are_left_out(write: Callable[..., Path], each: boo
     time = {"position": "__time", "command": "__time"} if each else "__time"
     run = read_run(write("__time,q,v,temperature", *sorted(rows, key=_stamp)), SIGNALS | {"time": time})
     kept = N - 1 if each else N  # the first position is before the first command
-    assert str(run.notes[-1]) == f"left out {2 * kept + 1 if each else N} rows that hold other signals only"
+    assert str(run.notes[-1]) == f"left out {2 * kept + 1 if each else N} rows that hold only other signals"
     assert run.valid.all()
     np.testing.assert_allclose(run.position[:, 0], VALUES[N - kept :, 0], atol=1e-9)
     np.testing.assert_allclose(run.command[:, 0], np.cos(3 * (run.time - 0.001 * each)), atol=1e-4)
@@ -214,7 +214,7 @@ def test_lines_that_are_no_rows_are_refused_before_they_fill_the_memory(
 ) -> None:
     path = write("t,q,v", *ROWS[:before], ",".join(["1.5"] * 5_000_000))
     tracemalloc.start()
-    with pytest.raises(GtauError, match=r"line( \d+)? is longer than 1 MB, which no row of a log is; write one sample"):
+    with pytest.raises(GtauError, match=r"line( \d+)? is longer than 1 MB, too long for a row of a log"):
         read_run(path, SIGNALS)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

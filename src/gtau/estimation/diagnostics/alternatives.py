@@ -1,4 +1,4 @@
-"""How far the estimates may be off because the model lacks something: alternatives, weighted by the data.
+"""Model uncertainty of the estimates: alternative models, weighted by the data.
 
 Each alternative has one unknown more, of size s. The data find s and its standard deviation; experience allows sizes
 up to a plausible standard deviation. The Bayes factor between the model with it and without it (s = 0) says how well

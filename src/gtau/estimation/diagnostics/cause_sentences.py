@@ -1,4 +1,4 @@
-"""The words for what the model may lack or the description have wrong: its name as a cause, and advice."""
+"""Names and advice for causes: effects that the model may lack, errors in the description."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Fields in braces are the values of the finding, its ``subject``, its first ``joi
 ``estimate`` that it is about, the ``cause`` and what ``to_do`` about it.
 """
 
-FILTER = "log at a higher rate, from encoders with less noise, or give 'preparation' by hand"
-OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from the rest"
+FILTER = "log at a higher rate, from encoders with less noise, or set 'preparation' by hand"
+OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from other effects"
 INSTRUMENTS = "use --method iv or didim, or encoders with less noise"
 NO_GRAVITY = (
-    "log what the motors deliver (UR: 'use_currents_as_efforts: true'), or write 'robot: {{file: ..., gravity: [0, 0, "
-    "0]}}' in the experiment file, for a model that has no gravity either"
+    "log the torques of the motors (UR: 'use_currents_as_efforts: true'), or write 'robot: "
+    "{{file: ..., gravity: [0, 0, 0]}}' in the experiment file for a model without gravity"
 )
 DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
 
@@ -40,7 +40,7 @@ def _two_stage(values: Values) -> Sentence:
     signs = (
         "the signs and the payload of every run, and gravity" if values.get("payload", True) else "signs and gravity"
     )
-    more = "otherwise add runs of other motions, as friction that grows with the load has the same effect"
+    more = "if these are correct, add runs with other motions: friction that grows with the load has the same effect"
     return "{estimate} by two-stage least squares", f"check {signs}; {more}"
 
 
@@ -69,9 +69,9 @@ def _gain_change(values: Values) -> Sentence:
     return (
         f"a current of '{{joint}}' that is {way} in run{'s' * several} {names} than in the others",
         "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
-        "loaded and unloaded runs, as a motor's torque constant falls as it warms up"
+        "loaded and unloaded runs: a motor's torque constant falls as it warms up"
         if values.get("payload", True)
-        else "check the clock; otherwise let the robot warm up, as a motor's torque constant falls as it warms up",
+        else "check the clock; otherwise let the robot warm up: a motor's torque constant falls as it warms up",
     )
 
 
@@ -79,7 +79,7 @@ def _other_gravity(values: Values) -> Sentence:
     """Name another gravity; where the robot was fitted with it, say what to write."""
     if "left" not in values:  # an estimate to first order
         x, y, z = values["gravity"]
-        return _of_gravity(f"another gravity, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2")(values)
+        return _of_gravity(f"a different gravity vector, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2")(values)
     x, y, z = values["gravity"]
     listed = ", ".join(f"{round(each, 3) + 0.0:.4g}" for each in (x, y, z))
     joint, (before, after) = max(values["left"].items(), key=lambda each: each[1][0])
@@ -101,7 +101,7 @@ def _other_gravity(values: Values) -> Sentence:
 def _without_gravity(values: Values) -> Sentence:
     joint, (before, after) = max(values["left"].items(), key=lambda each: each[1][0])
     return (
-        "torques without gravity, as of a driver that compensates it, which leaves "
+        "torques without gravity, as from a driver that compensates it, which leaves "
         f"{100 * after:.2g} % of '{joint}' unexplained instead of {100 * before:.2g} %,",
         NO_GRAVITY,
     )
@@ -113,7 +113,7 @@ def _wrench_offset(values: Values) -> Sentence:
     else:
         force, moment = (", ".join(f"{each:.2g}" for each in values[part]) for part in ("force", "moment"))
         what = f"an offset of ({force}) N and ({moment}) N m in the wrench on '{{subject}}'"
-    return what, "tare the force sensor before each run, with nothing on it, or subtract what it reads then"
+    return what, "tare the unloaded force sensor before each run, or subtract its unloaded reading"
 
 
 def _wrench_point(values: Values) -> Sentence:
@@ -122,8 +122,8 @@ def _wrench_point(values: Values) -> Sentence:
     else:
         off = f"off by ({', '.join(f'{1e3 * each:.2g}' for each in values['shift'])}) mm"
     return (
-        f"the point about which the moment on '{{subject}}' is stated, {off}",
-        "measure where the sensor is, and correct 'at' of that wrench",
+        f"the reference point of the moment on '{{subject}}', {off}",
+        "measure the position of the sensor, and correct 'at' of that wrench",
     )
 
 
@@ -155,10 +155,10 @@ CAUSES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     ),
     F.ENCODER_ZERO: (
         "an error in the zero of encoder '{joint}'",
-        "check the zeros of the encoders against the robot's own",
+        "compare the encoder zeros with the robot's zero position",
     ),
     F.GRAVITY_TILT: _of_gravity("gravity tilted towards ({towards[0]:.2g}, {towards[1]:.2g}, {towards[2]:.2g})"),
-    F.GRAVITY_STRENGTH: _of_gravity("gravity of another strength"),
+    F.GRAVITY_STRENGTH: _of_gravity("a different magnitude of gravity"),
     F.GRAVITY: _other_gravity,
     F.WITHOUT_GRAVITY: _without_gravity,
     F.WRENCH_OFFSET: _wrench_offset,
@@ -169,7 +169,7 @@ CAUSES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.BANDWIDTH: ("{estimate} with a bandwidth {factor:g} times as large", FILTER),
     F.SLOW_ROWS: (
         "{estimate} without rows below {fraction:.2g%} of a joint's rms speed",
-        "make motions with fewer reversals, or give 'preparation' by hand",
+        "use motions with fewer reversals, or set 'preparation' by hand",
     ),
     F.TWO_STAGE: _two_stage,
     F.INSTRUMENTS: ("{estimate} by instrumental variables", INSTRUMENTS),

@@ -1,4 +1,4 @@
-"""A factor that the torque scales of all joints share: as well as the torques, the payload's mass may be off by it.
+"""Find a scale factor common to all joints, which a wrong payload mass explains as well as wrong torques.
 
 Every scale is in proportion to the mass that is stated. Torques of different motors hardly err by one factor; a mass
 that was mistyped, or a gripper that was not weighed with its load, makes them look so.

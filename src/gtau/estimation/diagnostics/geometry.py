@@ -1,4 +1,4 @@
-"""Whether logged poses confirm the robot's geometry, and which lengths would explain them otherwise.
+"""Check the robot's geometry against logged poses, and find lengths that explain a mismatch.
 
 Poses computed from the joints' positions are compared with logged ones; a wrong length leaves residuals that depend on
 the pose. Each constant of the geometry is fitted by itself, and the one that explains most is taken; then further ones

@@ -1,4 +1,4 @@
-"""What logged poses say of a robot's geometry, as data, as a note and as a document."""
+"""Findings of logged poses on a robot's geometry, as data, note and document."""
 
 from __future__ import annotations
 

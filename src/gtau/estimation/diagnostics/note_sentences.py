@@ -1,4 +1,4 @@
-"""The words for what is noted beside the verdicts: of the data, the fit and the parameters."""
+"""Sentences for notes beside the verdicts: on data, fit and parameters."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def _motor_side(values: Values) -> Sentence:
     if "least" in values:
         what = "the true torques are {least:.3g} to {most:.3g} times those logged"
     else:
-        what = "the torques reach {share:.2g%} of the limit of '{joint}' ({limit:.4g}), and less of all others"
+        what = "the torques reach {share:.2g%} of the limit of '{joint}' ({limit:.4g}), and less for all others"
     to_do = (
-        "write 'motor_torque' with the 'gear_ratio' of each joint in place of 'torque', 'current' where they are A, or "
-        "correct the limits"
+        "write 'motor_torque' with the 'gear_ratio' of each joint instead of 'torque', or 'current' if they are in A, "
+        "or correct the limits"
     )
-    return what + ": by their size those of motors before their gears, or currents", to_do
+    return what + ": by their size they are motor-side torques (before the gear) or currents", to_do
 
 
 def _between_runs(values: Values) -> str:
@@ -35,12 +35,12 @@ def _between_runs(values: Values) -> str:
 def _ripple(values: Values) -> Sentence:
     base = bool(values["base"])
     where = "of the base '{subject}'" if base else "at joint '{joint}'"
-    cause = "a wrench is wrong or missing" if base else "ripple of the motors, cables or springs, which the model lacks"
-    of_gain = " (that of the gain of joint '{moved}' {move:.3g%})" if values["move"] else ""
+    cause = "a wrench is wrong or missing" if base else "motor ripple, cables or springs, which are not modelled"
+    of_gain = " (the gain of joint '{moved}' by {move:.3g%})" if values["move"] else ""
     return (
         f"residuals repeat at the same positions ({{share:.0f%}} of the variance {where}): {cause}. They repeat in "
-        "every run, so the scatter between blocks does not show them; the standard deviations include how far the "
-        f"estimates move when they are modelled{of_gain}",
+        "every run, so the scatter between blocks does not show them; the standard deviations include the shift of "
+        f"the estimates when they are modelled{of_gain}",
         "",
     )
 
@@ -50,8 +50,9 @@ def _command_lag(values: Values) -> Sentence:
     size = f"by {1e3 * lag:.2g} ms (standard deviation {1e3 * values['std']:.2g} ms)"
     size = size if phase < 1 else f"by more than {1e3 * lag / phase:.2g} ms"
     return (
-        f"the {{kind}}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass of that "
-        f"time constant attenuates them by {100 * (1 - 1 / sqrt(1 + phase**2)):.2g} % at the bandwidth of the motion, "
+        f"the {{kind}}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass filter "
+        f"with that time constant attenuates them by {100 * (1 - 1 / sqrt(1 + phase**2)):.2g} % at the bandwidth of "
+        f"the motion, "
         "{bandwidth:.3g} Hz",
         "log the {kind}s before any filter and with the time stamps of the positions",
     )
@@ -60,12 +61,12 @@ def _command_lag(values: Values) -> Sentence:
 def _mass_unseen(values: Values) -> Sentence:
     sums = values["sums"]
     what = (
-        f"only sums with other parameters of it act on the joints: {', '.join(sums)}"
+        f"only sums with its other parameters affect the joint torques: {', '.join(sums)}"
         if sums
-        else "it acts on no joint: what carries it turns about a fixed point"
+        else "it affects no joint torque: the body that carries it turns about a fixed point"
     )
-    to_do = "where its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"
-    return f"the mass of payload '{{subject}}' is not identifiable, as {what}", to_do
+    to_do = "if its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"
+    return f"the mass of payload '{{subject}}' is not identifiable, because {what}", to_do
 
 
 NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
@@ -73,36 +74,37 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "legs of the same geometry differ, most in {parameter} of leg '{subject}' ("
         + ("{share:.0f%}" if values["share"] < 10 else "more than 1000 %")
         + " from the mean of the others)",
-        "check that they are built alike",
+        "check that they are built identically",
     ),
     F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
     F.SCALE_UNTESTED: (
-        "the torques are taken as true, as their scale could not be tested: {why}",
+        "the torques are assumed to be correct, because their scale could not be tested: {why}",
         "add runs with a heavier payload of known mass, or longer ones",
     ),
     F.COMMON_SCALE: (
-        "one factor, {scale:.3g} (standard deviation {std:.2g}), explains the torque scale of all joints: so would a "
-        "mass of {mass:.3g} kg of payload '{subject}', stated as {declared:.4g} kg",
-        "weigh the payload again before the torques are corrected",
+        "one factor, {scale:.3g} (standard deviation {std:.2g}), explains the torque scale of all joints; a mass of "
+        "{mass:.3g} kg for payload '{subject}' (stated: {declared:.4g} kg) would explain it equally",
+        "reweigh the payload before you correct the torques",
     ),
     F.NO_GRAVITY_SHOWN: (
-        "the torques show no gravity ({felt:.1g%} of a joint's torque at most): a driver compensates it, or the robot "
-        "is balanced",
+        "the torques contain no gravity ({felt:.1g%} of a joint's torque at most): a driver compensates it, or the "
+        "robot is balanced",
         NO_GRAVITY,
     ),
     F.WHOLE_NUMBERS: (
-        "the {kind}s are whole numbers, up to {largest:.0f}: shares of the rated {kind} (‰ in CiA 402, object 0x6077), "
+        "the {kind}s are whole numbers, up to {largest:.0f}: ‰ of the rated {kind} (CiA 402, object 0x6077), "
         "mA or counts rather than SI units",
         "state their unit and the rated values (units: {{{kind}: ‰, rated: {{...}}}}), or {{{kind}: mA}}",
     ),
     F.MOTOR_SIDE: _motor_side,
     F.MODEL_TORQUES: (
         "the {kind}s have next to no friction ({friction:.1g%} of a joint's torque at most) and {residual:.2g%} is "
-        "unexplained: a model of the controller computed them, and no motor",
+        "unexplained: they come from a model in the controller, not from the motors",
         "log measured currents or torques (UR: actual_current, not target_current or target_moment)",
     ),
     F.PRIOR_INERTIA: lambda values: (
-        "the inertias of '{subject}' in the robot's file, taken as priors to {std:.0f%}, contradict the data: "
+        "the inertias of '{subject}' in the robot file, used as priors with a standard deviation of {std:.0f%}, "
+        "contradict the data: "
         + "; ".join(
             f"{name} is {found:.3g} {unit} from the data (standard deviation {std:.2g}), {stated:.3g} in the file"
             for name, found, std, stated, unit in values["parameters"][:LISTED]
@@ -111,24 +113,24 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "give 'prior_inertias' a larger value, or correct the file",
     ),
     F.GAINS_APART: (
-        "the gains of '{joint}' and '{other}' are a factor of {ratio:.2g} apart ({smaller:.3g} and {larger:.3g} "
-        "{unit}), which motors and gears of one robot hardly are",
+        "the gains of '{joint}' and '{other}' differ by a factor of {ratio:.2g} ({smaller:.3g} and {larger:.3g} "
+        "{unit}), which is implausible for motors and gears of one robot",
         "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not",
     ),
     F.POSITION_NOISE: (
-        "position noise biases {count} of {all} estimates by more than their standard deviations: {estimate} by "
-        "{deviations:.1f} of them (instrumental variables, which such noise does not bias, differ by {t:.0f} standard "
-        "deviations of the difference); the intervals include it",
+        "position noise biases {count} of {all} estimates by more than one standard deviation: {estimate} by "
+        "{deviations:.1f} standard deviations (instrumental variables, which such noise does not bias, differ by "
+        "{t:.0f} standard deviations of the difference); the intervals include this bias",
         INSTRUMENTS,
     ),
     F.RIPPLE: _ripple,
     F.COMMON_RESIDUALS: lambda values: (
-        f"{_between_runs(values)}: what the model lacks there depends on the motion alone, and cancels in the gains",
+        f"{_between_runs(values)}: the unmodelled torque there depends on the motion alone and cancels in the gains",
         "",
     ),
     F.OPPOSED_RESIDUALS: lambda values: (
-        f"{_between_runs(values)}: what the model lacks there changes sign with the load, and moves gains; most likely "
-        "{cause}",
+        f"{_between_runs(values)}: the unmodelled torque there changes sign with the load and biases the gains; most "
+        "likely {cause}",
         "{to_do}",
     ),
     F.SMALL_REFUTATION: (
@@ -136,14 +138,14 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "{to_do}",
     ),
     F.WEAK_INSTRUMENTS: (
-        "two-stage least squares could not be compared: these motions leave its instruments weak (first-stage F of "
-        "{strength:.2g}, where it needs {needed:.2g}), so that it would differ by its own bias",
+        "two-stage least squares could not serve as a comparison: its instruments are weak for these motions "
+        "(first-stage F of {strength:.2g}; {needed:.2g} is needed), so the difference would show its own bias",
         "let the joints move independently of each other, or use a heavier payload",
     ),
-    F.UNTESTED: ("{cause} could not be made for comparison: {refusal}", ""),
+    F.UNTESTED: ("{cause} could not be computed for comparison: {refusal}", ""),
     F.AUTOCORRELATED: (
-        "residuals are autocorrelated: standard errors are {factor:.1f} times those of white noise, so the model lacks "
-        "something, such as friction of another kind, ripple of the motors, cables or elasticity",
+        "residuals are autocorrelated: standard errors are {factor:.1f} times those of white noise, so the model "
+        "lacks an effect, such as another kind of friction, motor ripple, cables or elasticity",
         "",
     ),
     F.IMPOSSIBLE_PARAMETERS: lambda values: (
@@ -155,12 +157,12 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.NOT_SEPARATED: lambda values: (
         f"these motions cannot separate {', '.join(values['parameters'])} from the other base parameters: no value is "
         "given",
-        "add runs that move all joints in other ways",
+        "add runs with different motions of all joints",
     ),
     F.MASS_UNSEEN: _mass_unseen,
     F.FEW_ROWS: (
-        "the tests of the model were skipped, as the robot moves too little for them ({rows} rows in the middle of the "
-        "runs, for {unknowns} unknowns): the intervals hold scatter alone",
+        "the tests of the model were skipped, because the robot moves too little ({rows} rows in the middle of the "
+        "runs for {unknowns} unknowns): the intervals cover random errors alone",
         "log longer motions",
     ),
     F.COMMAND_LAG: _command_lag,

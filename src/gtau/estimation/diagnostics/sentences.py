@@ -1,4 +1,4 @@
-"""The words for every kind of finding: reason and advice. No other module writes them, and none reads them."""
+"""Sentences for every kind of finding: reason and advice. No other module writes or parses them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from gtau.signals.notes import Kind, Note
 MOVED = 10.0  # of itself: a gain that moves by more was no estimate
 THOUSAND = 2.0  # a factor between 1000 / 2 and 1000 * 2 is one of a thousand
 WRENCHES = (
-    "check the signs, axes, point ('at') and body of each wrench, that none is missing, and that they share the "
-    "positions' clock"
+    "check the signs, axes, point ('at') and body of each wrench, that no wrench is missing, and that all use the "
+    "clock of the positions"
 )
 LOADED = (
-    "use a heavier payload, longer runs, or motions in which this joint lifts or accelerates it more; if other joints "
+    "use a heavier payload, longer runs, or motions in which the joint lifts or accelerates it more; if other joints "
     "are weak too, check which runs carry the payload, on which body, and gravity"
 )
 MAY_BE_WRENCHES = {F.SWAPPED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
@@ -118,28 +118,27 @@ def _refuted(values: Values) -> Sentence:
 
 def _unexplained(values: Values) -> Sentence:
     return (
-        "the model leaves {share:.0f%} of this joint's {kind} unexplained",
-        "check its position and {kind} columns, their signs and units, the clock of the log and its 'preparation'"
+        "the model leaves {share:.0f%} of the joint's {kind} unexplained",
+        "check the position and {kind} columns, their signs and units, the clock of the log, and 'preparation'"
         if values["given"]
-        else "check that its position and current columns belong together, in all runs, and their signs and units",
+        else "check that the position and current columns are of the same joint in all runs, and check their signs "
+        "and units",
     )
 
 
 def _prior_gain(values: Values) -> Sentence:
     to_do = "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"
     if 1000 / THOUSAND < values["ratio"] < 1000 * THOUSAND:
-        to_do = (
-            "check the payload's mass, which looks like g taken for kg, and the unit of the currents, A taken for mA"
-        )
+        to_do = "check the payload's mass (g entered as kg?) and the unit of the currents (A declared as mA?)"
     if 0.001 / THOUSAND < values["ratio"] < 0.001 * THOUSAND:
-        to_do = "check the unit of the currents, which looks like mA taken for A, and the payload's mass in kg"
+        to_do = "check the unit of the currents (mA declared as A?) and the payload's mass in kg"
     return "it is {ratio:.4g} times its prior of {prior:.4g} {unit}", to_do
 
 
 def _lost(why: str) -> Callable[[Values], Sentence]:
     def sentence(values: Values) -> Sentence:
         loaded = (
-            "use a heavier payload, and motions in which this joint lifts or accelerates it; check the direction of "
+            "use a heavier payload, and motions in which the joint lifts or accelerates it; check the direction of "
         )
         return why, loaded + "gravity" + carried(values) if values["payload"] else _unloaded(values)
 
@@ -148,7 +147,7 @@ def _lost(why: str) -> Callable[[Values], Sentence]:
 
 def _unloaded(values: Values) -> str:
     """Advise motions; a payload only where no wrench gives the scale, of which the payload might be a part."""
-    motions = "longer runs, motions in which this joint lifts or accelerates more"
+    motions = "longer runs, motions in which the joint lifts or accelerates more"
     payload = "" if values.get("wrenches") else ", or also a payload of known mass"
     return f"use {motions}{payload}; check the direction of gravity"
 
@@ -158,8 +157,8 @@ def _wide(why: str, to_do: str = "", more: bool = True) -> Callable[[Values], Se
 
     def sentence(values: Values) -> Sentence:
         width = percent_text(100 * values["half"], 100 * values["accuracy"])
-        longer = "; use a heavier payload and longer runs, too" if values["payload"] else "; use longer runs, too"
-        return f"its 95 % interval is +-{width} %{why}", to_do + longer * (more and values["random"])
+        longer = "; also use a heavier payload and longer runs" if values["payload"] else "; also use longer runs"
+        return f"the 95 % interval is +-{width} %{why}", to_do + longer * (more and values["random"])
 
     return sentence
 
@@ -167,9 +166,10 @@ def _wide(why: str, to_do: str = "", more: bool = True) -> Callable[[Values], Se
 def _late(values: Values) -> Sentence:
     way = "late" if values["lag"] > 0 else "early"
     return (
-        f"its {{kind}}s were logged {1e3 * abs(values['lag']):.0f} ms too {way}: shifted by that, {{shifted:.2g%}} of "
-        "them is unexplained, as logged {as_logged:.2g%}",
-        "log them with the time stamps of the positions, or where those of all joints are as late, write 'preparation: "
+        f"the {{kind}}s were logged {1e3 * abs(values['lag']):.0f} ms too {way}: {{shifted:.2g%}} is unexplained "
+        "after shifting them, {as_logged:.2g%} as logged",
+        "log them with the time stamps of the positions, or if those of all joints are equally late, write "
+        "'preparation: "
         f"{{{{delay: {values['lag']:.3g}}}}}'",
     )
 
@@ -187,18 +187,18 @@ def _given_scale(values: Values) -> str:
     """Say what to do about a mass that contradicts gains that are given; empty where they are estimated."""
     if not values.get("given"):
         return ""
-    scale = "the unit and scale of the torques" if values["given"] == "torque" else "the gains that are given"
+    scale = "the unit and scale of the torques" if values["given"] == "torque" else "the given gains"
     way = "leave out --method" if values["given"] == "torque" else "identify the gains"
     return (
-        f"check which runs carry the payload, its mass (kg) and {scale}; where the mass is certain, {way}, and it "
-        "gives their scale"
+        f"check which runs carry the payload, its mass (kg) and {scale}; if the mass is certain, {way}: it then "
+        "sets their scale"
     )
 
 
 SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.NEGATIVE_MASS: (
-        "the wrenches give the robot a mass of {mass:.3g} kg",
-        "log the forces on the body, or reverse their signs",
+        "the wrenches imply a robot mass of {mass:.3g} kg",
+        "log the forces exerted on the body, not by it, or reverse their signs",
     ),
     F.BASE_UNEXPLAINED: ("the model leaves {share:.0f%} of the {part} on the base '{subject}' unexplained", WRENCHES),
     F.TLS_CONFUSED: (
@@ -211,9 +211,9 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         "check the sign of the currents and positions, gravity" + carried(values),
     ),
     F.SWAPPED: (
-        "the {kind}s of '{joint}' and '{other}' look swapped: exchanged, {exchanged:.2g%} of them is unexplained, as "
-        "logged {as_logged:.2g%}",
-        "check that position and {kind} columns belong together, in all runs",
+        "the {kind}s of '{joint}' and '{other}' look swapped: {exchanged:.2g%} is unexplained after exchanging them, "
+        "{as_logged:.2g%} as logged",
+        "check that the position and {kind} columns are of the same joint in all runs",
     ),
     F.LATE: _late,
     F.REFUTED: _refuted,
@@ -221,22 +221,22 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.PAYLOAD: lambda values: (
         "payload '{subject}', which contradicts the data, leaves this joint unexplained"
         if values.get("given")
-        else "it rests on payload '{subject}', which contradicts the data",
+        else "the scale comes from payload '{subject}', which contradicts the data",
         "correct the payload",
     ),
-    F.SENSOR: ("it rests on the torque sensor of '{subject}', which contradicts all other data", SENSOR),
+    F.SENSOR: ("the scale comes from the torque sensor of '{subject}', which contradicts all other data", SENSOR),
     F.WHOLE_MASS: ("the mass of the robot, {subject}, " + PRIOR, SCALE),
     F.UNSETTLED: (
         "the iteration did not converge, so the data do not determine it",
         "resolve the contradictory joints first",
     ),
-    F.LOST: _lost("its relative standard deviation is {std:.0f%}"),
+    F.LOST: _lost("the relative standard deviation is {std:.0f%}"),
     F.SIGN_OPEN: _lost("the 95 % interval includes zero"),
     F.OTHER_ESTIMATOR: _other_estimator,
     F.PRIOR_GAIN: _prior_gain,
     F.EFFORT: lambda values: (
         "the torque of '{joint}' is {torque:.3g} {unit} (rms), {ratio:.3g} times its limit of {limit:.4g} {unit}",
-        "check the payload's mass (kg) and the unit of the currents; where the limit is a placeholder, "
+        "check the payload's mass (kg) and the unit of the currents; if the limit is a placeholder, "
         + _literal(write_limits(values["joint"])),
     ),
     F.WIDE_SCALE: _wide(
@@ -246,16 +246,16 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     ),
     F.WIDE_RANDOM: lambda values: _wide("", LOADED if values["payload"] else _unloaded(values), more=False)(values),
     F.WIDE_RIPPLE: _wide(
-        ", as residuals repeat at the same positions (ripple of the motors, cables or springs)",
+        ", because residuals repeat at the same positions (motor ripple, cables or springs)",
         "use other paths in the loaded and unloaded runs",
     ),
-    F.WIDE_CAUSE: _wide(", as the data cannot exclude {cause}", "{to_do}"),
+    F.WIDE_CAUSE: _wide(", because the data cannot exclude {cause}", "{to_do}"),
     F.COUPLED: (
         "joint '{subject}' contradicts the model, whose parameters all joints share",
         "resolve that joint first",
     ),
     F.NEGATIVE_GAIN: (
-        "negative gain, as positive current drives the joint backwards",
+        "negative gain: positive current drives the joint backwards",
         "reverse the sign of current or position if that is not intended",
     ),
     F.DELAY_NOISE: (
@@ -268,7 +268,7 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     ),
     F.INSEPARABLE: (
         "these motions cannot separate it from the parameters listed before it",
-        "add runs that move the joints in other ways",
+        "add runs with different motions of the joints",
     ),
     F.NEAR_ZERO: (
         "it is within two standard deviations of zero",
@@ -281,16 +281,13 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
         IMPOSSIBLE,
     ),
     F.PAYLOAD_MASS: lambda values: (
-        "by all other data it weighs {found:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg",
-        _given_scale(values)
-        or "weigh the payloads again; one of the masses is wrong, or a run carries another payload than declared",
+        "all other data give it a mass of {found:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg",
+        _given_scale(values) or "reweigh the payloads: a mass is wrong, or a run carries a payload other than declared",
     ),
     F.PAYLOAD_PARAMETER: (
-        "given its mass and all other data its {parameter} is {found:.4g} {unit} (standard deviation {std:.2g}), not "
-        "{declared:.4g} "
-        "{unit}",
-        "check {parameter} and the frame it is given in, that of the body that carries the payload, and the mass; or "
-        "leave {parameter} out",
+        "given its mass and all other data, its {parameter} is {found:.4g} {unit} (standard deviation {std:.2g}), not "
+        "{declared:.4g} {unit}",
+        "check {parameter}, its frame (that of the body that carries the payload) and the mass; or omit {parameter}",
     ),
     F.SENSOR_SCALE: (
         "all other data give torques {scale:.4g} times its reading (standard deviation {std:.2g})",

@@ -239,8 +239,8 @@ def check_wrenches(robot: Robot, run: Run) -> None:
             close = get_close_matches(frame.body, bodies, n=1)
             hint = f" (did you mean '{close[0]}'?)" if close else ""
             raise GtauError(
-                f"'wrenches' names the body '{frame.body}', but bodies of robot '{robot.name}' bear the names of their "
-                f"joints: {', '.join(bodies)}; write the joint that moves it{hint}, and, with 'axes: "
+                f"'wrenches' names the body '{frame.body}', but a body of robot '{robot.name}' has the name of its "
+                f"joint: {', '.join(bodies)}; write the joint that moves it{hint}, and, with 'axes: "
                 "body', 'at' in that joint's frame."
             )
 

@@ -42,7 +42,7 @@ def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> list[N
     if driven and max(driven)[0] > LARGEST_CURRENT:
         rms, joint = max(driven)
         what = f"the current of joint '{joint}' is {rms:.4g} A rms, more than drives of robots take"
-        found.append(Note(Kind.UNIT, what, "if it is in mA, say so (units: {current: mA})", joint=joint))
+        found.append(Note(Kind.UNIT, what, "if it is in mA, write units: {current: mA}", joint=joint))
     for (small, below), (large, above) in pairwise(sorted(driven)):
         if large > CURRENTS_APART * small:
             what = (
@@ -64,7 +64,7 @@ def doubtful_payloads(robot: Robot, payloads: Iterable[Payload | None]) -> Itera
         if mass is not None and mass > most:
             what = (
                 f"payload '{name}' weighs {mass:.4g} kg, more than arms that reach {reach:.2g} m carry (about "
-                f"{most:.2g} kg at most); all drive gains are in proportion to it"
+                f"{most:.2g} kg at most); all drive gains are proportional to it"
             )
             yield Note(Kind.UNIT, what, f"if it is in g, write 'mass: {mass / 1000:.4g}' (kg)")
 

@@ -56,7 +56,7 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
         Where the file states no inertias, or the share is not positive.
     """
     if not 0 < std < np.inf:
-        raise GtauError(f"inertias known to {std:g} of themselves cannot be; write 0.3 for 30 %.")
+        raise GtauError(f"a relative standard deviation of {std:g} is impossible for inertias; write 0.3 for 30 %.")
     stated = stated_inertias(robot)
     if not stated:
         where = f" ({robot.source})" if robot.source else ""

@@ -87,7 +87,7 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
 
 def write_limits(joint: str) -> str:
     """Advise how to write the limits of a joint that its file has wrong."""
-    return f"write its own under 'robot' of the experiment file ({{file: ..., limits: {{{joint}: ...}}}})"
+    return f"state the real one under 'robot' in the experiment file ({{file: ..., limits: {{{joint}: ...}}}})"
 
 
 def stated_rate(run: Run) -> float | None:
@@ -107,7 +107,7 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
     unit = "rad" if joint.kind == "revolute" else "m"
     other = "deg" if joint.kind == "revolute" else "mm"
     repair = (
-        f"if the log is in {other} say so under 'units', else check the columns and the time, or "
+        f"if the log is in {other}, write that under 'units'; otherwise check the columns and the time, or "
         f"{write_limits(joint.name)}."
     )
     if joint.limits.position is not None:
@@ -125,5 +125,5 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
         limit = (
             f"its limit of {joint.limits.velocity:.4g} {unit}/s"  # in many files a placeholder, which refuses no log
         )
-        action = f"check columns and units; where the limit is a placeholder, {write_limits(joint.name)}"
+        action = f"check columns and units; if the limit is a placeholder, {write_limits(joint.name)}"
         yield Note(Kind.LIMITS, f"{moved} {limit}", action, joint=joint.name)

@@ -205,7 +205,7 @@ class AlternativeMoves:
 
 @dataclass(frozen=True)
 class TorqueError:
-    """How well the model reproduces a joint's torque ``v g_tau``: rms of error and signal, N m or N.
+    """Torque error of a joint: rms of the error and of the signal ``v g_tau``, N m or N.
 
     ``rms`` and ``signal`` are taken over the rows that identification uses, away from the joint's reversals, where
     the plain law does not hold; ``rms_all`` and ``signal_all`` over all valid rows, reversals included, with the
@@ -293,7 +293,7 @@ class Prediction:
         )
 
     def table(self) -> pl.DataFrame:
-        """Return the torques as a Polars table, one row a sample.
+        """Return the torques as a Polars table, one row per sample.
 
         Columns: ``t`` (s); for each joint ``motor_J`` (drive gain times current), ``model_J`` (what the motion takes),
         ``external_J`` (the torque that the environment exerts on the joint, model minus motor; N m or N), ``usable_J``
@@ -313,7 +313,7 @@ class Prediction:
         return pl.DataFrame(columns)
 
     def to_frame(self) -> pl.DataFrame:
-        """Return the prediction as a Polars table, one row an instant and joint; ``.to_pandas()`` converts it."""
+        """Return the prediction as a Polars table, one row per instant and joint; ``.to_pandas()`` converts it."""
         import polars as pl
 
         samples, n = self.measured.shape

@@ -1,4 +1,4 @@
-"""What can be believed of a result, in plain words."""
+"""Summarise which results can be trusted, in plain words."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Reason:
 
 
 def headline(result: IdentifiedModel) -> str:
-    """Say what can be believed of the gains: how many are known how well, and which contradict the description."""
+    """Summarise the gains: how many are known to which accuracy, and which contradict the description."""
     gains = list(result.drive_gains.values())
     if result.kind == "torque":
         return torque_headline(result)

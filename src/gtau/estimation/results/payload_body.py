@@ -71,7 +71,7 @@ class PayloadBody:
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Names of the quantities that the motion does not show."""
+        """Names of the quantities that are not identifiable from the motion."""
         return tuple(name for name, each in self.parameters.items() if each.value is None)
 
 

@@ -41,7 +41,7 @@ class PayloadEstimate:
 
     @takes(frame=("the name of a link, 'x y z roll pitch yaw', or a pose", (str, Pose)), file=PATH)
     def in_frame(self, frame: str | Pose = "", file: str | Path | None = None) -> PayloadBody:
-        """Find mass, centre of mass and inertia about it, of a body that can exist, with intervals.
+        """Compute mass, centre of mass and inertia about it, of a physically possible body, with intervals.
 
         Parameters
         ----------

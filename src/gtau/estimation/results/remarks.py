@@ -1,4 +1,4 @@
-"""What is not good beside the gains, as notes that both ``gtau identify`` and ``gtau check`` print."""
+"""Notes beside the gains, printed by both ``gtau identify`` and ``gtau check``."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def remarks(result: IdentifiedModel) -> list[Note]:
 
 
 def sums_with_mass(payload: PayloadEstimate) -> list[str]:
-    """List what is known of a payload whose mass is not identifiable: sums that hold it, as ``my - 0.1445 m``."""
+    """List the identifiable sums that contain a payload mass which is not identifiable, as ``my - 0.1445 m``."""
     kinds = FIRST_MOMENTS if set(FIRST_MOMENTS) & set(payload.parameters) else tuple(payload.parameters)
     regroupings = [payload.parameters[kind].regrouping for kind in kinds if kind in payload.parameters]
     return [each.replace("+ -", "- ") for each in regroupings if each.split()[-1] == "m"]
@@ -69,7 +69,7 @@ def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
         return []
     listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))
     return [
-        f"friction depends on the temperature, which these logs do not have; it is taken at the reference ({listed} "
+        f"friction depends on the temperature, which these logs lack; the reference is assumed ({listed} "
         f"{warm.unit}); add 'temperature' to the signals"
     ]
 
@@ -86,8 +86,8 @@ def near_singularities(nearest: Iterable[NearestPose]) -> list[Note]:
     return [
         Note(
             Kind.SINGULARITY,
-            f"the motion comes as near as {each.distance:.2g} to a singularity of type 2 at {each.time:.4g} s, where "
-            "errors of position and geometry are magnified",
+            f"the motion passes within {each.distance:.2g} of a type 2 singularity at {each.time:.4g} s, where errors "
+            f"of position and geometry are amplified",
             "keep the motion away from that pose",
             source=each.run,
             time=each.time,

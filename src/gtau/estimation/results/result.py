@@ -33,7 +33,7 @@ class Result(IdentifiedModel):
     """
 
     def summary(self, verbose: bool = True) -> str:
-        """Describe the result as text: all of it, or where not ``verbose`` what can be believed, on one screen."""
+        """Summarise the result as text: one screen, or with ``verbose`` all of it."""
         text: str = display.views().text(self, verbose)
         return text
 
@@ -44,7 +44,7 @@ class Result(IdentifiedModel):
         qdd: np.ndarray,
         payload: Payload | Mapping[str, Any] | None = None,
     ) -> np.ndarray:
-        """Compute torques of the identified model at any states, all its friction included.
+        """Compute torques of the identified model at given states, including all its friction.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class Result(IdentifiedModel):
         qdd: np.ndarray,
         payload: Payload | Mapping[str, Any] | None = None,
     ) -> np.ndarray:
-        """Compute the currents (N, n), A, that give the torques of :meth:`torques`: ``v = tau / g_tau``.
+        """Compute the currents (N, n), A, for the torques of :meth:`torques`: ``v = tau / g_tau``.
 
         Delays are not applied: the current reference leads the motion by ``delays``. From logs of torques, whose gains
         are 1, they are these torques, and so are the rows of a floating base.
@@ -105,21 +105,21 @@ class Result(IdentifiedModel):
 
     @property
     def accepted(self) -> bool:
-        """Whether the result is :attr:`believable` and meets all that the experiment file requires."""
+        """Whether the result is :attr:`believable` and meets all requirements of the experiment file."""
         return self.believable and all(each.met for each in self.requirements)
 
     @property
     def plot(self) -> Plots:
-        """Figures of the result, one call each: ``result.plot.torques("elbow_joint")``."""
+        """Plot the result, one figure per call: ``result.plot.torques("elbow_joint")``."""
         plots: Plots = display.views().plots(self)
         return plots
 
     def report(self, path: str | Path) -> None:
-        """Write the report of the result, with the runs that it holds, as one self-contained HTML file."""
+        """Write the report of the result and its runs as one self-contained HTML file."""
         display.views().write(self, Path(path))
 
     def to_frame(self) -> pl.DataFrame:
-        """Return all estimates as a Polars table, one row each; ``to_frame().to_pandas()`` converts it."""
+        """Return all estimates as a Polars table, one row per estimate; ``to_frame().to_pandas()`` converts it."""
         return estimates_frame(self)
 
     def _repr_html_(self) -> str:
@@ -132,5 +132,5 @@ class Result(IdentifiedModel):
 
     @staticmethod
     def load(path: str | Path) -> Result:
-        """Read a result that :meth:`save` wrote; raises GtauError where the file is not one."""
+        """Load a result written by :meth:`save`; raises GtauError if the file is not one."""
         return load(path, Result)

@@ -18,6 +18,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.thresholds.estimates import APART
 
 KNOWN = (Outcome.GOOD, Outcome.WEAK)
+DESCRIPTION = "the description of robot and logs"
 HEAD = """\
 # Torque scale of '{robot}', identified by gtau from {runs}.
 # true torque = factor x reported torque; a command for a wanted torque is the torque divided by the factor.
@@ -72,13 +73,13 @@ def torque_scales(result: IdentifiedModel) -> tuple[TorqueScale, ...]:
 
 
 def torque_headline(result: IdentifiedModel) -> str:
-    """Say whether the torques of the logs are true, joint by joint, or that nothing tested it, and what would."""
+    """Summarise the torque scale of each joint, or say that it was not tested and how to test it."""
     if not (scales := torque_scales(result)):
         if any(gain.value != 1 for gain in result.drive_gains.values()):
             return "The torque scales were given, not identified."
         return (
-            "The logs hold torques, taken as true: their scale was not tested. A run with a payload of known mass, "
-            "beside one without, tests it."
+            "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a "
+            "payload of known mass and one without."
         )
     return " ".join(_sentences(scales))
 
@@ -91,15 +92,23 @@ def _sentences(scales: Sequence[TorqueScale]) -> Iterator[str]:
     right = [each for each in scales if each.state == "consistent with 1"]
     if right:
         widest = percent_text(max(each.gain.half_width or 0.0 for each in right))
-        known = f"consistent with 1, known to within {widest} %"
-        names = "every joint" if len(right) == len(scales) > 1 else _names(right)
-        yield f"The torque scale of {names} is {known}{'' if wrong else ' (95 % intervals)'}."
-    for outcome, words in (
-        (Outcome.CONTRADICTORY, "contradicts the description of robot and logs"),
-        (Outcome.NOT_IDENTIFIABLE, "is not identifiable"),
+        known = f"consistent with 1, known to within {widest} %{'' if wrong else ' (95 % intervals)'}"
+        names = "all joints" if len(right) == len(scales) > 1 else _names(right)
+        yield _scale_of(right, names, f"is {known}", f"are {known}")
+    for outcome, one, several in (
+        (
+            Outcome.CONTRADICTORY,
+            "contradicts the description of robot and logs",
+            "contradict the description of robot and logs",
+        ),
+        (Outcome.NOT_IDENTIFIABLE, "is not identifiable", "are not identifiable"),
     ):
         if members := [each for each in scales if each.state == outcome.value]:
-            yield f"The torque scale of {_names(members)} {words}."
+            yield _scale_of(members, _names(members), one, several)
+
+
+def _scale_of(members: Sequence[TorqueScale], names: str, one: str, several: str) -> str:
+    return f"The torque scales of {names} {several}." if len(members) > 1 else f"The torque scale of {names} {one}."
 
 
 def _reported(each: TorqueScale) -> str:

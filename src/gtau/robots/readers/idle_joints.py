@@ -1,4 +1,4 @@
-"""Pins that move nothing but themselves: locked, and said so.
+"""Lock pins that move nothing but themselves, with a note.
 
 Drawing programs put a hinge on both parts that a loop joins. The closure then ties two coaxial pins, and the piece
 between them can turn freely; likewise a pin through the centre of a ball, and a rod or a leg between two balls about

@@ -1,4 +1,4 @@
-"""Inertias that robot files state: to compare with what is identified, and as priors where they are asked for."""
+"""Read inertias from robot files, to compare with the identified ones or to use as priors."""
 
 from __future__ import annotations
 

@@ -121,11 +121,11 @@ def _home(file: MjcfFile) -> tuple[np.ndarray, bool, list[str]]:
 
 def _check_motors(joints: Sequence[Joint], actuated: AbstractSet[str], loops_alone: bool) -> None:
     if loops_alone:
-        raise GtauError("it has loops and no actuators, so it is not known which joints have motors; add actuators.")
+        raise GtauError("it has loops but no actuators, so the actuated joints are unknown; add actuators.")
     if not joints:
         raise GtauError("it has no joints except those of free bodies; give the file of a robot.")
     if actuated.isdisjoint(joint.name for joint in joints):
-        raise GtauError("no actuator drives a joint (joint=...), so none is known to be actuated; add actuators.")
+        raise GtauError("no actuator drives a joint (joint=...), so the actuated joints are unknown; add actuators.")
 
 
 def _gravity(model: mujoco.MjModel) -> tuple[float, float, float]:

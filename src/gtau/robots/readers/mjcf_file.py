@@ -358,7 +358,7 @@ def angle_notes(roots: list[Element]) -> Iterator[str]:
             if in_degrees(angle):
                 raise GtauError(
                     f"line {line_of(element)}: {what} holds {angle:g}, but the file counts in radians (angle of "
-                    "<compiler>); divide it by 57.2958 where it is in degrees."
+                    "<compiler>); divide it by 57.2958 if it is in degrees."
                 )
         return
     meant = [

@@ -1,4 +1,4 @@
-"""Where a robot comes from: its file, how its base stands, and which of its joints move."""
+"""Source of a robot: its file, the pose of its base, and its moving joints."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class GivenLimits(BaseModel):
 
 
 class RobotSource(BaseModel):
-    """A robot's file or catalog name, and which part of it, how placed, is the robot.
+    """A robot's file or catalog name, with the selected joints and the pose of its base.
 
     ``base`` fixes a floating base, says how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
     joints that move; the others are held, at the positions in ``held`` or at home. ``limits`` replace those of the

@@ -340,7 +340,7 @@ def _origin(element: Element, name: str) -> tuple[Pose, float]:
     if degrees := [angle for angle in rpy if in_degrees(angle)]:
         raise GtauError(
             f"line {line_of(origin)}: rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by "
-            "57.2958 where it is in degrees."
+            f"57.2958 if it is in degrees."
         )
     return written_pose(xyz, rpy)
 

@@ -1,4 +1,4 @@
-"""Six joints by which a URDF draws a floating base, as a URDF has no word for one that is logged as joints."""
+"""Recognise six joints of a URDF as a floating base."""
 
 from __future__ import annotations
 

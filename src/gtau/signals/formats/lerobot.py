@@ -1,4 +1,4 @@
-"""What ``meta/info.json`` says of a LeRobot data set: the rate of its frames, and what the items of its lists are.
+"""Read ``meta/info.json`` of a LeRobot data set: frame rate, and names of the list items.
 
 https://huggingface.co/docs/lerobot: ``fps``, and by feature its ``names``, a list or lists by their kind
 (``{"motors": [...]}``). Frames are in ``data/chunk-000/file-000.parquet``.
@@ -45,7 +45,7 @@ def data_set_of(log: Path) -> DataSet:
         return DataSet(None if rate is None else float(rate), names)
     except (OSError, ValueError, TypeError, AttributeError):
         raise GtauError(
-            f"{file} is no description of a LeRobot data set that can be read; correct it, or move {log.name} out of "
+            f"{file} is not a readable description of a LeRobot data set; correct it, or move {log.name} out of "
             "its folder."
         ) from None
 

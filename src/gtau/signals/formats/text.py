@@ -108,7 +108,7 @@ def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:
                 )
             if number >= layout.first_line and "\ufffd" in line:
                 return (
-                    f"{path}, line {number} is not text: the log was damaged there; delete the line, or record the "
-                    "log again."
+                    f"{path}, line {number} is not text: the log is damaged there; delete the line, or record the log "
+                    f"again."
                 )
     return f"{path} is not a readable CSV file ({reason.splitlines()[0]})."

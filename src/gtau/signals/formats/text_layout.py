@@ -160,7 +160,8 @@ def refuse_long_line(path: Path, length: int, number: int | None = None) -> None
     if length > LONGEST:
         where = "a line" if number is None else f"line {number}"
         raise GtauError(
-            f"{path}: {where} is longer than {LONGEST >> 20} MB, which no row of a log is; write one sample a line."
+            f"{path}: {where} is longer than {LONGEST >> 20} MB, too long for a row of a log; write one sample per "
+            f"line."
         )
 
 
