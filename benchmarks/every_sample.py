@@ -41,8 +41,12 @@ SLOW = 0.05  # of the rms speed of a joint
 ENDS = 20  # decimated rows, where filters begin
 
 
-def script(result: Result, runs: Sequence[Run], mask: str) -> Callable[[Run], np.ndarray]:
-    """Identify by hand; returns what predicts torques (N, n) along a run."""
+def script(result: Result, runs: Sequence[Run], mask: str) -> tuple[Callable[[Run], np.ndarray], np.ndarray]:
+    """Identify by hand; returns what predicts torques (N, n) along a run, and the columns' parameters.
+
+    These are ten a link in Pinocchio's order, then of each driven joint rotor inertia, viscous and Coulomb friction and
+    offset, each kind together, then ten of the payload; zero where they are not among the base columns.
+    """
     model = result.model
     tree = Pinocchio(result.robot, random_parameters(result.robot, np.random.default_rng(1)))
     ratios, n = result.friction_law.ratios, len(model.actuated)
@@ -92,7 +96,7 @@ def script(result: Result, runs: Sequence[Run], mask: str) -> Callable[[Run], np
         weight = np.array([1 / np.std(error[use[:, j], j]) for j in range(n)])
     whole = np.zeros(A.shape[2])
     whole[base] = x
-    return lambda run: columns(run)[0] @ whole[:-10]
+    return lambda run: columns(run)[0] @ whole[:-10], whole
 
 
 def errors_of(result: Result, run: Run, torques: np.ndarray | None = None) -> np.ndarray:
@@ -150,7 +154,7 @@ def emps_run(joint: str, seed: int) -> Run:
 def compare(result: Result, runs: Sequence[Run], checks: Sequence[Run], name: str) -> None:
     """Print a row for each joint and log, and one for each log."""
     runs, checks = ([arrange(run, result.model.actuated) for run in each] for each in (runs, checks))
-    scripts = [script(result, runs, mask) for mask in MASKS]
+    scripts = [script(result, runs, mask)[0] for mask in MASKS]
     plain = replace(result, curves={})
     for run in checks:
         peer = np.array([errors_of(result, run, by_hand(run)) for by_hand in scripts])  # (masks, n, 2)

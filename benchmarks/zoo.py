@@ -57,10 +57,15 @@ def main() -> None:
         lines.append(row(entry, arguments.data))
         print(lines[-1], flush=True)
     if arguments.update:
-        page = arguments.update.read_text(encoding="utf-8")
-        begin, end = (page.index(mark) for mark in MARKS)
-        table = "\n".join([MARKS[0], "", *lines, "", ""])
-        arguments.update.write_text(page[:begin] + table + page[end:], encoding="utf-8")
+        update(arguments.update, MARKS, lines)
+
+
+def update(path: Path, marks: tuple[str, str], lines: list[str]) -> None:
+    """Put a table's lines between the marks in a page."""
+    page = path.read_text(encoding="utf-8")
+    begin, end = (page.index(mark) for mark in marks)
+    table = "\n".join([marks[0], "", *lines, "", ""])
+    path.write_text(page[:begin] + table + page[end:], encoding="utf-8")
 
 
 HEADER = (

@@ -153,7 +153,7 @@ class Mujoco:
             quat = _quaternion(end.placement.rotation)
             body[end.body].add_site(name=f"end {number}", pos=end.placement.position, quat=quat)
         model = spec.compile()
-        self.model, self.data, self.nv = model, mujoco.MjData(model), model.nv
+        self.spec, self.model, self.data, self.nv = spec, model, mujoco.MjData(model), model.nv
         self.sites = [model.site(f"end {number}").id for number in range(len(ends))]
         self.joint_q = np.array([model.joint(joint.name).qposadr[0] for joint in robot.joints])
         self.joint_v = np.array([model.joint(joint.name).dofadr[0] for joint in robot.joints])
