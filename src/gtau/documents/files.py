@@ -74,7 +74,7 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
     Raises
     ------
     GtauError
-        Where the file cannot be read, or with the sentence ``larger`` where it is longer. The caller names the file.
+        The file cannot be read, or is longer (message ``larger``). The caller names the file.
     """
     try:
         with path.open("rb") as file:
@@ -110,7 +110,7 @@ LOG_LINES = 40  # of nothing but numbers make a table a log; tables of MDH param
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file: what a person calls it, and which command takes it."""
+    """A kind of file: its name in messages, and the command that accepts it."""
 
     name: str
     advice: str
@@ -170,7 +170,7 @@ def kind_of(path: str | Path) -> Kind | None:
 
 
 def refuse_other_kind(path: str | Path, wanted: Kind) -> None:
-    """Refuse a file that is recognised as one of another kind, and name the command that takes it.
+    """Refuse a file recognised as another kind, and name the command that accepts it.
 
     Raises
     ------

@@ -64,7 +64,7 @@ class BaseParameters:
 def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
     """Order ``names`` as eq. (23): platforms first, then parameter by parameter over like legs.
 
-    Joints on the way to a motor stand before the others, so that no coupling bar takes up what belongs to a motor.
+    Joints between the ground and a motor precede the others, so that coupling bars take up no motor's parameters.
     """
     order = [Parameter(kind, platform.name).name for platform in robot.platforms for kind in INERTIAL]
     kinds = list(dict.fromkeys(parameter_of(name).kind for name in names))
@@ -81,7 +81,7 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
 
 
 def of_drive(name: str, joint: str) -> bool:
-    """Decide whether a standard parameter belongs to the drive of a joint."""
+    """Return whether a standard parameter is a drive parameter."""
     kind, body, _ = parameter_of(name)
     return kind in DRIVE and body == joint
 
@@ -107,12 +107,12 @@ def base_parameters(
     idm : InverseDynamics
         Model of the robot.
     seed : int
-        Of the random states.
+        Seed of the random states.
     sensors : sequence of str
         Joints with a torque sensor: their rows without the drive's parameters are added to the others, and separate the
         inertia of a rotor from that of the link.
     progress : callable
-        Called as the work goes on.
+        Progress callback.
 
     Raises
     ------

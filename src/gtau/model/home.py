@@ -1,7 +1,7 @@
-"""Closing a robot's home: the configuration in which its loops hold, from the model's own closure equations.
+"""Solve for the home configuration in which a robot's loops close, from the model's own closure equations.
 
-Readers take home from a file as it stands there, if it stands there at all. Here it is solved, by Levenberg-Marquardt,
-and whatever moves by more than rounding is said in a note of the robot.
+Readers return home as written in the file, if it is given. Here it is solved by Levenberg-Marquardt,
+and every displacement above rounding is reported in a note of the robot.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def close_home(robot: Robot) -> Robot:
 
 
 def _roughly_closed(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
-    """Find the closed configuration (n_c,) nearest to the one given, or one as nearly closed as a file's digits let."""
+    """Find the closed configuration (n_c,) nearest to the one given, or one closed up to the digits of the file."""
     rough = replace(errors, tolerance=DRAWN)
     held = closed(errors, given, errors.passive)
     if is_closed(rough, held) and not is_closed(errors, held):
@@ -193,7 +193,7 @@ def _within_limits(robot: Robot, looped: set[int]) -> Robot:
 
 
 def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
-    """Return the robot with home at ``c`` (n_c,), up to what the processor's rounding leaves alone."""
+    """Return the robot with home at ``c`` (n_c,), rounded to digits that do not depend on the processor."""
     c = np.round(c, DECIMALS) + 0.0
     platforms = []
     for slots in layout.platforms:
@@ -211,7 +211,7 @@ def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
 
 
 def _displacements(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> str:
-    """List what moved, and by how much, the largest displacements first."""
+    """List the displacements of joints and platforms, the largest first."""
     layout, apart = errors.layout, errors.apart(given, found)
     parts = []
     for k, joint in enumerate(layout.robot.joints):

@@ -126,7 +126,7 @@ class InverseDynamics:
         self._wrenches: dict[tuple[WrenchFrame, ...], Regressor] = {}
 
     def __reduce__(self) -> tuple[type[InverseDynamics], tuple[Robot, str]]:
-        """Pickle what the model is made of: compiled programs hold symbols of CasADi, which cannot be pickled."""
+        """Pickle the arguments of the model: compiled programs hold CasADi symbols, which cannot be pickled."""
         return InverseDynamics, (self.robot, self._kind)
 
     def __repr__(self) -> str:
@@ -148,7 +148,7 @@ class InverseDynamics:
     ) -> Motion:
         """Compute the state of the whole virtual tree along a path of actuated samples (n, N).
 
-        ``labels[k]`` is what messages call sample k; the path begins from the closed configuration
+        ``labels[k]`` is the name of sample k in messages; the path begins at the closed configuration
         ``start`` (n_c,), home if left out.
         """
         return self.rates(self.path(q, labels, start), qd, qdd, labels)
@@ -176,7 +176,7 @@ class InverseDynamics:
         return self._regressors[names]
 
     def adopt(self, regressor: Regressor) -> None:
-        """Adopt a regressor, derived for several robots at once, for its ``names``."""
+        """Use a regressor derived for several robots at once for the parameters in its ``names``."""
         self._regressors[regressor.names] = regressor
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:

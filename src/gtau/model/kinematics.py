@@ -21,7 +21,7 @@ from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint
 
 @dataclass(frozen=True)
 class PlatformSlots:
-    """Where a platform's numbers are in ``c`` and ``yd``."""
+    """Indices of a platform's coordinates in ``c`` and ``yd``."""
 
     platform: Platform
     position: slice
@@ -138,7 +138,7 @@ class Twist:
 
     @property
     def moves(self) -> bool:
-        """Whether it is other than zero by its structure."""
+        """Return whether it is structurally non-zero."""
         return bool(self.angular.nnz() or self.linear.nnz())
 
 

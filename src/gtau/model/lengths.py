@@ -1,7 +1,7 @@
-"""The constants of a robot's geometry: its lengths and encoder zeros, and how the pose of a body moves with them.
+"""Geometric constants of a robot, lengths and encoder zeros, and the sensitivity of a body's pose to them.
 
-With another length the closures hold at other passive coordinates (eqs. 3 and 4); differentiated, they say how a pose
-depends on each length while the motors stand still.
+With another length the loops close at other passive coordinates (eqs. 3 and 4); differentiated, they give the
+derivative of a pose by each length at constant motor positions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Constant:
-    """A constant of the geometry: a length in m that stands at one place or several, or the zero of an encoder.
+    """A geometric constant: a length in m used in one or several placements, or the zero of an encoder.
 
     ``value`` is 0 for a zero. ``directions`` are its places with the unit vectors along which it is laid off, and
     ``joint`` the number of the actuated joint whose zero it is.
@@ -62,7 +62,7 @@ class BodyPose:
 
 @dataclass(frozen=True, eq=False)
 class VariableGeometry:
-    """A robot whose ``constants`` may have other values, and the pose of one of its bodies.
+    """A robot with variable geometric ``constants``, and the pose of one of its bodies.
 
     ``program`` maps c and, for all samples alike, the shifts of all places to the residual of the closures, their
     derivatives by the scaled passive coordinates, the actuated ones and the shifts, and to the pose of the body with
@@ -146,7 +146,7 @@ class VariableGeometry:
 
 
 def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
-    """Derive how the pose of a ``body`` depends on the constants of the robot's geometry.
+    """Derive the pose of a ``body`` as a function of the robot's geometric constants.
 
     The constants are the lengths of all placements (a distance and, where it is oblique, its components; d, r and b
     of MDH placements), each by itself and those that are the same together, and the zeros of the actuated joints.
@@ -197,7 +197,7 @@ def models_alike(robots: Sequence[Robot], standard: Sequence[str]) -> list[Inver
 
 
 def _places(robot: Robot, springs: bool = False) -> Iterator[tuple[str, Placement]]:
-    """Iterate over all placements, with the words for where they are; those of ``springs`` come last."""
+    """Iterate over all placements with their descriptions; those of ``springs`` come last."""
     for joint in robot.joints:
         yield f"'{joint.name}'", joint.placement
     for number, closure in enumerate(robot.closures, start=1):

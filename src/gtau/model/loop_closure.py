@@ -29,7 +29,7 @@ class LoopErrors:
     length : float
         Its characteristic length, m.
     unit : ndarray
-        (n_y,): what one unit of a scaled coordinate is, in rad or m.
+        (n_y,): size of one unit of a scaled coordinate, in rad or m.
     looped : ndarray
         Indices into yd of the coordinates that a closure or coupling depends on.
     function : casadi.Function
@@ -112,7 +112,7 @@ def loop_errors(layout: Coordinates) -> LoopErrors:
 
 
 def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Close the loops by Levenberg-Marquardt, as well as that goes.
+    """Minimise the loop errors by Levenberg-Marquardt.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
 
 
 def _unwound(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Remove full turns from a configuration, which the couplings do not forgive."""
+    """Remove full turns from a configuration, except for coupled joints, whose couplings would no longer hold."""
     coupled = {name for each in errors.layout.robot.couplings for name in (each.joint, *dict(each.ratios))}
     unwound = found.copy()
     for k, joint in enumerate(errors.layout.robot.joints):

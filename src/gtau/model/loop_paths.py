@@ -1,4 +1,4 @@
-"""Closing the loops numerically, for all samples, in one assembly mode (paper, eqs. 3 and 4).
+"""Close the loops numerically, for all samples, in one assembly mode (paper, eqs. 3 and 4).
 
 Every sample is reached along a path from the home configuration: steps are halved until Newton's
 corrections shrink fast, so a solution never jumps to another assembly mode unseen. Many paths are
@@ -29,7 +29,7 @@ SEGMENT = 16
 
 @lru_cache(maxsize=16)  # short paths, as hypotheses look at, are many
 def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, list[object]]:
-    """Make what the compiled loops work with, and what it points to; memory of its own for each thread."""
+    """Make the working memory of the compiled loops, one per thread, and the arrays that it points to."""
     equations, n_c, n = loops.equations, loops.layout.n_c, len(loops.layout.actuated)
     trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
     trial[:], made[:] = 0.0, 0.0
@@ -50,7 +50,7 @@ def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, l
 
 
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
-    """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as it gets.
+    """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as the loops close.
 
     A step below the share ``shortest`` of the way is not tried.
 
@@ -84,7 +84,7 @@ def follow(
     q : ndarray
         Actuated positions (n, N), rad or m.
     labels : Labels, optional
-        What a message calls the samples; ``"sample 17"`` if left out.
+        Names of the samples in messages; ``"sample 17"`` if omitted.
     start : ndarray, optional
         Closed configuration (n_c,) that the path begins from; home if left out.
     segments : int

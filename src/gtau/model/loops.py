@@ -20,7 +20,7 @@ CLOSER = "correct the placements or give the passive joints a 'home' closer to t
 
 
 class Labels(Protocol):
-    """What messages call the samples."""
+    """Names of the samples in messages."""
 
     def __getitem__(self, sample: int) -> str: ...
 
@@ -37,7 +37,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Motion:
-    """What the closures give for samples along the last axis.
+    """State of the whole virtual tree, from the closures, with samples along the last axis.
 
     ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N), ``condition`` (N,) of the
     passive columns, lengths scaled by the characteristic length.
@@ -71,7 +71,7 @@ class Loops:
 
     @property
     def unit(self) -> np.ndarray:
-        """What one unit of a scaled passive coordinate is, in rad or m, (n_passive,)."""
+        """Size of one unit of each scaled passive coordinate, rad or m, (n_passive,)."""
         return np.where(self.layout.angular[self.layout.passive], 1.0, self.equations.length)
 
     def condition(self, c: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def close_loops(robot: Robot) -> Loops:
     ------
     GtauError
         Where the loops do not close near the home of the robot's file, where actuation is redundant,
-        or where passive coordinates stay free.
+        or passive coordinates remain free.
     """
     layout = coordinates(robot)
     errors = loop_errors(layout)
@@ -195,7 +195,7 @@ def differentiate(
     qd, qdd : ndarray
         Actuated velocities and accelerations (n, N).
     labels : Labels, optional
-        What a message calls the samples.
+        Names of the samples in messages.
 
     Raises
     ------

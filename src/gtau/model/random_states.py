@@ -1,4 +1,4 @@
-"""Draw random feasible states of a robot, which show the structure of its model."""
+"""Draw random feasible states of a robot, to find the structure of its model."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and
     ten times that per second where there are none) as standard deviation. A pose that cannot be
     reached in the assembly mode of home is replaced by the last one on the way to it; one that hardly left home, is
-    nearly singular or beyond the limits is drawn anew. Where few others are left, all are drawn nearer to home.
+    nearly singular or beyond the limits is redrawn. If few feasible poses remain, all are drawn closer to home.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     samples : int
         States wanted.
     rng : Generator
-        Of the random numbers.
+        Random number generator.
     condition : float
         Condition number of the scaled passive columns below which a pose is regular.
 
@@ -53,7 +53,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     Raises
     ------
     GtauError
-        Where hardly any pose about home is feasible.
+        Hardly any pose around home is feasible.
     """
     joints = [idm.robot.joint(name) for name in idm.actuated]
     length = idm.loops.equations.length if idm.loops else 1.0

@@ -24,7 +24,7 @@ Frame = tuple[np.ndarray, np.ndarray]
 
 
 def rounded(number: float, unit: float = 1.0) -> float:
-    """Round a number that only rounding keeps from a multiple of `unit`."""
+    """Round a number that equals a multiple of `unit` up to rounding."""
     multiple = round(number / unit) * unit
     return multiple if abs(number - multiple) < ROUNDING else float(number)
 
@@ -77,7 +77,7 @@ def exact_rotation(rotation: np.ndarray) -> np.ndarray:
 
 
 def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, float]:
-    """Return the pose that a file gives, and by how much (rad) an angle in it was changed (see :func:`exact_angle`)."""
+    """Return the pose that a file gives, and the largest change (rad) of an angle in it (see :func:`exact_angle`)."""
     given = tuple(rpy)
     angles = tuple(map(exact_angle, given))
     return rounded_pose(xyz, angles), largest_change(given, angles)
@@ -191,8 +191,8 @@ def legs(robot: Robot) -> list[tuple[str, ...]]:
 def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
     """Group legs by their geometry, each seen in the frame of its own first link.
 
-    Legs are alike whose joints have the same kinds, axes, parameters and placements, and are tied by the same closures
-    and springs at the same places. Where a leg stands, its home and its limits do not count.
+    Legs are identical if their joints have the same kinds, axes, parameters and placements, and the same closures
+    and springs at the same places. Mounting pose, home and limits of a leg are ignored.
     """
     groups: dict[tuple, list[tuple[str, ...]]] = {}
     for leg in legs(robot):

@@ -15,13 +15,13 @@ def palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: C
     Parameters
     ----------
     carriers : mapping
-        What carries each joint, joints in an order in which every carrier precedes its followers.
+        Carrier of each joint; every carrier precedes its followers.
     last : str
         A joint.
     links : collection of str
         Joints whose link has a mass.
     base : collection of str
-        Joints of a floating base, which are none of an arm.
+        Joints of a floating base, which do not belong to an arm.
     """
     before: dict[str, tuple[str, ...]] = {}  # from the ground to each joint
     for joint, carrier in carriers.items():

@@ -16,7 +16,7 @@ REACHED = 1e-9  # rad or m; a home on a limit is within it
 
 
 def oddities(robot: Robot) -> tuple[str, ...]:
-    """Note what is hardly meant: links of 350 m, limits of 130 rad, a home outside the limits.
+    """Note implausible entries: links of 350 m, limits of 130 rad, a home outside the limits.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ def alarm_of(
     log: LogStatistics,
     uneven: Mapping[str, float],
 ) -> Alarm:
-    """Explain the change that the charts show.
+    """Explain the change indicated by the charts.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def _explanations(
 
 
 def _stated(each: Explanation, model: IdentifiedModel, factor: float) -> Explained:
-    """State an explanation with its interval, and what part of the model's friction it is."""
+    """State an explanation with its interval, and its share of the model's friction."""
     relative = None
     if each.kind == "friction":
         friction = model.friction_parameters

@@ -1,7 +1,7 @@
 """Sequential detection of a change of one chart, with a stated time between false alarms.
 
-A chart is a quantity from log to log, ``x_i = mu + sigma sqrt(w_i) u_i``, where mu and sigma are not known, ``w_i``
-says how much less than others the motion of log i shows of it, and u is Gaussian with the correlation ``memory``
+A chart is a quantity from log to log, ``x_i = mu + sigma sqrt(w_i) u_i``, with unknown mu and sigma; ``w_i``
+is the relative variance due to the motion of log i, and u is Gaussian with the correlation ``memory``
 between one log and the next, as friction follows the weather. From log j on the mean may have moved by ``delta sigma``.
 For each j the likelihood ratio of all logs so far, with the scale-invariant priors on mu and sigma (the right Haar
 measure) and ``delta`` Gaussian with the standard deviation ``KAPPA``, has a closed form (the Bayes factor of the t-test
@@ -16,7 +16,7 @@ e-detector of the kind Shiryaev-Roberts (Shin, Ramdas and Rinaldo, E-detectors, 
 ``E[M_T] <= E[T]`` for every stopping time T, so that an alarm at ``M >= A`` comes after at least A logs on average, and
 so does one of the mean of several charts' detectors, however these depend on each other.
 
-Beside it stands a classic CUSUM of the normal scores of recursive residuals, which are independent and standard normal
+A classic CUSUM accompanies it, of the normal scores of recursive residuals, which are independent and standard normal
 without a change (Quesenberry, Journal of Quality Technology 23, 1991), with the limit by Siegmund's formula.
 """
 
@@ -147,7 +147,7 @@ def run_length(limit: float, reference: float = REFERENCE, shift: float = 0.0) -
     Parameters
     ----------
     limit, reference : float
-        At which it alarms, and what is taken off each score.
+        Alarm limit, and reference value subtracted from each score.
     shift : float
         Mean of the scores.
     """
@@ -158,7 +158,7 @@ def run_length(limit: float, reference: float = REFERENCE, shift: float = 0.0) -
 
 
 def cusum_limit(logs: float) -> float:
-    """Find the limit at which a two-sided CUSUM alarms once in so many logs on average."""
+    """Find the limit of a two-sided CUSUM for a given average number of logs between false alarms."""
     from scipy.optimize import brentq
 
     return float(brentq(lambda limit: run_length(limit) / 2 - logs, 0.0, 60.0))

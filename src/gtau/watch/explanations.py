@@ -25,7 +25,7 @@ EXPLAINED = 0.5  # of the squared change: an explanation of less is none
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A hypothesis fitted to a change: ``size`` and ``std`` in ``unit``, and what it leaves of the change.
+    """A hypothesis fitted to a change: ``size`` and ``std`` in ``unit``, and its misfit.
 
     ``kind`` is gain, load, friction, zero, delay, clock or contact, ``quantity`` what is stated of it, as ``fs`` of
     friction; ``misfit`` the squared standard deviations that are left, with what its parameters cost.
@@ -43,7 +43,7 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Difference of the charts (k,) after and before, of so many logs each; ``latest``, that of the last log alone."""
+    """Difference of the charts (k,) after and before, with the numbers of logs; ``latest``, that of the last log."""
 
     difference: np.ndarray
     latest: np.ndarray
@@ -74,7 +74,7 @@ def explain(change: Change, log: LogStatistics, kept: np.ndarray, healthy: Healt
     change : Change
         Of the charts ``kept``.
     log : LogStatistics
-        Of the last log, whose motion says what each change looks like.
+        Statistics of the last log, whose motion determines the signature of each change.
     kept : ndarray
         Numbers of the charts that all logs show.
     healthy : Healthy
@@ -129,7 +129,7 @@ def explain(change: Change, log: LogStatistics, kept: np.ndarray, healthy: Healt
 
 
 def _stated(candidates: list[int], t: np.ndarray) -> int:
-    """Choose which parameter of a hypothesis is stated: the first one, unless it may be zero and another is not."""
+    """Choose the reported parameter of a hypothesis: the first one, unless it may be zero and another is not."""
     return candidates[0] if t[candidates[0]] > CERTAIN else max(candidates, key=lambda k: t[k])
 
 
@@ -156,7 +156,7 @@ def _hypotheses(quantities: tuple[Quantity, ...]) -> Iterator[tuple[str, str, np
 
 
 def _power(log: LogStatistics) -> np.ndarray:
-    """Return the mean squared residual of each joint (n,), in those of the identification."""
+    """Return the mean squared residual of each joint (n,), relative to that of the identification."""
     named = {chart.joint: value for chart, value in zip(log.charts, log.values, strict=True) if chart.kind == RESIDUAL}
     logarithms = np.array([named.get(joint, np.nan) for joint in log.joints])
     return np.where(np.isfinite(logarithms), np.exp(2 * np.nan_to_num(logarithms)), 0.0)

@@ -101,7 +101,7 @@ def quantities_of(model: IdentifiedModel) -> tuple[Quantity, ...]:
 
 
 def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
-    """Reduce a log to the normal equations of what may have changed.
+    """Reduce a log to the normal equations of the watched quantities.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def _sigma(model: IdentifiedModel) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Where the columns stand: of the load (n_b, k) in base columns, and by kind and joint."""
+    """Positions of the columns: of the load (n_b, k) in base columns, and by kind and joint."""
 
     load: np.ndarray
     own: tuple[tuple[int, str, int], ...]

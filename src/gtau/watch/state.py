@@ -1,4 +1,4 @@
-"""The history of a watched robot: one line of JSON per log, from which all else is computed.
+"""The history of a watched robot: one line of JSON per log, from which the charts are recomputed.
 
 A line is added whole and forced to the disk before anything is said of its log, and a line that was cut off by a power
 failure or a kill is dropped when the file is next opened; so whatever happens, the next run goes on with the same
@@ -43,7 +43,7 @@ class Settings(_Line):
 
     @property
     def limit(self) -> float:
-        """What the mean of a robot's e-detectors may reach: the average number of logs between its false alarms."""
+        """Alarm limit of the mean of a robot's e-detectors: the average number of logs between its false alarms."""
         return max(self.robots * self.logs_per_year / self.false_alarms, 1.0)
 
 

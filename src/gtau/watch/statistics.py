@@ -3,7 +3,7 @@
 Friction of a healthy robot differs from day to day, so friction and offsets of all joints are always free. Beside them
 one change is estimated at a time: a drive gain at fixed inertia, an encoder zero, a delay, or the load. By the theorem
 of Frisch and Waugh each is a fixed linear combination ``x = C A^T y`` of the log's residual; the same combinations of
-the columns, ``C A^T A``, say what a change of each kind looks like in all of them, by which explanations are compared.
+the columns, ``C A^T A``, are the signature of each kind of change in all of them, by which explanations are compared.
 
 Standard deviations are those of the block jackknife over stretches of the log, as residuals are autocorrelated.
 """
@@ -41,15 +41,15 @@ class LogStatistics:
     name : str
         Of the run.
     charts : tuple of Quantity
-        What is charted: quantities, then the residual of each joint (logarithm of its rms over that of the model).
+        The charts: quantities, then the residual of each joint (logarithm of its rms over that of the model).
     values, std : ndarray
         (k,) in the units of ``charts``; NaN where this motion does not show a change.
     covariance : ndarray
-        (k, k) by the jackknife, 0 for what is not shown.
+        (k, k) by the jackknife, 0 for charts that are not observable.
     quantities : tuple of Quantity
         All columns.
     response : ndarray
-        (k, p): what a unit of each quantity moves each chart by.
+        (k, p): change of each chart per unit of each quantity.
     formula : ndarray
         (k, k) covariance for independent residuals of unit variance, which has the full rank that the jackknife lacks.
     uneven : ndarray
@@ -77,12 +77,12 @@ class LogStatistics:
 
     @property
     def shown(self) -> np.ndarray:
-        """Whether this motion shows each of the charts, (k,)."""
+        """Mask (k,) of the charts that are observable in this motion."""
         return np.isfinite(self.values)
 
     @property
     def not_shown(self) -> tuple[str, ...]:
-        """Names of the charts that this motion does not show."""
+        """Names of the charts that are not observable in this motion."""
         return tuple(chart.name for chart, there in zip(self.charts, self.shown, strict=True) if not there)
 
 
@@ -238,7 +238,7 @@ def _residuals(normal: NormalEquations, columns: _Columns, without: int | None =
 
 
 def _limits(normal: NormalEquations, columns: _Columns) -> np.ndarray:
-    """Find the largest standard deviation of what is shown: it moves no joint's torque by more than SHOWN.
+    """Find the largest standard deviation of an observable chart: it moves no joint's torque by more than SHOWN.
 
     It depends on the motion and the model's residual alone, so that a fault does not hide what the motion shows.
     """

@@ -42,7 +42,7 @@ class Status:
 
     @property
     def healthy(self) -> bool:
-        """Whether there is no alarm."""
+        """True without an alarm."""
         return self.entry.alarm is None
 
 
@@ -148,7 +148,7 @@ class Watch:
         Raises
         ------
         GtauError
-            Where that is no date.
+            It is not a date.
         """
         date = reset_date(date)
         self.maintained = date if date > self.began else ""
@@ -169,7 +169,7 @@ class Watch:
         Returns
         -------
         Status
-            What is known now.
+            State after the log.
 
         Raises
         ------

@@ -66,7 +66,7 @@ class Program:
         return result[:, :samples]
 
     def at(self, parameters: np.ndarray) -> Program:
-        """Return the program whose ``parameters`` (parameters,) have these values for ever: they become constants."""
+        """Return the program with its ``parameters`` (parameters,) fixed at these values, as constants."""
         return replace(self, constants=np.concatenate([self.constants, parameters]), parameters=0)
 
     def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
@@ -124,7 +124,7 @@ class Bound:
         self.rows = np.concatenate([addresses(self.memory), inputs, outputs])
 
     def run(self) -> tuple[int, int, int, int, int]:
-        """Return what the compiled loops run the program with: they know addresses and sizes alone."""
+        """Return the addresses and sizes with which the compiled loops run the program."""
         return loops().machine, address(self.code), len(self.code), address(self.rows), self.rows.size
 
 

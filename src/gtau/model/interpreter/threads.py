@@ -1,4 +1,4 @@
-"""Threads: samples are shared among them, while the compiled loops release Python's lock; BLAS runs in one."""
+"""Share samples among threads, since the compiled loops release Python's lock; run BLAS in one."""
 
 from __future__ import annotations
 

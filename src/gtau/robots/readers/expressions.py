@@ -52,7 +52,7 @@ def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
     Raises
     ------
     ValueError
-        The text is no such expression or has no finite value; the message says what to write.
+        The text is not such an expression or has no finite value; the message states the correct form.
     """
     coefficient, constant = linear(text, names)
     if coefficient != 0.0:

@@ -10,7 +10,7 @@ from gtau.robots.robot import Placement, Pose
 
 
 def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``: what it is called, and its pose in the body's own frame.
+    """Find a frame fixed to a ``body``: its name, and its pose in the body's own frame.
 
     Parameters
     ----------

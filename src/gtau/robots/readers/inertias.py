@@ -53,7 +53,7 @@ def _urdf_bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
 def mjcf_bodies(spec: mujoco.MjSpec) -> list[tuple[mujoco.MjsBody, RigidBody]]:
     """List the bodies of an MJCF file whose inertia it states, in the frames of the bodies.
 
-    What MuJoCo would make of shapes is no statement of the file, nor is an orientation other than a quaternion read.
+    Inertias that MuJoCo would infer from shapes are ignored, as are orientations other than quaternions.
     """
     import mujoco
 

@@ -147,7 +147,7 @@ def _left_out(loose: Sequence[str]) -> Iterator[str]:
 
 
 def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: AbstractSet[str], base: BaseChoice) -> Robot:
-    """Hold the joints that nothing moves, or nothing that is modelled."""
+    """Hold the joints that no modelled element moves."""
     for names, why in (
         (held.keys(), "by an equality with a constant"),
         (with_linkages(robot, pulled), "since a tendon pulls them, which is not modelled"),
@@ -179,7 +179,7 @@ def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
 
 
 def _braked(model: mujoco.MjModel, free: int) -> bool:
-    """Say whether damping and the like act on a free joint, as they do by the defaults of its class."""
+    """Decide whether damping and similar effects act on a free joint, as set by the defaults of its class."""
     six = slice(int(model.jnt_dofadr[free]), int(model.jnt_dofadr[free]) + 6)
     acting = (model.dof_damping[six], model.dof_frictionloss[six], model.dof_armature[six], model.jnt_stiffness[free])
     return any(np.any(each) for each in acting)
@@ -190,7 +190,7 @@ Kind = Literal["revolute", "prismatic"]
 
 @dataclass(frozen=True)
 class Motors:
-    """What the actuators of a file drive.
+    """Joints and tendons driven by the actuators of a file.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Compile an MJCF file by MuJoCo without what does not matter to a robot's geometry, and check its angles."""
+"""Compile an MJCF file by MuJoCo without elements irrelevant to a robot's geometry, and check its angles."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class SiteSpring:
 
 @dataclass(frozen=True)
 class MjcfFile:
-    """A file's compiled model, and what was taken off before: it need not even compile.
+    """Compiled model of a file, and the elements removed before compilation.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ def _straight(elements: list[Element]) -> dict[str, tuple[str, str]]:
 
 @dataclass(frozen=True)
 class _Force:
-    """What actuators without gain add to a tendon: their numbers, and a force that may grow with length and speed."""
+    """Force of actuators without gain on a tendon: their numbers, and a force affine in length and speed."""
 
     actuators: tuple[int, ...]
     terms: np.ndarray  # (3,)
@@ -230,7 +230,7 @@ def _is_limited(spec: mujoco.MjSpec, tendon: mujoco.MjsTendon) -> bool:
 
 
 def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Take orientations that are written short as those they stand for, in ``spec``, and note it."""
+    """Replace orientations written short by the exact ones in ``spec``, and note it."""
     import mujoco
 
     def exact(element: Any) -> float:

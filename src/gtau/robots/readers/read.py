@@ -91,7 +91,7 @@ def _limited(robot: Robot, given: Mapping[str, GivenLimits]) -> Robot:
 
 
 def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:
-    """Turn the base of a robot in a world in which its gravity points down."""
+    """Rotate the base of a robot in a world in which its gravity points down."""
     x, y, z = Pose(rpy=rpy).rotation.T @ [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
     return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
 

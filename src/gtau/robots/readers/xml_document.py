@@ -108,12 +108,12 @@ def numbers(text: str, count: int, what: str, endless: bool = False) -> list[flo
 
 
 def position_limits(low: float, high: float) -> tuple[float, float] | None:
-    """Return position limits, rad or m; None where they leave no range, or one of them is no limit."""
+    """Return position limits, rad or m; None where their range is empty, or one of them is not a limit."""
     return (low, high) if low < high and max(abs(low), abs(high)) <= LARGEST else None
 
 
 def attribute(element: Element, key: str, what: str) -> str:
-    """Read an attribute that must be there."""
+    """Read a required attribute."""
     value = element.get(key)
     if not value:
         raise GtauError(f'{what} has no {key}; write {key}="...".')
