@@ -19,7 +19,7 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     Raises
     ------
     GtauError
-        Where the folder does not exist or cannot be written to.
+        The folder does not exist or cannot be written to.
     """
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
@@ -89,7 +89,7 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Sort paths as people number them: ``part_2`` before ``part_10``."""
+    """Sort paths in natural order: ``part_2`` before ``part_10``."""
 
     def key(path: Path) -> list[tuple[bool, int, str]]:
         return [(not number, int(number or 0), text) for number, text in re.findall(r"(\d+)|(\D+)", str(path))]
@@ -142,7 +142,7 @@ _KEYS = (
 
 
 def kind_of(path: str | Path) -> Kind | None:
-    """Recognise a file by its content, or None where it is none of these kinds, or cannot be read."""
+    """Recognise a file by its content; None if it is of no known kind or cannot be read."""
     path = Path(path)
     if path.is_dir():
         return FOLDER
@@ -175,7 +175,7 @@ def refuse_other_kind(path: str | Path, wanted: Kind) -> None:
     Raises
     ------
     GtauError
-        Where it is of another kind; a file that is not recognised is left to its reader.
+        The file is of another kind; a file that is not recognised is left to its reader.
     """
     found = kind_of(path)
     if found is None or found == wanted:

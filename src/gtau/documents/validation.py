@@ -22,7 +22,7 @@ Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
 class Keys(BaseModel):
-    """A group of a file: a key that it does not know is an error."""
+    """A group of a file; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

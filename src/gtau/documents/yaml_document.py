@@ -182,7 +182,7 @@ def _syntax(error: yaml.MarkedYAMLError) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Safe, and with joints called ``11`` as they are written by hand, without quotes."""
+    """Safe YAML dumper that writes joints called ``11`` without quotes, as by hand."""
 
 
 def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
@@ -203,7 +203,7 @@ def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
     flow : bool, optional
         Whether all of it is in braces and brackets; if left out, only the innermost groups do.
     width : float
-        Characters after which a line is broken.
+        Maximum line length in characters.
     """
     text: str = yaml.dump(
         data, Dumper=_Dumper, default_flow_style=flow, sort_keys=False, width=width, allow_unicode=True

@@ -26,7 +26,7 @@ DRAWS = 12  # after which the rank must have settled
 
 @dataclass(frozen=True, repr=False)
 class BaseParameters:
-    """A set of base parameters, each with the standard parameters that it regroups.
+    """Base parameters, each with the standard parameters that it regroups.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class BaseParameters:
     matrix : ndarray
         (count, n_st): base parameters from standard ones, ``chi = matrix @ chi_st``.
     without_effect : tuple of str
-        Standard parameters that act on no actuated joint.
+        Standard parameters without effect on any actuated joint.
     inertial_count : int
         Number of base parameters without rotor inertia, friction and offset.
     """
@@ -87,7 +87,7 @@ def of_drive(name: str, joint: str) -> bool:
 
 
 def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
-    """Mark with 1 the standard parameters that the sensor of a joint measures in its row, with 0 those of the drive."""
+    """Mark the standard parameters measured by a joint torque sensor with 1, those of the drive with 0."""
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
@@ -117,7 +117,7 @@ def base_parameters(
     Raises
     ------
     GtauError
-        Where the robot's limits leave no feasible states, or more states keep adding base parameters.
+        No state within the robot's limits is feasible, or the rank keeps growing with more states.
     """
     if unknown := [joint for joint in sensors if joint not in idm.actuated]:
         raise GtauError(f"'sensors' names {unknown[0]!r}, but the actuated joints are {', '.join(idm.actuated)}.")
@@ -215,7 +215,7 @@ def _term(coefficient: float, name: str) -> str:
 
 
 def whole_mass(base: BaseParameters, standard: Sequence[str]) -> str:
-    """Return the name of the base parameter that is the mass (kg) of all bodies of a floating robot, or an empty one.
+    """Return the name of the base parameter equal to the total mass (kg) of a floating robot, or an empty one.
 
     ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
     """

@@ -264,7 +264,7 @@ def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
     b : SX
         (m, k).
     refine : bool
-        Whether to refine.
+        True for one step of iterative refinement.
 
     Returns
     -------

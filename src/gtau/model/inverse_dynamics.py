@@ -44,12 +44,12 @@ class Regressor:
 
     @cached_property
     def program(self) -> Program:
-        """Program from the inputs of a sample to its entries."""
+        """Program that maps the inputs of a sample to its entries."""
         return self.compiled or compile_program(self.inputs, [self.matrix.nz[:]])
 
     @cached_property
     def summed(self) -> Program:
-        """Program from the inputs to torques; every entry is used as soon as it is computed."""
+        """Program that maps the inputs to torques; every entry is used as soon as it is computed."""
         chi = ca.SX.sym("chi", len(self.names))
         return compile_program(self.inputs, [self.matrix @ chi], [chi])
 
@@ -215,7 +215,7 @@ class InverseDynamics:
 
     @cached_property
     def _symbolic(self) -> tuple[list[ca.SX], ca.SX]:
-        """The inputs, and the regressor (n, n_st)."""
+        """Inputs, and the regressor (n, n_st)."""
         inputs, J = self._inputs
         chi = {name: ca.SX.sym(name) for name in self.parameter_names}
         c, yd, ydd, _ = inputs
@@ -237,7 +237,7 @@ class InverseDynamics:
 
     @property
     def full(self) -> Regressor:
-        """All standard columns."""
+        """Regressor of all standard parameters."""
         return self.columns(self.parameter_names)
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -252,7 +252,7 @@ class InverseDynamics:
         Raises
         ------
         GtauError
-            Where the loops cannot be closed, or a pose is too close to a singularity.
+            The loops cannot be closed, or a pose is too close to a singularity.
         """
         W, full = np.zeros((len(q), len(self.actuated), len(self.parameter_names))), self.full
         _ = full.program  # compiled before threads want it

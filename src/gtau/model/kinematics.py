@@ -62,7 +62,7 @@ class Coordinates:
 
     @property
     def home(self) -> np.ndarray:
-        """The configuration that the robot's file gives, (n_c,)."""
+        """Configuration given in the robot's file, (n_c,)."""
         c = np.zeros(self.n_c)
         c[: len(self.robot.joints)] = [joint.home for joint in self.robot.joints]
         for slots in self.platforms:

@@ -175,7 +175,7 @@ def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
 
 
 def models_alike(robots: Sequence[Robot], standard: Sequence[str]) -> list[InverseDynamics]:
-    """Make models of robots that differ in lengths alone; their regressors of the ``standard`` parameters are one.
+    """Make models of robots that differ only in lengths, with one shared regressor of the ``standard`` parameters.
 
     It is derived once, with the shifts of places as parameters of its program: to derive it for each robot takes most
     of the time in which several lengths are tried.
@@ -256,7 +256,7 @@ def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterato
 
 
 def _lengths(placement: Placement) -> Iterator[tuple[str, float, Vector]]:
-    """Iterate over the lengths of a placement, with the directions in which it moves as they grow."""
+    """Iterate over the lengths of a placement, with its directions of displacement as they grow."""
     if isinstance(placement, Mdh):
         before = replace(placement, d=0.0, b=0.0, r=0.0)
         for name in ("d", "r", "b"):

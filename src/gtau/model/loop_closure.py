@@ -66,7 +66,7 @@ class LoopErrors:
         return float(sigma[0] / max(sigma[-1], 1e-12)) if sigma.size else 1.0
 
     def gap(self, c: np.ndarray) -> str:
-        """Find the loop that is furthest from closing at ``c`` (n_c,), and its error."""
+        """Find the loop with the largest closure error at ``c`` (n_c,), and that error."""
         robot, start, gaps = self.layout.robot, 0, []
         welds = sum(closure.kind == "weld" for closure in robot.closures)
         both = self(c)[0]
@@ -86,7 +86,7 @@ class LoopErrors:
         return max(gaps)[1]
 
     def apart(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Compute the distance between the scaled coordinates (n_y,) of two configurations, full turns left out."""
+        """Compute the distance between the scaled coordinates (n_y,) of two configurations, modulo full turns."""
         layout, n_t = self.layout, len(self.layout.robot.joints)
         found = np.zeros(layout.n_y)
         change = after[:n_t] - before[:n_t]
@@ -256,7 +256,7 @@ def well_conditioned(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
 
 
 def with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
-    """Find the closed configuration (n_c,) next to ``c`` whose motors stand at rounded positions, if there is one."""
+    """Find the closed configuration (n_c,) near ``c`` with rounded motor positions, if there is one."""
     rounded = c.copy()
     rounded[errors.layout.actuated] = np.round(c[errors.layout.actuated], MOTOR_DECIMALS)
     found = closed(errors, rounded, errors.passive)

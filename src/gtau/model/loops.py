@@ -127,7 +127,7 @@ def close_loops(robot: Robot) -> Loops:
 
 
 def _refuse_free(robot: Robot, layout: Coordinates, G_p: np.ndarray, rank: int) -> None:
-    """Refuse passive coordinates that the columns ``G_p`` of the loop equations, of a lower rank, leave free."""
+    """Refuse passive coordinates left free by rank-deficient columns ``G_p`` of the loop equations."""
     free = np.abs(np.linalg.svd(G_p)[2][rank:]).max(axis=0) > 1e-6
     held = np.abs(G_p).max(axis=0, initial=0.0) > 1e-7  # a turret under a loop turns, and closes none
     names = [layout.names[k] for k in layout.passive[free]]

@@ -1,4 +1,4 @@
-"""Floating bases: a free body that carries the rest of a robot, written as joints of the one tree.
+"""Floating bases: a free body that carries the rest of a robot, modelled as six joints of the tree.
 
 The base moves in the world by three slides and three turns without motors, about x, the turned y, and z of the base.
 The last of these six joints has the name of the base, and its link is the base. Their rows of the model are the six

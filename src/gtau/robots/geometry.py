@@ -1,4 +1,4 @@
-"""Compose poses and frames, read angles written short, and find legs of the same geometry."""
+"""Compose poses and frames, restore angles written short, and find legs of identical geometry."""
 
 from __future__ import annotations
 
@@ -84,13 +84,13 @@ def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, floa
 
 
 def largest_change(given: Iterable[float], taken: Iterable[float]) -> float:
-    """Return the largest difference of angles, zero where it is but rounding in double precision."""
+    """Return the largest difference of angles, zero if within double-precision rounding."""
     change = max((abs(a - b) for a, b in zip(given, taken, strict=True)), default=0.0)
     return change if change > ROUNDING else 0.0
 
 
 def short_angles_note(changes: Mapping[str, float]) -> tuple[str, ...]:
-    """Note the places whose angles a file writes short, with the largest change, rad; none where there are no such."""
+    """Note the places of angles written short, with the largest change, rad; no note without such angles."""
     if not (listed := [name for name, change in changes.items() if change]):
         return ()
     shown = ", ".join(f"'{name}'" for name in listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")

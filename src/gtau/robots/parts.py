@@ -72,7 +72,7 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
 
 
 def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
-    """Make the links of joints, at ``positions``, parts of the links that carry them, which have a mass if they had.
+    """Merge the links of joints, at ``positions``, into their carriers, which then have a mass if the links had.
 
     A closure or a spring whose ends are then on one body is dropped.
 
@@ -144,7 +144,7 @@ def _heavy(joint: Joint) -> Joint:
 
 
 def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, float]:
-    """Complete the positions of held joints by those that couplings then determine."""
+    """Complete the positions of held joints by those determined through couplings."""
     found = dict(positions)
     settled = False
     while not settled:

@@ -31,7 +31,7 @@ def oddities(robot: Robot) -> tuple[str, ...]:
 
 
 def tool_note(robot: Robot) -> tuple[str, ...]:
-    """Note that the payload's body is only assumed, where the file names none and several are possible."""
+    """Note that the payload's body is assumed if the file names none and several are possible."""
     antecedents = {joint.antecedent for joint in robot.joints}
     ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
     if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):
@@ -45,7 +45,7 @@ def tool_note(robot: Robot) -> tuple[str, ...]:
 
 
 def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
-    """List links and platforms of which ``parameters`` names no mass, moment or inertia, so that they have none."""
+    """List links and platforms without a mass, moment or inertia in ``parameters``, which are massless."""
     named = {parameter_of(name).body for name in parameters if parameter_of(name).kind in INERTIAL}
     links = [joint.name for joint in robot.joints if joint.has_mass]
     return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)

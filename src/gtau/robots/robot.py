@@ -262,9 +262,9 @@ class Robot:
 
     @property
     def tool(self) -> str:
-        """The body that carries a payload: the one named, else the last platform, else the last link with a mass.
+        """Body that carries a payload: the one named, else the last platform, else the last link with a mass.
 
-        Where this is a finger, it is what carries the fingers.
+        If this is a finger, the link that carries the fingers.
         """
         if self.named_tool:
             return self.named_tool
@@ -287,7 +287,7 @@ class Robot:
         return frozenset(coupled.union(self.actuated))
 
     def joint(self, name: str) -> Joint:
-        """Return the joint of that name; raises GtauError where there is none."""
+        """Return the joint with this name; raises GtauError if there is none."""
         for joint in self.joints:
             if joint.name == name:
                 return joint

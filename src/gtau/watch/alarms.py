@@ -1,4 +1,4 @@
-"""Derive an alarm from the evidence of the charts: since when, and which explanations fit."""
+"""Derive an alarm from the evidence of the charts: its onset and the explanations that fit."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def alarm_of(
     of = evidences[leading]
 
     def at(number: int | None) -> int:
-        """Find the place among the entries of the log with this number in the leading chart."""
+        """Find the index among the entries of the log with this number in the leading chart."""
         return max(shown[min(max((number or 0) - first, 0), len(shown) - 1)], 1)
 
     start, names = at(of.start), [chart.name for chart in log.charts]

@@ -42,8 +42,8 @@ class Chart:
     ``x`` and ``w`` (m,) are values and relative variances of the last logs, after ``count`` others with the sums
     ``hh``, ``hy`` and ``yy`` of whitened constants and values; ``before`` are value and weight of the last of these.
     ``cusum`` are the upper and the lower sum, and ``learning`` how many of the first logs are the baseline. Of a chart
-    that is ``rising`` only growth counts: a residual that becomes smaller is no fault. ``memory`` is the
-    correlation from log to log that counts as healthy.
+    that is ``rising`` only growth counts: a decreasing residual is not a fault. ``memory`` is the
+    correlation from log to log of a healthy robot.
     """
 
     learning: int
@@ -178,7 +178,7 @@ def _whitened(chart: Chart) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _condensed(chart: Chart) -> Chart:
-    """Move all but the last logs into the sums."""
+    """Condense all but the last logs into the sums."""
     h, y = _whitened(chart)
     old = len(chart.x) - WINDOW
     h, y = h[:old], y[:old]

@@ -1,8 +1,8 @@
-"""Possible changes since the identification, as torque columns along a log, and their normal equations.
+"""Torque columns of possible changes since the identification along a log, and their normal equations.
 
 The residual of the identified model along a log, ``y = g v(t - d) - tau_model`` (eq. 16), is held against one column a
 quantity: the torque that one unit of its change adds. The rows are those of the identification: the same filters,
-decimation and rows left out at reversals, behind the friction law with which the model predicts.
+decimation and exclusion of reversals, after subtraction of the model's friction law.
 
 ======  ===========================================  ==============================
 kind    change                                       column
@@ -45,7 +45,7 @@ ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that may change: its kind (that of a payload's parameter for the load), joint and unit."""
+    """A watched quantity: its kind (that of a payload's parameter for the load), joint and unit."""
 
     kind: str
     joint: str
@@ -106,7 +106,7 @@ def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
     Raises
     ------
     GtauError
-        Where the log does not suit the model, no joint of it moves, or the model refuses a sample.
+        The log does not fit the model, no joint moves in it, or the model refuses a sample.
     """
     if model.robot.floating:
         raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
@@ -212,7 +212,7 @@ def _columns(
 
 
 def _of_zeros(model: IdentifiedModel, part: Rows, load: np.ndarray, run: str) -> np.ndarray:
-    """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), a degree or a millimetre."""
+    """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), per degree or millimetre."""
     idm = model.model
     n, actuated = len(idm.actuated), idm.layout.actuated
     regressor, motion, labels = idm.columns(model.base.standard), part.motion, Labels(run, part.time)
@@ -232,7 +232,7 @@ def _of_zeros(model: IdentifiedModel, part: Rows, load: np.ndarray, run: str) ->
 
 
 def without_inertia(quantities: tuple[Quantity, ...]) -> tuple[int, ...]:
-    """List the quantities that are charted: all but inertia of the load and offsets, which go along with the others."""
+    """List the charted quantities: all but inertia of the load and offsets, which are estimated with the others."""
     return tuple(
         k
         for k, each in enumerate(quantities)

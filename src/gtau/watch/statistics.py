@@ -1,4 +1,4 @@
-"""Statistics of a log: the size of each change, estimated alone beside friction, and its standard deviation.
+"""Statistics of a log: the size of each change, estimated one at a time with friction, and its standard deviation.
 
 Friction of a healthy robot differs from day to day, so friction and offsets of all joints are always free. Beside them
 one change is estimated at a time: a drive gain at fixed inertia, an encoder zero, a delay, or the load. By the theorem
@@ -99,7 +99,7 @@ def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
     Raises
     ------
     GtauError
-        Where the log does not suit the model, or holds too few usable rows.
+        The log does not fit the model, or contains too few usable rows.
     """
     normal = normal_equations(model, run)
     columns = _Columns.of(normal.quantities)
@@ -192,7 +192,7 @@ def _place(
     group: list[int],
     usable: np.ndarray,
 ) -> None:
-    """Put the combinations of a group of columns, estimated together beside friction, into ``every``."""
+    """Put the combinations of a group of columns, estimated jointly with friction, into ``every``."""
     M = left[np.ix_(group, group)]
     inverse = _inverse(M)
     usable[group] &= (np.diag(M) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
@@ -218,7 +218,7 @@ def _beside_friction(G: np.ndarray, columns: _Columns) -> np.ndarray:
 
 
 def _residuals(normal: NormalEquations, columns: _Columns, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Compute of each joint the logarithm of the rms residual over the model's, friction free, and how uneven it is."""
+    """Compute for each joint the log ratio of the rms residual to the model's, friction free, and its unevenness."""
     p, friction = len(normal.quantities), list(columns.friction)
     left_in = [s for s in range(len(normal.G)) if s != without]
     rms, uneven = [], []

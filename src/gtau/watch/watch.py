@@ -60,16 +60,16 @@ class Watch:
     baseline : int
         Number of healthy logs that form the baseline.
     false_alarms_per_year : float
-        Of the whole fleet.
+        False alarms of the whole fleet per year.
     robots : int
         Of the fleet.
     logs_per_year : float
-        Of each robot.
+        Logs of each robot per year.
 
     Raises
     ------
     GtauError
-        Where the history is of another model or other settings.
+        The history belongs to another model or other settings.
     """
 
     @takes(
@@ -162,9 +162,9 @@ class Watch:
         run : Run
             From :func:`gtau.read_run`. Its payload, if any, is part of what is expected.
         digest : str
-            By which the log is known again; that of its samples if left out.
+            Identifies the log; that of its samples if omitted.
         date : str
-            When it was recorded, ISO 8601; now if left out.
+            Time of recording, ISO 8601; now if omitted.
 
         Returns
         -------

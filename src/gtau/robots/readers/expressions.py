@@ -1,4 +1,4 @@
-"""Arithmetic in the numbers of a robot file, such as ``pi/2``, ``-(a + d4)/2`` or ``q - a``.
+"""Evaluate arithmetic in the numbers of a robot file, such as ``pi/2``, ``-(a + d4)/2`` or ``q - a``.
 
 The text is parsed by Python's own grammar and walked over a white list; nothing is executed.
 """

@@ -1,6 +1,6 @@
 """MJCF files, through MuJoCo's own compiler: geometry, limits, loops and which joints are driven.
 
-Masses, shapes and meshes are left aside; a model reads without the files of its meshes. Joints with an actuator have
+Masses, shapes and meshes are ignored; mesh files need not exist. Joints with an actuator have
 motors, and in a gripper alone the shafts that pull tendons; joints that no motor moves are held: those of scenery, of
 bases that roll, and of grippers that tendons pull.
 """
@@ -58,7 +58,7 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     Raises
     ------
     GtauError
-        MuJoCo is not installed or refuses the file, or it holds what a robot of gtau cannot be.
+        MuJoCo is not installed or refuses the file, or the file contains elements that gtau does not support.
     """
     path = Path(path)
     try:

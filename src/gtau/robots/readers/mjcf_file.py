@@ -134,7 +134,7 @@ class MjcfFile:
     limited_tendons : list of LimitedTendon
     springs : list of SiteSpring
     notes : list of str
-        What was left out.
+        Elements that were left out.
     inertias : dict
         Bodies whose inertia the file states, by number.
     armatures : dict
@@ -184,7 +184,7 @@ class _Force:
 
 
 def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> dict[str, _Force]:
-    """Find the forces without control along straight tendons, by tendon."""
+    """Find the control-independent forces along straight tendons, by tendon."""
     import mujoco
 
     straight = _straight(elements)
@@ -381,7 +381,7 @@ def _in_radians(angle: float) -> bool:
 
 
 def _angles(roots: Iterable[Element], tags: tuple[str, ...]) -> Iterator[tuple[Element, str, float]]:
-    """Iterate over the angles of orientations and of hinge limits, with their element and what they are."""
+    """Iterate over the angles of orientations and of hinge limits, with their element and a description."""
     for element in (each for root in roots for tag in tags for each in root.iter(tag)):
         name = f"{element.tag} '{element.get('name', element.get('class', ''))}'"
         key = "range" if element.tag == "joint" else "euler"

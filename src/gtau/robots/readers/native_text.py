@@ -38,7 +38,7 @@ def native_text(robot: Robot) -> str:
     Raises
     ------
     GtauError
-        A joint has an MDH placement and an axis other than z, for which the format has no words.
+        A joint has an MDH placement and an axis other than z, which the format cannot express.
     """
     passive = bool(robot.closures or robot.couplings)
     lines = [_flow({"robot": robot.name})]
@@ -74,7 +74,7 @@ def native_text(robot: Robot) -> str:
 
 
 def write_native(robot: Robot, path: str | Path) -> None:
-    """Write a robot file; it appears whole or not at all.
+    """Write a robot file atomically.
 
     Parameters
     ----------

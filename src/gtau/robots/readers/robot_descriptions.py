@@ -1,6 +1,6 @@
 """Robots of the package robot_descriptions, where it is installed and has their files on disk.
 
-Importing one of its modules may clone a repository. So they are read instead, as data: the paths that they join, below
+Importing one of its modules may clone a repository. So they are parsed as data instead: the paths that they join, below
 the folder in which the package keeps its repositories. Nothing is executed, and nothing is fetched.
 """
 

@@ -1,4 +1,4 @@
-"""Source of a robot: its file, the pose of its base, and its moving joints."""
+"""Source of a robot: its file, the pose of its base, and its selected joints."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ def _edge(element: Element, base: BaseChoice) -> _Edge:
 
 
 def _check_floating(ordered: list[_Edge]) -> None:
-    """Refuse a joint that floats elsewhere than between the root link and all the rest."""
+    """Refuse a floating joint anywhere but between the root link and the rest of the tree."""
     root = ordered[0].parent if ordered else ""
     for edge in ordered:
         if edge.element.get("type") in LOOSE and (edge.parent != root or sum(e.parent == root for e in ordered) > 1):
@@ -245,7 +245,7 @@ def _repeated(names: list[str]) -> str | None:
 
 
 def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
-    """Place each moving joint in the frame of the last one before it that moves, and locate the frames."""
+    """Place each moving joint in the frame of the previous moving one, and locate the frames."""
     joints: list[Joint] = []
     frames: dict[str, Attachment] = {}
     for edge in ordered:
@@ -317,7 +317,7 @@ def _check_circles(couplings: Sequence[Coupling]) -> None:
 
 
 def _reduction_notes(root: Element) -> Iterator[str]:
-    """Note the gear ratios of transmissions, which are not geometry but say what gains to expect."""
+    """Note the gear ratios of transmissions, which are not geometry but predict the gains."""
     ratios = []
     for transmission in root.findall("transmission"):
         joint = transmission.find("joint")

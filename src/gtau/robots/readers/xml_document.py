@@ -52,7 +52,7 @@ def read_xml(path: Path) -> Element:
 
 
 class _Element(Element):
-    """An element that knows its line."""
+    """An XML element with its line number."""
 
     line = 0
 
@@ -61,7 +61,7 @@ def _parsed(content: bytes) -> Element:
     from defusedxml.ElementTree import DefusedXMLParser
 
     class Parser(DefusedXMLParser):  # type: ignore[misc, unused-ignore]
-        """A parser that keeps the line in which an element begins."""
+        """Parser that records the line in which an element begins."""
 
         def _start(self, tag: str, attributes: list[str]) -> Element:
             element: Element = super()._start(tag, attributes)
@@ -87,7 +87,7 @@ LARGEST = 1e9  # SI units: no length, angle or mass of a robot comes near; files
 def decimals(text: str, endless: bool = False) -> list[float] | None:
     """Read the numbers of an attribute, in plain decimals that a robot can have; None where one is something else.
 
-    With ``endless`` they are limits, which may be infinite or beyond all that a robot can have.
+    With ``endless`` they are limits, which may be infinite or beyond the physical range of a robot.
     """
     values = []
     for word in text.split():
