@@ -37,7 +37,7 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
     Parameters
     ----------
     model_class : type of pydantic.BaseModel
-        Its validators may raise ValueError with a text that says what to write instead, without a full stop.
+        Its validators may raise ValueError with the correct form as text, without a full stop.
     document : Document
         From `read_yaml`.
     context : object, optional
@@ -57,7 +57,7 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
         return model_class.model_validate(document.data, context=context)
     except ValidationError as failure:
         errors = failure.errors()
-    # A misspelt key also leaves the right one missing: the spelling is the thing to say.
+    # A misspelt key also leaves the right one missing: report the spelling.
     error = min(errors, key=lambda error: error["type"] != "extra_forbidden")
     keys = _written(error["loc"], document.data)
     if error["type"] == "extra_forbidden":

@@ -38,7 +38,7 @@ class Document:
         return self.lines.get(keys) if keys else None
 
     def error(self, keys: KeyPath, problem: str) -> GtauError:
-        """Make an error that names the file, the line and the dotted key; `problem` says what to write instead."""
+        """Make an error that names the file, the line and the dotted key; `problem` states the correct form."""
         place = [str(self.path)]
         if (line := self.line(keys)) is not None:
             place.append(f"line {line}")
@@ -145,7 +145,7 @@ class _Composer:
             if key.value in mapping:
                 raise self.error(key, f"the key '{key.value}' is written twice; keep one of them")
             mapping[key.value] = self.value(next(self.events), (*keys, key.value))
-            # The key's line is where a person looks, also when its value begins below it.
+            # Users look at the key's line, even if its value begins below it.
             self.lines[(*keys, key.value)] = key.start_mark.line + 1
         return mapping
 

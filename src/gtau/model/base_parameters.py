@@ -100,7 +100,7 @@ def base_parameters(
 
     The regressor of random feasible states is factorised by QR without pivoting, its columns
     normalised and in the symmetric order of eq. (23); a column that depends on those kept before it is
-    skipped, and its parameter regrouped with theirs (eq. 22). States are drawn until as many again change no rank.
+    skipped, and its parameter regrouped with theirs (eq. 22). States are drawn until one more draw keeps the rank.
 
     Parameters
     ----------

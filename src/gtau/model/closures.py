@@ -181,7 +181,7 @@ def closure_maps(layout: Coordinates) -> ClosureMaps:
     J = ca.SX(layout.n_y, len(actuated))
     J[actuated, :] = ca.SX.eye(len(actuated))
     J[passive, :] = constant(np.diag(unit[passive])) @ solve(G_p, -G_a, refine=True)[0]  # J_p and J_t of the paper
-    yd_all, ydd_all = J @ qd, J @ qdd  # eqs. (5) and (7); eqs. (6) and (8) but for what the speeds add
+    yd_all, ydd_all = J @ qd, J @ qdd  # eqs. (5) and (7); eqs. (6) and (8) without the velocity terms
     drift, _ = solve(G_p, -ca.substitute(gamma, yd, yd_all), refine=True)
     ydd_all[passive] += drift * unit[passive]  # eqs. (6) and (8)
     return ClosureMaps(

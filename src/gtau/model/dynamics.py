@@ -95,7 +95,7 @@ def torques(
     chi : dict
         Standard parameters by name; missing drive parameters are zero.
     gravity : SX, optional
-        In base axes (3,), m/s2; the robot's if left out.
+        In base axes (3,), m/s2; the robot's if omitted.
     """
     robot = layout.robot
     frame = frames(layout, c)

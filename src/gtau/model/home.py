@@ -37,9 +37,9 @@ from gtau.robots.readers.read import read_robot
 from gtau.robots.readers.source import RobotSource
 from gtau.robots.robot import Joint, Pose, Robot
 
-# Lengths in what follows are counted in characteristic lengths of the robot, angles in rad.
-KEPT = 1e-9  # a home that the solution leaves by less than this stays as it is written
-POOR = 100.0  # a home that was searched for and is worse than this is moved on, away from singular poses
+# Below, lengths are in characteristic lengths of the robot, angles in rad.
+KEPT = 1e-9  # a home displaced by less than this by the solution is kept as written
+POOR = 100.0  # a home found by the search and worse than this is moved further away from singular poses
 SINGULAR = 1e3  # any home is: the model accepts no pose beyond it
 DECIMALS = 12  # of a solved home: beyond them processors may differ
 NAMED = 4  # coordinates that a note lists
@@ -80,12 +80,12 @@ def load_robot(
     Returns
     -------
     Robot
-        Its ``notes`` say what a reader found odd or decided, and how far home was moved to close the loops.
+        Its ``notes`` list anomalies in the file, decisions of the reader, and the displacement of home.
 
     Raises
     ------
     GtauError
-        There is no such robot, its file is not accepted, or its loops close nowhere.
+        The robot does not exist, its file is invalid, or its loops close nowhere.
     """
     if isinstance(source, Robot):
         return source

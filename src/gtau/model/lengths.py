@@ -20,11 +20,11 @@ from gtau.model.kinematics import Coordinates, Shifted, coordinates, frames, twi
 from gtau.robots.geometry import characteristic_length, pose_of
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
 
-# Measured on 17 robots, those of the catalog and of robot files of other people: the shortest length is 0.046 of the
+# Measured on 17 robots, those of the catalog and of third-party robot files: the shortest length is 0.046 of the
 # characteristic length and the closest two differ by 0.0013, while rounding parts equal ones by 1e-13 at most.
-SHORT = 1e-4  # of the characteristic length: what is shorter was not meant to be a length
-SAME = 1e-6  # relative difference of lengths that are meant to be the same
-HOLDING = 1e-6  # of a length's change: how far closures may be from following it
+SHORT = 1e-4  # of the characteristic length: anything shorter is not intended as a length
+SAME = 1e-6  # relative difference of lengths intended to be equal
+HOLDING = 1e-6  # of a length's change: largest closure error with which the closures still follow it
 CLOSED = 1e-11  # last correction of the passive coordinates, rad or characteristic lengths
 STEPS = 20
 

@@ -13,9 +13,9 @@ from gtau.model.kinematics import Coordinates
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint
 
-# Lengths are counted in characteristic lengths of the robot, angles in rad.
+# Lengths are in characteristic lengths of the robot, angles in rad.
 CLOSED = 1e-11  # largest error of a loop that is closed
-STALLED = 15  # steps that hardly help, after which a start is given up
+STALLED = 15  # steps with little improvement, after which a start is abandoned
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,11 +160,11 @@ def is_closed(errors: LoopErrors, c: np.ndarray) -> bool:
     return bool(np.abs(errors(c)[0]).max(initial=0.0) < errors.tolerance)
 
 
-# Lengths in what follows are counted in characteristic lengths of the robot, angles in rad.
-NEAR = 1e-3  # a home that the solution leaves by less than this is the one meant: no note
-FAR = 1.0  # what a home that the file gives may be wrong by
+# Below, lengths are in characteristic lengths of the robot, angles in rad.
+NEAR = 1e-3  # a home displaced by less than this by the solution is the intended one: no note
+FAR = 1.0  # largest admissible error of a home given in the file
 LIMITS = 1e-4  # rad or m: files round homes and limits, so one beyond a limit by less than this is within it
-WELL_CONDITIONED = 30.0  # of the scaled passive columns, where a home that is searched for is moved to
+WELL_CONDITIONED = 30.0  # condition number of the scaled passive columns that the home search aims for
 STEP = 0.1
 STARTS = 40
 MOTOR_DECIMALS = 6  # of the motors' positions in a home that was searched for: beyond them processors may differ

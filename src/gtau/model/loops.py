@@ -62,7 +62,7 @@ def joined(parts: Sequence[Motion]) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """The closures of a robot and its solved home configuration ``home`` (n_c,)."""
+    """Closures of a robot with its solved home configuration ``home`` (n_c,)."""
 
     layout: Coordinates
     equations: ClosureEquations
@@ -152,7 +152,7 @@ def _refuse_redundant(robot: Robot, G: np.ndarray, rank: int, excess: int) -> No
     """Refuse actuated joints that the loop equations tie to each other: the last columns of ``G``, of this rank."""
     n = len(robot.actuated)
     free = np.linalg.svd(G)[2][rank:, G.shape[1] - n :]  # how the motors can move
-    ties = np.linalg.svd(free)[2][n - excess :]  # and, at right angles to it, what they cannot do
+    ties = np.linalg.svd(free)[2][n - excess :]  # and its orthogonal complement, which they cannot move
     stuck = np.abs(free).max(axis=0, initial=0.0) < 1e-9
     tied = np.abs(ties).max(axis=0) > 1e-6
     fixed, apart = (

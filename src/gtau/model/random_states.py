@@ -14,7 +14,7 @@ from gtau.robots.robot import Joint
 
 FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer to home
 ENOUGH = 500  # poses that show the share
-MOVED = 0.1  # of the way from home to a pose: one that stops before shows no more than home does
+MOVED = 0.1  # of the way from home to a pose: one that stops earlier adds no information to home
 SMALLEST = 2.0**-8  # share of the range about home in which poses are drawn
 REGULAR = CONDITION / 10  # condition number of regular poses
 
@@ -89,7 +89,7 @@ def _regular(
     if idm.loops is None:
         return idm.motion(q, qd, qdd)
     home = idm.loops.home[:, None]
-    # no shorter steps: poses well before a singularity serve better than those as near to it as can be
+    # no shorter steps: poses well before a singularity are better than those very close to it
     c, _ = advance(idm.loops, np.repeat(home, q.shape[1], axis=1), q, shortest=2.0**-7)
     arrived, start = c[idm.layout.actuated], home[idm.layout.actuated]
     inside = ((bounds[:, :1] <= arrived) & (arrived <= bounds[:, 1:])).all(axis=0)  # home may lie outside

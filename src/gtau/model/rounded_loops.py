@@ -17,10 +17,10 @@ from gtau.model.loop_closure import CLOSED, LoopErrors, closed, loop_errors
 from gtau.robots.geometry import angles_of, turn
 from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Pose, Robot
 
-# Lengths are counted in characteristic lengths of the robot, angles in rad.
-DRAWN = 1e-2  # at three decimals, the worst of 40 planar loops: gap 3e-3, placements moved by 1.3e-3
+# Lengths are in characteristic lengths of the robot, angles in rad.
+DRAWN = 1e-2  # with three decimals, the worst of 40 planar loops: gap 3e-3, placements moved by 1.3e-3
 LITERAL = 1e-13  # gap of loops that close as they are written: on all robots of the catalog 8e-16 at most
-POSES = 12  # in which loops have to close: more than a placement has coordinates
+POSES = 12  # number of poses in which loops must close: more than the coordinates of a placement
 SPREAD = 0.3  # of the motors around home
 STEPS = 12
 EXACT = 1e-14  # gap at which the placements are final

@@ -56,7 +56,7 @@ class Singularities:
     def distances(self, motion: Motion) -> np.ndarray:
         """Compute the distances (2, N) to singularities of type 1 and 2; NaN for type 2 without closures."""
         s = np.linalg.svd(self.jacobian(motion), compute_uv=False)[:, : self.rank]
-        if self.rank == 1:  # nothing to compare with in the pose itself
+        if self.rank == 1:  # a single singular value has no reference in the pose itself
             type_1 = np.minimum(s[:, 0] / self.largest, 1.0)
         else:
             share = s / np.hypot(1.0, s)

@@ -56,7 +56,7 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
     robot : Robot
         Its joints keep their motors; those of the base have none.
     name : str
-        Of the base, and of its parameters.
+        Name of the base and of its parameters.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
 def drawn_base(robot: Robot) -> tuple[str, ...]:
     """Find six unactuated, untied joints, three slides and three turns, that represent a floating base in a file.
 
-    They follow each other from the ground and carry all others; without such, none.
+    They form a chain from the ground and carry all others; none if there is no such chain.
     """
     before, found = GROUND, list[Joint]()
     while len(found) < 6:

@@ -1,4 +1,4 @@
-"""Hold some joints of a robot, so that one leg, one arm of two, or an arm without its gripper is a robot of its own."""
+"""Hold some joints of a robot, to isolate one leg, one arm of two, or an arm without its gripper."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ import numpy as np
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Placement, Robot
 
-TURNS = 2  # a link that turns further either way has its limits in degrees, perhaps
-FAR = 20.0  # m; a longer link is written in mm, perhaps
+TURNS = 2  # a wider range either way suggests limits in degrees
+FAR = 20.0  # m; a longer link suggests mm
 REACHED = 1e-9  # rad or m; a home on a limit is within it
 
 

@@ -35,7 +35,7 @@ def alarm_of(
     charts, evidences : mapping
         By name.
     log : LogStatistics
-        Of the newest log.
+        Statistics of the newest log.
     uneven : mapping
         Joint to the largest unevenness of its residual in healthy logs.
     """

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import ndtri, stdtr
 
-MEMORY = 0.7  # correlation from log to log that counts as healthy; a smaller one makes alarms rarer
+MEMORY = 0.7  # correlation from log to log of a healthy robot; a smaller one makes alarms rarer
 OF_FRICTION = 0.9  # the same for friction and residuals, which follow weather and seasons
 KAPPA = 4.0  # standard deviation of a change, in those between logs
 WINDOW = 400  # logs at which a change may have begun; older ones are condensed
@@ -117,7 +117,7 @@ def evidence(chart: Chart) -> Evidence:
     shrink = r * KAPPA**2 / (1 + r * KAPPA**2)
     left = np.maximum(S0 - b2 * shrink, 1e-12 * S0)
     ratios = -0.5 * np.log1p(r * KAPPA**2) + (n - 1) / 2 * np.log(S0 / left)
-    if chart.rising:  # leaving out what falls makes the sum smaller, so that the statement holds all the more
+    if chart.rising:  # omitting decreases makes the sum smaller, so the bound still holds
         ratios = np.where((cy - ch * hy / hh)[first:] > 0, ratios, -np.inf)
     top = float(ratios.max())
     if not np.isfinite(top):

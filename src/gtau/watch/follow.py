@@ -21,8 +21,8 @@ from gtau.watch.logs import date_of, logs_of
 from gtau.watch.state import digest_of
 from gtau.watch.watch import Status, Watch, now
 
-SETTLED = 1.0  # s for which a log of a folder has not changed before it counts as finished
-POLL = 0.5  # s between looks
+SETTLED = 1.0  # s without changes after which a log of a folder counts as finished
+POLL = 0.5  # s between polls
 FIRST_LINES = 500  # of a log that grows, from which its rate is found
 HEADED = 250  # lines, among which the table has begun
 CHUNK = 1 << 20  # bytes read at once

@@ -53,7 +53,7 @@ class Quantity:
 
     @property
     def name(self) -> str:
-        """Its name in tables and files, such as ``gain_elbow``."""
+        """Name in tables and files, such as ``gain_elbow``."""
         return Parameter(self.kind, self.joint or "load").name
 
     @property
@@ -225,7 +225,7 @@ def _of_zeros(model: IdentifiedModel, part: Rows, load: np.ndarray, run: str) ->
         try:
             c = idm.path(moved, labels, motion.c[:, 0])
         except GtauError:
-            continue  # the loops do not close there: nothing is said of this zero
+            continue  # the loops do not close there: this zero is not watched
         along = regressor.torques_along(idm.layout, idm.rates(c, qd, qdd, labels), load)
         columns[j] = (along - before) / STEP * ZERO_UNITS[model.robot.joint(joint).kind][1]
     return columns

@@ -110,7 +110,7 @@ def digest_of(path: str | Path) -> str:
 
 
 def open_history(folder: Path, settings: Settings) -> Iterator[Entry]:
-    """Read the entries of a history; begin one where there is none.
+    """Read the entries of a history, or create it.
 
     Raises
     ------

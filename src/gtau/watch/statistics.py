@@ -26,9 +26,9 @@ from gtau.watch.quantities import (
     without_inertia,
 )
 
-SPANNED = 1e-6  # of the square of a column: less is left by the others
+SPANNED = 1e-6  # of the square of a column: a smaller residual is linear dependence on the others
 SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
-LARGEST_ZERO = 1.0  # deg or mm: an encoder zero less certain than this is not shown
+LARGEST_ZERO = 1.0  # deg or mm: an encoder zero with a larger standard deviation is not observable
 RESIDUAL = "rms"  # kind of the residual's charts
 
 
@@ -39,7 +39,7 @@ class LogStatistics:
     Attributes
     ----------
     name : str
-        Of the run.
+        Name of the run.
     charts : tuple of Quantity
         The charts: quantities, then the residual of each joint (logarithm of its rms over that of the model).
     values, std : ndarray
@@ -55,7 +55,7 @@ class LogStatistics:
     uneven : ndarray
         (n,) largest rms residual of a stretch over the median one, of each joint: contacts are brief.
     joints : tuple of str
-        Of the n joints.
+        Names of the n joints.
     information : ndarray
         (p, p): the squared residual, friction free, that changes x of the quantities add is ``x^T information x``.
     rows : ndarray

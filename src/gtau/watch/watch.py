@@ -62,7 +62,7 @@ class Watch:
     false_alarms_per_year : float
         False alarms of the whole fleet per year.
     robots : int
-        Of the fleet.
+        Number of robots in the fleet.
     logs_per_year : float
         Logs of each robot per year.
 
@@ -103,7 +103,7 @@ class Watch:
         )
         self.folder = None if out is None else folder_of(out)
         self.seen: set[str] = set()
-        self.began = self.maintained = ""  # dates of the last maintenance, and of one whose first log is still to come
+        self.began = self.maintained = ""  # dates of the last maintenance, and of one still without a log
         self.alarm: Alarm | None = None
         self._clear()
         for entry in () if self.folder is None else open_history(self.folder, self.settings):
@@ -113,7 +113,7 @@ class Watch:
         """Begin a baseline."""
         self.names: tuple[str, ...] = ()
         self.charts: dict[str, Chart] = {}
-        self.reference: dict[str, float] = {}  # variance by the formula of the first log that shows a chart
+        self.reference: dict[str, float] = {}  # variance by the formula of the first log in which a chart is observable
         self.first: list[dict[str, float]] = []  # values of the baseline
         self.recent: deque[Entry] = deque(maxlen=WINDOW)
         self.count = 0

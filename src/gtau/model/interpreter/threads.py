@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from gtau.model.interpreter.layout import LANES
 
 _inside = threading.local()
-SHARE = 16 * LANES  # samples that are worth a thread
+SHARE = 16 * LANES  # minimum number of samples per thread
 
 
 def threads() -> int:

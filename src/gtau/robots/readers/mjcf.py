@@ -53,7 +53,7 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     Returns
     -------
     Robot
-        Joint coordinates are MuJoCo's ``qpos``. Notes say what was left out or acts in the simulator alone.
+        Joint coordinates are MuJoCo's ``qpos``. Notes list omitted elements and effects of the simulator alone.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
 
 
 def _home(file: MjcfFile) -> tuple[np.ndarray, bool, list[str]]:
-    """Take the positions of the keyframe ``home``, if it fits, else the reference; say which, and what was left out."""
+    """Take the positions of the keyframe ``home``, if it fits, else the reference; note the choice and omissions."""
     given, needed = file.keys.get(HOME), file.model.nq
     if given is None:
         return file.model.qpos0, False, file.notes
@@ -314,7 +314,7 @@ def _carrying(robot: Robot) -> dict[str, set[str]]:
 
 
 def _trees(robot: Robot) -> Iterator[set[str]]:
-    """Group the joints by the trees that stand on the ground."""
+    """Group the joints by the trees rooted at the ground."""
     before = _carrying(robot)
     for root in (joint.name for joint in robot.joints if joint.antecedent == GROUND):
         yield {root} | {name for name, carriers in before.items() if root in carriers}

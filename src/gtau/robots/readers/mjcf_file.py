@@ -59,7 +59,7 @@ def _check_copies(roots: Iterable[Element]) -> None:
             try:
                 own = float(np.prod([float(word) for word in element.get("count", "1").split()]))
             except ValueError:
-                return 0.0  # MuJoCo says what is wrong with it
+                return 0.0  # MuJoCo reports the error
         return own * max([1.0, sum(copies(child) for child in element if child.tag in NESTED)])
 
     for root in roots:
@@ -77,7 +77,7 @@ NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "range", "qpos", "gravity", "polycoef", 
 
 
 def _check_numbers(roots: Iterable[Element]) -> None:
-    """Refuse numbers that no robot has, before MuJoCo takes some of them and warns of others."""
+    """Refuse implausible numbers before MuJoCo accepts some of them and warns of others."""
     for element in (each for root in roots for each in root.iter() if each.tag != "flag"):  # its gravity is a word
         for key in NUMBERS:
             if decimals(element.get(key, ""), endless=key == "range") is None:
@@ -330,7 +330,7 @@ def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
 
 
 def rotation_in(quaternion: np.ndarray) -> Rotation:
-    """Make the rotation of a quaternion (4,), w first; of zeros no rotation, as MuJoCo takes it in a keyframe."""
+    """Make the rotation of a quaternion (4,), w first; zeros give the identity, as in keyframes of MuJoCo."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(quaternion, scalar_first=True) if np.any(quaternion) else Rotation.identity()

@@ -150,5 +150,5 @@ def _pose_data(placement: Pose) -> dict[str, Any]:
 def _attachment_data(attachment: Attachment) -> dict[str, Any]:
     if isinstance(attachment.placement, Pose):
         return {"body": attachment.body} | _pose_data(attachment.placement)
-    # An MDH placement that moves nothing still says that it is one.
+    # An identity MDH placement is still written as MDH.
     return {"body": attachment.body} | (_mdh_data(attachment.placement) or {"r": 0.0})

@@ -41,12 +41,12 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     Returns
     -------
     Robot
-        Its ``notes`` say what a reader found odd or decided.
+        Its ``notes`` list anomalies in the file and decisions of the reader.
 
     Raises
     ------
     GtauError
-        There is no such robot, or its file is not accepted.
+        The robot does not exist, or its file is invalid.
     """
     if not isinstance(source, RobotSource):
         source = RobotSource(file=str(source))

@@ -20,7 +20,7 @@ Value = Path | str | None
 
 
 def described_file(name: str) -> Path | None:
-    """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None without such.
+    """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None if unknown.
 
     Raises
     ------

@@ -54,7 +54,7 @@ class _Edge:
     parent: str
     child: str
     origin: Pose
-    short: float  # by how much (rad) an angle of its origin was changed
+    short: float  # largest change (rad) of an angle of its origin
     element: Element
 
 

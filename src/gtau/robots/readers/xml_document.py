@@ -75,7 +75,7 @@ def _parsed(content: bytes) -> Element:
 
 
 def line_of(element: Element) -> int:
-    """Return the line of the file in which an element begins, 0 where it is not known."""
+    """Return the line of the file in which an element begins, 0 if unknown."""
     return int(getattr(element, "line", 0))
 
 
