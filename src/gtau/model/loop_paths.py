@@ -93,7 +93,7 @@ def follow(
     Raises
     ------
     GtauError
-        Where a sample cannot be reached, or not without leaving the assembly mode.
+        A sample cannot be reached within the assembly mode.
     """
     q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
     labels = labels or Numbers()

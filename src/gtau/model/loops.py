@@ -97,7 +97,7 @@ def close_loops(robot: Robot) -> Loops:
     Raises
     ------
     GtauError
-        Where the loops do not close near the home of the robot's file, where actuation is redundant,
+        The loops do not close near the home of the robot's file, actuation is redundant,
         or passive coordinates remain free.
     """
     layout = coordinates(robot)

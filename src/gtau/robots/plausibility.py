@@ -25,7 +25,7 @@ def oddities(robot: Robot) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        A sentence each, without a full stop; empty for most robots.
+        One sentence each, without a full stop; empty for most robots.
     """
     return (*_lengths(robot), *_angles(robot), *_homes(robot))
 

@@ -46,7 +46,7 @@ class Program:
         *inputs : ndarray
             Arrays (., N) that together have as many rows as the program has inputs.
         parameters : ndarray
-            Values (parameters,) that are the same for all samples.
+            Values (parameters,) common to all samples.
 
         Returns
         -------
@@ -166,7 +166,7 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     outputs : list of SX
         Expressions; their entries, structural zeros included, are stacked column by column.
     parameters : sequence of SX
-        Symbols whose values are the same for all samples.
+        Symbols with values common to all samples.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     Raises
     ------
     ValueError
-        Where an expression has an operation that the interpreter does not support.
+        An expression has an operation that the interpreter does not support.
     """
     x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
     function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])

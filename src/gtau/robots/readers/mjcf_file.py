@@ -134,7 +134,7 @@ class MjcfFile:
     limited_tendons : list of LimitedTendon
     springs : list of SiteSpring
     notes : list of str
-        Elements that were left out.
+        Omitted elements.
     inertias : dict
         Bodies whose inertia the file states, by number.
     armatures : dict
