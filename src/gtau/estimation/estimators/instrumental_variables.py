@@ -177,7 +177,8 @@ def _reduced(
     """Reduce a run along the measured and the simulated motion, with the same instants row by row.
 
     The sign of a noisy speed is not that of the speed plus noise, so the columns of Coulomb friction are the
-    simulated ones. The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by columns.
+    simulated ones. The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by
+    columns.
     """
     regressor = idm.columns(columns)
     stretches = stretch_of(edges, decimator.outputs(len(measured)))
