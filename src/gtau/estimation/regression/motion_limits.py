@@ -123,7 +123,7 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
         moved = f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / joint.limits.velocity:.3g} times"
         limit = (
-            f"its limit of {joint.limits.velocity:.4g} {unit}/s"  # in many files a placeholder: no refusal
+            f"its limit of {joint.limits.velocity:.4g} {unit}/s"  # in many files a placeholder, so no log is refused
         )
         action = f"check columns and units; if the limit is a placeholder, {write_limits(joint.name)}"
         yield Note(Kind.LIMITS, f"{moved} {limit}", action, joint=joint.name)
