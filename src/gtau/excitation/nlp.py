@@ -60,13 +60,13 @@ class Programme:
         return self._loads
 
     def excess(self, x: np.ndarray) -> float:
-        """Compute the largest usage over what the tightness allows; infinite where the robot cannot go."""
+        """Compute the largest usage relative to the tightness; infinite where x is not reachable."""
         if not self.points(x):
             return float("inf")
         return max((load.excess / self.tightness[load.what] for load in self.constraint_usages(x)), default=0.0)
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Compute the logarithm of the criterion and its gradient; nan where the robot cannot go."""
+        """Compute the logarithm of the criterion and its gradient; nan where x is not reachable."""
         points = self.points(x)
         if not points:
             return float("nan"), np.full(len(x), np.nan)
