@@ -1,1 +1,1 @@
-"""The demonstration and the case study of the paper."""
+"""Demonstration, and case study of the paper."""

@@ -1,6 +1,6 @@
 """The Orthoglide of the demo: its true standard parameters, drives of known gain, and files.
 
-The sums that can be identified (paper, Table 3) are the paper's; how they are shared out among the bodies is ours,
+The sums that can be identified (paper, Table 3) are the paper's; their distribution among the bodies is ours,
 from the dimensions of such a machine.
 """
 
@@ -57,7 +57,7 @@ def _leg(leg: str, bar: float) -> dict[str, float]:
     regrouped, fv, fs, off = AXES[f"1{leg}"]
     knuckle = 0.05  # kg, bodies 2 and 4; body 5 is lighter
     moment = bar * BAR_LENGTH / 2
-    carried = knuckle + bar - moment / BAR_LENGTH  # what the foot carries of the universal joint and the bar
+    carried = knuckle + bar - moment / BAR_LENGTH  # the foot's share of the universal joint and the bar
     foot = (FOOT_3 + off / 9.80665 if leg == "3" else 0.80) - carried
     slender = bar * BAR_LENGTH**2 / 3  # about its end
     chi = {
@@ -88,11 +88,11 @@ def _leg(leg: str, bar: float) -> dict[str, float]:
 
 RATE = 1000.0  # Hz
 
-# What a run carries, as a simulation file says it.
+# Payload entry of a run in the simulation file.
 EMPTY: dict[str, Any] = {}
 STEEL = {"payload": {"name": "steel", "mass": PAYLOAD_MASS, "mass_std": 0.001}}
 SECOND = {"payload": {"name": "second", "mass": SECOND_PAYLOAD_MASS}, "weigh": True}
-# Log, kind of trajectory, what is carried.
+# Log, kind of trajectory, payload.
 LOGS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("exciting_1_unloaded", "sines", EMPTY),
     ("exciting_2_unloaded", "moves", EMPTY),
@@ -102,7 +102,7 @@ LOGS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("second_payload", "sines", SECOND),
     ("second_payload_unloaded", "sines", EMPTY),
 )
-VALIDATION = "validation_loaded"  # the log that is not identified from
+VALIDATION = "validation_loaded"  # the log kept out of the identification
 # Points (m) of joints 11, 12 and 13 on which control laws are compared: in a horizontal plane, where the vertical axis
 # 13 hardly moves, and in space.
 CONTROL: dict[str, tuple[tuple[float, float, float], ...]] = {

@@ -1,4 +1,4 @@
-"""Run the demo: simulate, identify and weigh on an Orthoglide with known true values."""
+"""The demo: simulation, identification and payload estimation on an Orthoglide with known true values."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ CONTENT = {
 
 
 def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[str, Any], Page]:
-    """Make logs, identify the robot from them, weigh a second payload, and write everything to ``out``.
+    """Make logs, identify the robot from them, estimate a second payload, and write everything to ``out``.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     Returns
     -------
     dict
-        A JSON document: what was true, what was found, and the files.
+        A JSON document: true values, estimates, and files.
     Page
         The same as a page.
 
@@ -125,7 +125,7 @@ def gains_chart(gains: Mapping[str, Estimate]) -> Chart:
 
 
 def _document(result: Result, weighings: Mapping[str, Estimate]) -> dict[str, Any]:
-    """Collect what was true and what was found; errors in per cent of the true values."""
+    """Collect true and estimated values; errors in per cent of the true values."""
     return {
         "robot": result.robot.name,
         "known_payload": {"mass": PAYLOAD_MASS, "unit": "kg"},

@@ -1,4 +1,4 @@
-"""The logs of the tutorial, which come with the package."""
+"""Tutorial logs shipped with the package."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FOLDER = "tutorial_logs"  # beside this module
 
 
 def write_tutorial(out: Path) -> list[Path]:
-    """Copy the logs of the tutorial to a folder, which is made where there is none.
+    """Copy the tutorial logs to a folder, created if missing.
 
     Returns
     -------

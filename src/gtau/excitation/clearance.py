@@ -1,4 +1,4 @@
-"""Distances between bodies that must not touch, by coal, and their slopes by the configuration."""
+"""Collision distances between bodies (library coal), and their derivatives with respect to the configuration."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Nearest:
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Bodies that keep a distance of ``least`` m from each other; see :func:`clearance`."""
+    """Bodies with a required distance of ``least`` m; see :func:`clearance`."""
 
     layout: Coordinates
     least: float
@@ -72,7 +72,7 @@ class Clearance:
         return all(self.nearest(c, pair).distance.min(initial=np.inf) >= self.least for pair in self.pairs)
 
     def slopes(self, c: np.ndarray, pair: tuple[str, str], nearest: Nearest) -> np.ndarray:
-        """Compute the slopes (n_c, N) of the distance by c: the nearest points move with their bodies."""
+        """Compute the derivatives (n_c, N) of the distance by c: the nearest points move with their bodies."""
         total = np.zeros_like(c)
         for body, point, sign in zip(pair, (nearest.a, nearest.b), (-1.0, 1.0), strict=True):
             if body != GROUND:

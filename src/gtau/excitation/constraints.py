@@ -1,4 +1,4 @@
-"""Limits as what a motion uses of them: every load is at most 1 where its limit holds."""
+"""Limits as normalised usages of a motion: a usage of at most 1 satisfies its limit."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ ORDERS = ("position", "velocity", "acceleration", "jerk")
 
 @dataclass(frozen=True, eq=False)
 class ConstraintUsage:
-    """How much of a limit is used: ``values`` (N,), within -1 and 1, but at least 1 where the limit is a ``least`` one.
+    """Usage of a limit: ``values`` (N,), within -1 and 1 if satisfied, or at least 1 for a lower (``least``) limit.
 
     ``what`` names the limit, ``limit`` is its value in ``unit``, counted from ``middle`` where it is an interval;
-    ``rows`` gives the slopes by x, a row a value. ``logarithmic`` values are logarithms over that of the limit.
+    ``rows`` is the Jacobian by x, one row per value. ``logarithmic`` values are logarithms over that of the limit.
     """
 
     what: str
@@ -37,7 +37,7 @@ class ConstraintUsage:
 
     @property
     def allowed(self) -> str:
-        """What must hold, in words."""
+        """Required condition, in words."""
         if self.middle is not None:
             low, high = self.middle - self.limit, self.middle + self.limit
             return f"between {low:.4g} and {high:.4g} {self.unit}"
@@ -45,19 +45,19 @@ class ConstraintUsage:
 
     @property
     def excess(self) -> float:
-        """What is used over what is allowed: above 1 the limit does not hold."""
+        """Ratio of used to allowed: above 1 the limit is violated."""
         if self.least:
             return float(1.0 / max(self.values.min(), 1e-9))
         return float(np.abs(self.values).max(initial=0.0))
 
     @property
     def shortfall(self) -> float:
-        """How far the limit is from holding, in parts of it; at most 1 for a least one, however little there is."""
+        """Violation as a share of the limit; at most 1 for a lower limit."""
         return 1 - float(self.values.min()) if self.least else self.excess - 1
 
     @property
     def reached(self) -> float:
-        """The extreme value itself, in ``unit``."""
+        """Extreme value in ``unit``."""
         if self.middle is not None:
             return float(self.middle + self.limit * self.values[np.argmax(np.abs(self.values))])
         if self.logarithmic:

@@ -1,4 +1,4 @@
-"""Design an exciting motion: several starts, each kept within its limits between the instants of the grid as well."""
+"""Multi-start design of an exciting motion, within its limits between the grid instants as well."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gtau.excitation.task import SPEED_FRACTION, DesignProblem, close
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 
-START = 0.6  # part of the limits that a start uses, so that it lies inside
+START = 0.6  # part of the limits that a start uses, so that it is feasible
 FINER = 10
 STAGE = "searching"
 MARGIN = 0.99  # part of every limit that a first design may use
@@ -29,9 +29,9 @@ SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # parts of an interrupted motion, of whi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Design:
-    """A designed motion within its limits: x, the criterion value, and the use of each limit on the finer grid.
+    """A designed motion within its limits: x, the criterion value, and the usage of each limit on the finer grid.
 
-    ``cut_short`` says that the search was stopped before it had tried all starts.
+    ``cut_short`` is True if the search was stopped before all starts were tried.
     """
 
     task: DesignProblem
@@ -50,7 +50,7 @@ class Design:
 
 
 def keep_nothing(best: Design) -> None:
-    """Leave designs that are improved on later to themselves."""
+    """Discard intermediate designs."""
 
 
 def never() -> bool:
@@ -59,7 +59,7 @@ def never() -> bool:
 
 
 class Stopped(GtauError):
-    """The search was stopped before it had found a motion within the limits."""
+    """Search stopped before a motion within the limits was found."""
 
 
 @takes(
@@ -161,7 +161,7 @@ def _from_one(
     stop: Callable[[], bool],
     progress: Callable[[int], None],
 ) -> ConstraintUsage | None:
-    """Design from one start, and ``keep`` what is within the limits; the most exceeded limit where nothing is."""
+    """Design from one start, and ``keep`` feasible designs; return the most exceeded limit if there are none."""
     if x is None:
         return None
     tightness = {usage.what: MARGIN for usage in Programme(task, criterion, {}).constraint_usages(x)}
@@ -208,10 +208,10 @@ def _from_one(
 
 
 def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) -> Design | None:
-    """Return the design of x if it is within all limits, also between the instants of the design grid, else None."""
+    """Return the design of x if it is within all limits, also between the design grid's instants, else None."""
     try:
         usages = check(task, x)
-    except GtauError:  # the robot cannot go there
+    except GtauError:  # not reachable
         return None
     if any(usage.excess > 1.0 for usage in usages):
         return None
@@ -224,7 +224,7 @@ def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[Const
     Raises
     ------
     GtauError
-        Where the robot cannot go there.
+        Where the motion is not reachable.
     """
     grid = design_grid(task, finer)
     points, shares = [], []

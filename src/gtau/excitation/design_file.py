@@ -1,4 +1,4 @@
-"""The design file: which robot is to be identified, with which loads, within which limits; the problem it states."""
+"""The design file: robot to be identified, payloads and limits; and the design problem it states."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ CONDITION = 100.0  # default of the largest condition number of the closures
 
 
 class PlannedRun(Keys):
-    """A run of the motion, with a payload or with none."""
+    """A run of the motion, with or without a payload."""
 
     payload: Payload | Literal["none"]
 
 
 class DesignPrior(Keys):
-    """What is known beforehand: a model, or standard parameters and drive gains; and the currents' noise, A."""
+    """Prior knowledge: a model, or standard parameters and drive gains; and the currents' noise, A."""
 
     model: Path | None = None
     gains: dict[str, FiniteFloat] = Field(default_factory=dict)
@@ -62,7 +62,7 @@ class DesignPrior(Keys):
 
 
 class ShapeEntry(Keys):
-    """A shape of a body, in its frame: a capsule about the line between two points, or the convex hull of a mesh."""
+    """Shape of a body, in its frame: a capsule about the line between two points, or the convex hull of a mesh."""
 
     capsule: tuple[Triple, Triple] | None = None
     radius: Positive | None = None
@@ -88,7 +88,7 @@ class ShapeEntry(Keys):
 
 
 class LimitsEntry(Keys):
-    """Limits in place of the robot's, by joint; and those of the motion as a whole."""
+    """Limits that replace the robot's, by joint, and limits of the whole motion."""
 
     position: dict[str, Interval] = Field(default_factory=dict)
     velocity: dict[str, Positive] = Field(default_factory=dict)
@@ -150,7 +150,7 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     Returns
     -------
     Task, dict of str to str
-        What is to be designed, and what was assumed because the file does not say it, with a sentence on each:
+        The design problem, and assumptions where the file states nothing, with a sentence on each:
         ``parameters``, ``gains``, ``noise``, ``acceleration``.
 
     Raises
@@ -163,7 +163,7 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
 
 
 def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
-    """Make the task of a design file, and list what was assumed."""
+    """Make the task of a design file, and list the assumptions."""
     robot = load_robot(file.robot)
     refuse_floating(robot, "exciting trajectories are")
     for key in ("position", "velocity", "acceleration", "jerk", "current"):
@@ -251,7 +251,7 @@ def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[s
 
 
 def _clearance(entry: LimitsEntry, model: InverseDynamics) -> Clearance | None:
-    """Keep bodies with shapes apart; refuses those that are too near at home already."""
+    """Build the clearance of bodies with shapes; refuse those too close at home."""
     if not entry.shapes:
         return None
     shapes = {body: [_shape(shape) for shape in each] for body, each in entry.shapes.items()}
@@ -274,8 +274,8 @@ def _shape(entry: ShapeEntry) -> Shape:
 
 
 def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics: int) -> FourierSeries:
-    """Make a series of the platform's coordinates about its home, as wide as the workspace."""
-    in_platform_space(robot)  # refuses a robot without
+    """Make a series of the platform's coordinates about its home, spanning the workspace."""
+    in_platform_space(robot)  # refuses a robot without one
     platform = robot.platforms[0]
     dofs = [dof for dof in ("x", "y", "z", "rz", "ry", "rx") if dof in platform.dof]
     center, half = np.zeros(len(dofs)), np.full(len(dofs), TURNING)

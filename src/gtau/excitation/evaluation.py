@@ -1,4 +1,4 @@
-"""A trajectory seen on a grid: what it makes the robot do, and gradients of whatever follows from that."""
+"""Trajectory on a grid: the resulting robot motion, and gradients of functions of it."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ class Point:
     W: np.ndarray
 
     def to_joints(self, slopes: Slopes) -> np.ndarray:
-        """Carry derivatives of the whole robot's motion back to q, qd and qdd, (3, n, N)."""
+        """Pull derivatives of the whole robot's motion back to q, qd and qdd, (3, n, N)."""
         if self.task.pullback is None:
             return np.stack([slopes.c, slopes.yd, slopes.ydd])
         return np.stack(self.task.pullback(self.motion, slopes))
 
     def to_rows(self, by_joints: np.ndarray) -> np.ndarray:
-        """Carry derivatives (3, n, N) of q, qd, qdd back to the series' numbers, sample by sample, (N, series.size)."""
+        """Pull derivatives (3, n, N) of q, qd, qdd back to the series' coefficients, per sample, (N, series.size)."""
         series, by = self.task.series, by_joints
         if self.platform is not None:
             assert self.task.platform_pullback is not None
@@ -86,7 +86,7 @@ def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Poin
     Raises
     ------
     GtauError
-        Where the trajectory leaves what the robot can reach, or comes too close to a singular pose.
+        Where the trajectory leaves the reachable workspace, or comes too close to a singular pose.
     """
     before: Sequence[Point | None] = near or [None] * len(task.motions)
     parts = np.split(x, len(task.motions))
@@ -120,7 +120,7 @@ def information(points: Sequence[Point]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Informed:
-    """Rows of a motion's runs, (n, N, P) each, how much they count (n, N), and the factor of their information."""
+    """Rows of a motion's runs, (n, N, P) each, their weights (n, N), and the factor of their information."""
 
     rows: list[np.ndarray]
     counts: np.ndarray

@@ -1,4 +1,4 @@
-"""What identification will make of a designed motion: standard deviations to expect, by its own filters and rows."""
+"""Forecast of the standard deviations that identification will reach, with its own filters and rows."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from gtau.signals.run import Run
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """An unknown, its prior value, and the standard deviation to expect, SI units; nan where it stays unknown."""
+    """An unknown, its prior value and expected standard deviation, SI units; nan if not identifiable."""
 
     name: str
     value: float
@@ -42,9 +42,9 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Standard deviations to expect of gains and base parameters, and the rows kept of each joint, (n,), as a share.
+    """Expected standard deviations of gains and base parameters, and the share of rows kept of each joint, (n,).
 
-    ``std`` has those of all unknowns by name, of ``gain_`` relative to the gain; what is absent stays unknown.
+    ``std`` has those of all unknowns by name, of ``gain_`` relative to the gain; absent ones are not identifiable.
     """
 
     gains: tuple[Expected, ...]
@@ -81,7 +81,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     """Predict the standard deviations that identification will reach with the motion ``x``.
 
     The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is that of
-    maximum likelihood for white noise of ``task.sigma``. Errors of the model and coloured noise come on top.
+    maximum likelihood for white noise of ``task.sigma``. Model errors and coloured noise are not included.
 
     Raises
     ------
@@ -134,17 +134,17 @@ def ml_covariance(problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma:
 
 
 WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
-WORTH = 0.7  # a motion is named where it brings a standard deviation below this part of what it was
+WORTH = 0.7  # a motion is named if it reduces a standard deviation below this share
 SPANS = {"over its whole range, slowly": (0.9, 0.2), "as fast as it may": (0.5, 0.9)}
 """What one joint alone does: the part of its range, and of its speed limit."""
 
 
 @dataclass(frozen=True)
 class Weak:
-    """An unknown that stays unidentified, its relative standard deviation, and the motion of one joint that helps most.
+    """Unidentified unknown, its relative standard deviation, and the single-joint motion that helps most.
 
     ``joint`` is None where no such motion helps; ``then`` is the relative standard deviation with that motion added.
-    Both are infinite for an unknown that cannot be separated from others at all.
+    Both are infinite for an unknown that is not separable from others.
     """
 
     name: str
@@ -195,7 +195,7 @@ def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
 
 
 def _possible(task: DesignProblem, joints: np.ndarray) -> Motion | None:
-    """Compute the motion along joints (4, n, N); None where the robot cannot go there or bodies come too close."""
+    """Compute the motion along joints (4, n, N); None where it is not reachable or bodies come too close."""
     try:
         motion = close(task.model, joints[0], joints[1], joints[2], None)
     except GtauError:
@@ -205,7 +205,7 @@ def _possible(task: DesignProblem, joints: np.ndarray) -> Motion | None:
 
 
 def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
-    """Factor of the information from joint j moving alone about the pose ``middle`` (n,); None where it cannot."""
+    """Compute the information factor of joint j moving alone about the pose ``middle`` (n,); None if it cannot."""
     limits, every = task.limits, tuple(range(len(task.payloads)))
     low, high = limits.position[j] if np.isfinite(limits.position[j]).all() else middle[j] + np.array([-np.pi, np.pi])
     center = (low + high) / 2

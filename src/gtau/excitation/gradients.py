@@ -1,4 +1,4 @@
-"""The motion of the whole robot from that of its motors, and derivatives carried back through the closures.
+"""Motion of the whole robot from that of its motors, and derivatives pulled back through the closures.
 
 Forward, the closures are solved numerically (:mod:`gtau.model.loop_paths`). Backward, derivatives of any
 quantity by c, yd, ydd and J become derivatives by q, qd and qdd: each of the equations
@@ -58,7 +58,7 @@ class Pullback:
     of_G: Program
 
     def __call__(self, motion: Motion, slopes: Slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Carry derivatives back to q, qd and qdd of the actuated joints, each (n, N)."""
+        """Pull derivatives back to q, qd and qdd of the actuated joints, each (n, N)."""
         layout, samples = self.layout, motion.c.shape[1]
         a, p = layout.actuated, layout.passive
         G = self.columns(motion.c)[self.rows] / self.unit[:, None]
@@ -110,7 +110,7 @@ class Pullback:
 
 
 def pullback(model: InverseDynamics) -> Pullback | None:
-    """Compile the way back of derivatives; None for a robot without closures, where y = q."""
+    """Compile the pullback of derivatives; None for a robot without closures, where y = q."""
     loops, layout = model.loops, model.layout
     if loops is None:
         return None
@@ -153,13 +153,13 @@ def pullback(model: InverseDynamics) -> Pullback | None:
 
 
 def _to_velocities(layout: Coordinates, c: ca.SX, by_c: ca.SX) -> ca.SX:
-    """Turn derivatives with respect to c into derivatives with respect to the displacements that velocities make."""
+    """Convert derivatives with respect to c into derivatives with respect to displacements along the velocities."""
     v = ca.SX.sym("v", layout.n_y)
     return ca.gradient(ca.dot(configuration_rates(layout, c, v), by_c), v)
 
 
 def in_platform_space(robot: Robot) -> Robot:
-    """Make the robot driven by its platform: its coordinates become actuated joints, the motors' joints passive.
+    """Build the robot driven by its platform: its coordinates become actuated joints, the motors' joints passive.
 
     The same closure equations then give the inverse kinematics. The platform, free in x, y, z and at most in turns,
     becomes the last link of a chain of slides and hinges along the base axes.
@@ -251,7 +251,7 @@ class SmoothRegressor:
 
 
 def smooth_regressor(model: InverseDynamics, names: Sequence[str], width: np.ndarray) -> SmoothRegressor:
-    """Compile the columns ``names`` of a robot's regressor and the way back through them."""
+    """Compile the columns ``names`` of a robot's regressor and their pullback."""
     layout, n = model.layout, len(model.actuated)
     joints = layout.robot.joints
     sizes = (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y), ("width", len(joints)))

@@ -27,7 +27,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.signals.payload import Payload
 
-VAGUE = 1e3  # prior standard deviations of what is estimated, in units of its scale: so wide that they decide nothing
+VAGUE = 1e3  # prior standard deviations of the unknowns, in units of their scale: wide enough to have no influence
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class DesignUnknowns:
     names : tuple of str
         (P,), ``gain_`` and ``delay_`` before a joint's name.
     scale : ndarray
-        (P,) what a relative standard deviation refers to.
+        (P,) reference of relative standard deviations.
     maps : ndarray
         (runs, n, n_b, P): a row of W times this is a row of the current's Jacobian, without delays.
     load, smooth : ndarray
@@ -107,7 +107,7 @@ def _scales(names: tuple[str, ...], theta: np.ndarray, payloads: Sequence[Payloa
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """How rows near a joint's reversals are lost on a periodic grid of instants ``step`` s apart.
+    """Loss of rows near a joint's reversals on a periodic grid of instants ``step`` s apart.
 
     A row is lost where the joint is slower than ``fraction`` of its rms speed anywhere within ``reach`` s, the
     guard of the decimation filter. The rms speed is that of a whole run, so ``floor`` (n,), rad/s or m/s, stands for
@@ -127,7 +127,7 @@ class Window:
         return self._parts(qd)[0]
 
     def back(self, qd: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Carry derivatives (n, N) with respect to the weights back to qd."""
+        """Pull derivatives (n, N) with respect to the weights back to qd."""
         weights, s, kept, shares, root = self._parts(qd)
         product = weights / s**2
         by_s = slopes * 2 * s * product
@@ -189,7 +189,7 @@ class Information:
         return A
 
     def back(self, by_A: np.ndarray, run: int, step: float) -> np.ndarray:
-        """Carry derivatives with respect to the rows back to W."""
+        """Pull derivatives with respect to the rows back to W."""
         n, P = by_A.shape[0], len(self.unknowns.names)
         by_W = np.einsum("jsp,jbp->jsb", by_A, self.unknowns.maps[run], optimize=True)
         by_slope = np.stack([-by_A[j, :, P - n + j] for j in range(n)]) / self.unknowns.gains[:, None]
@@ -197,7 +197,7 @@ class Information:
         return by_W
 
     def counts(self, weights: np.ndarray, step: float) -> np.ndarray:
-        """Compute how much rows count (n, N), 1/A2, from ``weights`` (n, N)."""
+        """Compute the information weights of rows (n, N), 1/A2, from ``weights`` (n, N)."""
         return weights * (self.rate * step / self.sigma**2)[:, None]
 
     def factor(self, rows: list[np.ndarray], counts: np.ndarray) -> np.ndarray:

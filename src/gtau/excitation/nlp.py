@@ -1,4 +1,4 @@
-"""The nonlinear programme of one start, IPOPT with exact first derivatives; and random motions to start from."""
+"""Nonlinear programme of one start (IPOPT with exact first derivatives), and random start motions."""
 
 from __future__ import annotations
 
@@ -53,20 +53,20 @@ class Programme:
         return self._last
 
     def constraint_usages(self, x: np.ndarray) -> tuple[ConstraintUsage, ...]:
-        """Compute the usage of all limits; None where the robot cannot go."""
+        """Compute the usage of all limits; None where the motion is not reachable."""
         points = self.points(x)
         if self._loads is None:
             self._loads = tuple(constraint_usages(points))
         return self._loads
 
     def excess(self, x: np.ndarray) -> float:
-        """Compute the largest usage over what the tightness allows; infinite where the robot cannot go."""
+        """Compute the largest usage relative to the tightness; infinite where x is not reachable."""
         if not self.points(x):
             return float("inf")
         return max((load.excess / self.tightness[load.what] for load in self.constraint_usages(x)), default=0.0)
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Compute the logarithm of the criterion and its gradient; nan where the robot cannot go."""
+        """Compute the logarithm of the criterion and its gradient; nan where x is not reachable."""
         points = self.points(x)
         if not points:
             return float("nan"), np.full(len(x), np.nan)
@@ -209,7 +209,7 @@ class _Jacobian(ca.Callback):
 
 
 class _Stop(ca.Callback):
-    """Asks after every iteration whether to stop."""
+    """Stop request, polled after every iteration."""
 
     def __init__(self, name: str, variables: int, constraints: int, stop: Callable[[], bool]):
         ca.Callback.__init__(self)
@@ -246,9 +246,9 @@ def promising_start(
     part: float,
     stop: Callable[[], bool] = lambda: False,
 ) -> np.ndarray | None:
-    """Choose the best x of some random ones that use a ``part`` of the limits; None where the robot cannot move so.
+    """Choose the best of random x that use a ``part`` of the limits; None where no such motion is reachable.
 
-    Where ``stop`` returns True no more are drawn.
+    Drawing ends when ``stop`` returns True.
     """
     programme = Programme(task, criterion, {})
     drawn: list[np.ndarray] = []
@@ -264,7 +264,7 @@ def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> 
     """Draw a random x (task.size,), each of its motions scaled until it uses a ``part`` of the limits.
 
     What a limit allows counts from what rest at the center uses of it already; limits that rest breaks, and those that
-    ask for a least value, are left to the search. None where the robot cannot go there.
+    ask for a least value, are left to the search. None where the motion is not reachable.
     """
     grid = design_grid(task)
     parts = [_scaled(task, grid, runs, task.series.random(rng), part) for runs in task.motions]

@@ -1,4 +1,4 @@
-"""Prior knowledge of a robot: from a model, from given parameters, or roughly from its geometry."""
+"""Prior knowledge of a robot, from a model, given parameters, or roughly from its geometry."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: M
 
 
 def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:
-    """Guess standard parameters, every link a rod of one mass with friction to match; return that mass too.
+    """Guess standard parameters with links as rods of equal mass and matching friction; return that mass too.
 
-    The mass is twice that of the ``payload``, kg, or less where the motors could not well move it. A link's rod leads
+    The mass is twice that of the ``payload``, kg, or less where the motors are too weak for it. A link's rod leads
     from its frame's origin to the mean of those of its followers and closures; friction is a tenth of the rms torque
     of random states.
     """

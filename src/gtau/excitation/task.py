@@ -1,4 +1,4 @@
-"""A design task: which robot moves how, with which loads and limits, and what is known beforehand."""
+"""Design task: robot, motion, payloads, limits and prior knowledge."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class DesignProblem:
     series : FourierSeries
         Of the actuated joints, or of the platform.
     in_platform_space : bool
-        Whether ``series`` moves the platform; its coordinates then count from the platform's place at home.
+        True if ``series`` moves the platform; its coordinates are then relative to the platform's home position.
     rate : float
         Of the controller, Hz.
     repetitions : int
@@ -69,7 +69,7 @@ class DesignProblem:
     payloads : tuple
         One entry a run.
     one_motion : bool
-        Whether all runs follow one motion; otherwise each has a motion of its own.
+        True if all runs follow one motion; otherwise each has its own.
     limits : MotionLimits
         Of the motion.
     chi, gains, sigma : ndarray
@@ -113,26 +113,26 @@ class DesignProblem:
 
     @cached_property
     def unknowns(self) -> DesignUnknowns:
-        """What is to be estimated from all runs together."""
+        """Unknowns estimated from all runs together."""
         return unknowns(self.model, self.base, self.payloads, self.chi, self.gains)
 
     @cached_property
     def decimator(self) -> Decimator:
-        """The decimation filter that identification will choose for this bandwidth."""
+        """Decimation filter that identification will choose for this bandwidth."""
         return Decimator(decimation_factor(self.rate, self.series.harmonics * self.series.base_frequency))
 
     @cached_property
     def information(self) -> Information:
-        """From rows to information, over all repetitions."""
+        """Information of rows, over all repetitions."""
         return Information(self.unknowns, self.sigma, self.rate * self.repetitions)
 
     def window(self, step: float) -> Window:
-        """Return which rows near reversals are lost on a time grid of spacing ``step``."""
+        """Return the loss of rows near reversals on a time grid of spacing ``step``."""
         return Window(step, self.decimator.guard / self.rate, SPEED_FRACTION, self.approach_speed)
 
     @cached_property
     def approach_speed(self) -> np.ndarray:
-        """Root (n,) of what approach and return add to the mean square speed of a run, at most; rad/s or m/s."""
+        """Upper bound (n,) on the rms speed that approach and return add to a run, rad/s or m/s."""
         if self.rest is None:
             return np.zeros(len(self.gains))
         limits = self.limits
@@ -171,7 +171,7 @@ class DesignProblem:
 
     @cached_property
     def motors(self) -> list[int]:
-        """Places of the actuated joints among the joints of the robot driven by its platform."""
+        """Indices of the actuated joints among the joints of the robot driven by its platform."""
         assert self.platform_model is not None
         names = [joint.name for joint in self.platform_model.robot.joints]
         return [names.index(name) for name in self.model.actuated]

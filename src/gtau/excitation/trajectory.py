@@ -1,4 +1,4 @@
-"""Finite Fourier series that begin and end at rest, and the moves from home to their start and back."""
+"""Finite Fourier series that begin and end at rest, and moves from home to their start and back."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class FourierSeries:
     """Periodic motions of m coordinates, at rest at the beginning of every period.
 
     A coordinate is ``center + sum over k of a_k sin(k w t) + b_k cos(k w t)``; the coefficients for which
-    its speed and acceleration vanish at t = 0 are ``2 harmonics - 1`` free numbers a coordinate. The vector x (size,)
+    its speed and acceleration vanish at t = 0 are ``2 harmonics - 1`` free numbers per coordinate. The vector x (size,)
     holds these numbers, coordinate by coordinate, in units of ``half`` (m,), and amplitudes that fall with k.
 
     Attributes
     ----------
     center, half : ndarray
-        (m,), rad or m: where the motion is at x = 0, and the unit of its amplitudes.
+        (m,), rad or m: position at x = 0, and the unit of the amplitudes.
     base_frequency : float
         Hz.
     harmonics : int
@@ -41,7 +41,7 @@ class FourierSeries:
 
     @property
     def free(self) -> int:
-        """Free numbers a coordinate: the center and what the two conditions of rest leave."""
+        """Free numbers per coordinate: the center, and the coefficients left free by the two rest conditions."""
         return 2 * self.harmonics - 1
 
     @property

@@ -1,1 +1,1 @@
-"""Identified models for controllers, simulators, papers and colleagues: one file a kind, listed in the registry."""
+"""Exports of identified models to controllers, simulators and papers: one module per kind, listed in the registry."""

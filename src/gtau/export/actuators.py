@@ -1,4 +1,4 @@
-"""Actuators as simulators want them: what was identified of each motor and its joint, and what was not."""
+"""Actuators for simulators: identified and unidentified quantities of each motor and its joint."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ TIMESTEP = 0.005  # s: of physics in the files, in which delays are counted
 
 @dataclass(frozen=True, eq=False)
 class Actuator:
-    """A motor and its joint, SI units at the joint.
+    """Motor and joint, SI units at the joint.
 
     ``gain`` turns current (or the logged torque) into torque; ``armature`` is None where it is not identifiable apart
     from the inertia of links: it is part of the base parameter ``regrouped``, and ``chosen`` is its value in the
-    exported bodies. ``damping``, ``frictionloss`` and ``cubic`` are friction by speed, Coulomb friction and friction by
-    its cube. ``effort`` and ``velocity`` are limits of the robot's file, None where it has none.
+    exported bodies. ``damping``, ``frictionloss`` and ``cubic`` are viscous, Coulomb and cubic
+    friction. ``effort`` and ``velocity`` are limits of the robot's file, None where it has none.
     """
 
     joint: str
@@ -42,7 +42,7 @@ class Actuator:
 
     @property
     def lag(self) -> float:
-        """Delay from command to torque, s: no simulator has a negative one, and 0 where it is not identifiable."""
+        """Delay from command to torque, s; 0 if negative (no simulator allows that) or not identifiable."""
         return max(self.delay.value or 0.0, 0.0) if self.delay.std is not None else 0.0
 
     @property
@@ -80,7 +80,7 @@ def _actuator(model: ConsistentModel, joint: str) -> Actuator:
 
 
 def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]:
-    """Find the rotor inertia where it is a base parameter of its own; else the base parameter that it is part of."""
+    """Find the rotor inertia if it is a base parameter of its own, else the base parameter that contains it."""
     base, name = model.result.base, Parameter("ia", joint).name
     column = base.matrix[:, model.result.model.parameter_names.index(name)]
     parts = [k for k, factor in enumerate(column) if factor]
@@ -92,7 +92,7 @@ def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]
 
 
 def actuator_notes(found: Sequence[Actuator]) -> list[str]:
-    """List what of the actuators is not identifiable, or not in the robot's file."""
+    """List the actuator quantities that are not identifiable or missing in the robot's file."""
     notes = []
     together = [f"'{each.joint}' ({each.regrouped or 'no effect'})" for each in found if each.armature is None]
     if together:
@@ -110,7 +110,7 @@ def actuator_notes(found: Sequence[Actuator]) -> list[str]:
 
 
 def beside_notes(found: Sequence[Actuator], target: str) -> list[str]:
-    """List what stands beside the fields of a ``target``, which has no place for it."""
+    """List the quantities for which a ``target`` has no field."""
     notes = [f"the YAML file was not run in {target}: its keys are the fields of its documentation"]
     if bent := [each.joint for each in found if each.cubic]:
         notes.append(f"{target} has no friction cubic in speed, which is under 'measured': {', '.join(bent)}")

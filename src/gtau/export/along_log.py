@@ -1,4 +1,4 @@
-"""Torques along a log: of the motors, of the model, and what comes from outside, by which contacts are seen."""
+"""Motor, model and external torques along a log, for contact detection."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class External:
 
 @dataclass(frozen=True, eq=False)
 class TorquesAlongLog:
-    """A table with a row a sample, and a summary a joint.
+    """Table with one row per sample, and a summary per joint.
 
     The table is that of :meth:`gtau.estimation.results.estimate.Prediction.table`; with ``observed_J``, the causal
     estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for.
@@ -66,17 +66,17 @@ def torques_along_log(
     force_only: bool = False,
     bandwidth: float | None = None,
 ) -> TorquesAlongLog:
-    """Compute motor, model and external torques at every sample of a run, behind the low-pass of identification.
+    """Compute motor, model and external torques at every sample of a run, after the low-pass of identification.
 
     Parameters
     ----------
     result, run : Result, Run
         The model and the run.
     frame : tuple, optional
-        Where the wrench is wanted, too, and whether it is a force alone (``force_only``); see
+        Frame for the wrench, and whether it is a pure force (``force_only``); see
         :func:`gtau.export.wrench.wrench_along_log`.
     bandwidth : float, optional
-        Of :func:`gtau.export.observer.momentum_observer`, Hz, where its estimate is wanted, too.
+        Of :func:`gtau.export.observer.momentum_observer`, Hz, to add its estimate.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def write_table(found: TorquesAlongLog, path: Path) -> None:
     Raises
     ------
     GtauError
-        Where it ends otherwise, or cannot be written.
+        Where the extension is another one, or the file cannot be written.
     """
     from io import BytesIO
 

@@ -21,7 +21,7 @@ from gtau.model.loops import CONDITION
 
 TEMPLATES = Path(__file__).with_name("templates")
 NEWTON_STEPS = 4  # from 0.01 rad away corrections are about 1e-2, 1e-4, 1e-8, 1e-16: the fourth is rounding
-CLOSED = 1e-8  # of the last correction; what is left after it is its square
+CLOSED = 1e-8  # of the last correction; the remaining error is its square
 STARTING_STEPS = 200  # from home: a few milliradians or millimetres each
 FINITE_MATH = """\
 #if defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
@@ -113,7 +113,7 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
 
 
 def _presliding(made: Functions) -> str:
-    """Write what moves the states of presliding friction with the configuration."""
+    """Write the update of the presliding friction states with the configuration."""
     first, lines = len(made.home) - len(made.presliding), []
     for k, (width, ratios) in enumerate(made.presliding, start=first):
         way = " + ".join(f"{ratio!r} * (after[{place}] - before[{place}])" for place, ratio in ratios.items())

@@ -1,4 +1,4 @@
-"""The physically consistent standard parameters of a result, for engines that simulate rigid bodies."""
+"""Physically consistent standard parameters of a result, for rigid-body engines."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ PLAIN = ("fv", "fs", "off")
 
 @dataclass(frozen=True, eq=False)
 class ConsistentModel:
-    """Standard parameters by name and drive gains by joint, of rigid bodies that can exist.
+    """Physically consistent standard parameters by name, and drive gains by joint.
 
-    Friction takes energy at every speed: no ``fv``, ``fs`` or f3 (``cubics``, by joint) is negative. Where identified
+    Friction dissipates at every speed: no ``fv``, ``fs`` or f3 (``cubics``, by joint) is negative. Where identified
     ones are, or friction bends (``fb``), ``fv`` and ``fs`` are the straight line nearest to the friction up to the
     fastest logged speed, and ``straight`` names the joint.
     """
@@ -36,7 +36,7 @@ class ConsistentModel:
     straight: tuple[str, ...]
 
     def of(self, kind: str, joint: str) -> float:
-        """Return a parameter of a joint, 0 where it has none."""
+        """Return a parameter of a joint, or 0 if it has none."""
         return self.standard.get(Parameter(kind, joint).name, 0.0)
 
     def cubic(self, joint: str) -> float:
@@ -82,7 +82,7 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: b
     motion = random_motion(idm, STATES, np.random.default_rng(0))
     logged = np.array([[result.logged_speeds.get(joint, 0.0)] for joint in idm.actuated])
     ratio = np.abs(motion.yd[idm.layout.actuated]) / np.where(logged > 0, logged, np.inf)
-    slower = 1 / np.maximum(ratio.max(axis=0), 1.0)  # the same path, in more time
+    slower = 1 / np.maximum(ratio.max(axis=0), 1.0)  # same path, longer duration
     motion = replace(motion, yd=motion.yd * slower, ydd=motion.ydd * slower**2)
     identified_model = identified(result)
     tau = torques_of(identified_model, motion, identified_model.values)
@@ -125,13 +125,13 @@ def friction_comments(model: ConsistentModel) -> list[Any]:
 
 
 def terms_left_out(model: ConsistentModel) -> list[str]:
-    """List the friction terms that neither damping nor Coulomb friction of a joint can stand for."""
+    """List the friction terms that neither damping nor Coulomb friction of a joint can represent."""
     held = (*PLAIN, "f3", "fb")
     return [name for name in model.result.friction_parameters if parameter_of(name).kind not in held]
 
 
 def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str], delays: bool = False) -> list[str]:
-    """List what no rigid-body format holds: friction terms ``left_out``, and delays unless these are elsewhere."""
+    """List what no rigid-body format holds: friction terms ``left_out``, and delays unless written elsewhere."""
     result, notes = model.result, []
     notes += friction_notes(model)
     widths = {joint: each.width for joint, each in result.curves.items() if each.width}

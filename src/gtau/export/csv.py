@@ -1,4 +1,4 @@
-"""One CSV table of gains, delays, friction, base parameters and payloads with their intervals."""
+"""CSV table of gains, delays, friction, base parameters and payloads with their intervals."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ from gtau.export.names import identifier
 
 
 def export(result: Result, out: Path) -> Exported:
-    """Write ``NAME.csv`` into ``out``: a row an estimate; std, 95 % interval and unit beside each value."""
+    """Write ``NAME.csv`` into ``out``: one row per estimate, with value, std, 95 % interval and unit."""
     return Exported(written(out, {f"{identifier(result.robot.name)}.csv": in_csv(result.to_frame())}))

@@ -1,4 +1,4 @@
-"""What an export gives back."""
+"""Return value of an export."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gtau.documents.files import folder_of, write_atomically
 
 @dataclass(frozen=True)
 class Exported:
-    """Files written, sentences on what the target cannot express, and figures by name (``rms_percent_11``)."""
+    """Files written, notes on what the target cannot express, and figures by name (``rms_percent_11``)."""
 
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()

@@ -1,10 +1,10 @@
-"""The functions that are exported, as CasADi expressions of :mod:`gtau.model`: nothing is derived twice.
+"""Exported functions, as CasADi expressions of :mod:`gtau.model`: nothing is derived twice.
 
-Where the loops are, two stages: steps of Newton's method bring the configuration ``c`` to the actuated positions, and
+With loops there are two stages: steps of Newton's method bring the configuration ``c`` to the actuated positions, and
 everything else is computed from the closed ``c``. A serial robot has ``c = q`` and the second stage alone.
 
-Behind the configuration stand the states z of presliding friction. Positions drive them, so that whoever moves the
-configuration moves them too: ``z <- clip(z + ratios . dq / width, -1, 1)``.
+Behind the configuration stand the states z of presliding friction. They follow the positions, so that an update of the
+configuration updates them too: ``z <- clip(z + ratios . dq / width, -1, 1)``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ OBSERVED = {
 
 @dataclass(frozen=True, eq=False)
 class Functions:
-    """CasADi functions of a sample, all outputs dense.
+    """CasADi functions of one sample, all outputs dense.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Functions:
     home : ndarray
         Closed configuration to start from, with states at rest, (n_c + s,).
     actuated : ndarray
-        Where the actuated joints are in c, (n,).
+        Indices of the actuated joints in c, (n,).
     presliding : tuple
         Of each state, its place behind c: its width, rad or m, and the ratios of actuated joints, by place in c.
     """
@@ -113,7 +113,7 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
 
 
 def _standard(model: Identified, chi: list[ca.SX]) -> dict[str, ca.SX]:
-    """Choose standard parameters of the same torques: base parameters in the places of those they keep, else zero."""
+    """Choose standard parameters with the same torques: base parameters at their representatives, else zero."""
     standard = {name: ca.SX(1, 1) for name in model.result.model.parameter_names}
     return standard | dict(zip(model.result.base.standard, chi, strict=True))
 

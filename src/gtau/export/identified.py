@@ -1,4 +1,4 @@
-"""The identified model as exports see it: named parameters, gains, and torques in Python to compare with."""
+"""Identified model for exports: named parameters, gains, and reference torques in Python."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gtau.robots.units import torque_unit
 
 @dataclass(frozen=True, eq=False)
 class ExportedParameter:
-    """A parameter of the exported torques: value and standard deviation in ``unit``, and what it regroups."""
+    """Parameter of the exported torques: value and standard deviation in ``unit``, and its regrouping."""
 
     name: str
     value: float
@@ -32,12 +32,12 @@ class ExportedParameter:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The model that torques are computed from.
+    """Model from which torques are computed.
 
     Attributes
     ----------
     result : Result
-        The identification it comes from.
+        Its identification.
     name : str
         The robot's name as an identifier of C, MATLAB and Python.
     parameters : tuple of ExportedParameter
@@ -80,7 +80,7 @@ class Identified:
 
 
 def identified(result: Result) -> Identified:
-    """Gather what the exports of torques need from a result.
+    """Collect the data of a result for exports of torques.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def notes_on(model: Identified) -> tuple[str, ...]:
-    """Note parameters without a value, and friction whose shape beyond the logged speeds the logs do not show."""
+    """Note parameters without a value, and friction extrapolated beyond the logged speeds."""
     result = model.result
     bent = [name for name in model.terms if name.startswith("f3_")]
     bent += [each.name for each in model.parameters if each.name.startswith("fv_") and each.value < 0]
@@ -175,7 +175,7 @@ def notes_on(model: Identified) -> tuple[str, ...]:
 
 
 def not_known(model: Identified) -> tuple[str, ...]:
-    """Name the parameters that are not identifiable from the logs and enter as zero, if there are any."""
+    """List the parameters that are not identifiable from the logs and enter as zero, if any."""
     lost = [name for name, each in model.result.parameters.items() if each.value is None]
     if not lost:
         return ()

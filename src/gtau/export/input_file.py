@@ -1,4 +1,4 @@
-"""The file that a robot came from, to be written again with identified parameters and everything else as it was."""
+"""Input file of a robot, rewritten with identified parameters and otherwise unchanged."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class Span:
 
     @property
     def empty(self) -> bool:
-        """Whether it is one tag, ``<a/>``."""
+        """True for an empty-element tag, ``<a/>``."""
         return self.inner == self.stop
 
 
 @dataclass(frozen=True, eq=False)
 class InputFile:
-    """An XML file as it stands, its elements and where they stand, and the ``edits`` to be made: span, new bytes."""
+    """Unchanged XML file, its elements with their spans, and the pending ``edits``: span, new bytes."""
 
     path: Path
     content: bytes
@@ -44,7 +44,7 @@ class InputFile:
     edits: list[tuple[int, int, bytes]] = field(default_factory=list)
 
     def set(self, element: Element, **attributes: str) -> None:
-        """Give an element attributes; those it has otherwise stay as they are written."""
+        """Set attributes of an element; all others stay unchanged."""
         span = self.spans[element]
         tag = self.content[span.start : span.inner].decode("ascii", "surrogateescape")
         for name, value in attributes.items():
@@ -54,19 +54,19 @@ class InputFile:
         self.edits.append((span.start, span.inner, tag.encode("ascii", "surrogateescape")))
 
     def replace(self, element: Element, text: str) -> None:
-        """Put ``text`` in the place of an element."""
+        """Replace an element by ``text``."""
         span = self.spans[element]
         indented = text.replace("\n", "\n" + self._indent(span.start).decode())
         self.edits.append((span.start, span.stop, indented.encode()))
 
     def remove(self, element: Element) -> None:
-        """Take an element away, with the white space before it."""
+        """Remove an element, with the white space before it."""
         span = self.spans[element]
         start = len(self.content[: span.start].rstrip())
         self.edits.append((start, span.stop, b""))
 
     def insert(self, parent: Element, text: str) -> None:
-        """Put ``text`` before everything else in an element, on a line of its own."""
+        """Insert ``text`` as the first content of an element, on its own line."""
         span = self.spans[parent]
         indent = b"\n" + self._indent(span.start) + b"  "
         new = indent + text.encode().replace(b"\n", indent)
@@ -78,7 +78,7 @@ class InputFile:
             self.edits.append((span.inner, span.inner, new))
 
     def _indent(self, at: int) -> bytes:
-        """Return the white space at the beginning of the line of a place, if there is nothing else before it."""
+        """Return the indentation of the line of a position, if nothing else precedes it."""
         line = self.content[self.content.rfind(b"\n", 0, at) + 1 : at]
         return line if not line.strip() else b""
 
@@ -151,7 +151,7 @@ def _tag_end(content: bytes, start: int) -> int:
 
 
 def _difference(found: Robot, robot: Robot) -> str:
-    """Find what distinguishes two robots' bodies, if anything does."""
+    """Describe the difference between two robots' bodies, if any."""
     if found.bodies != robot.bodies:
         missing = [name for name in robot.bodies if name not in found.bodies]
         return f"'{missing[0]}' is missing there" if missing else f"it has {len(found.bodies)} bodies"

@@ -1,4 +1,4 @@
-"""LaTeX tables in the field's notation: geometry (MDH), essential parameters, and what was regrouped."""
+"""LaTeX tables in the field's notation: geometry (MDH), essential parameters, and regroupings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HEAD = r"""% Tables of '{robot}', written by 'gtau export'; \input this file aft
 
 
 def export(result: Result, out: Path) -> Exported:
-    r"""Write ``NAME.tex`` into ``out``: tables for ``\input``, which want amsmath, booktabs and longtable."""
+    r"""Write ``NAME.tex`` into ``out``: tables for ``\input``, which need amsmath, booktabs and longtable."""
     parts = [HEAD.format(robot=" ".join(result.robot.name.split()))]
     notes = []
     if all(isinstance(joint.placement, Mdh) for joint in result.robot.joints):
@@ -44,7 +44,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def _labels(names: Sequence[str], longest: int) -> dict[str, str]:
-    """Take names as they are where none is longer than ``longest``, or else numbers from 1."""
+    """Use the names if none is longer than ``longest``, or else numbers from 1."""
     brief = all(len(name) <= longest for name in names)
     return {name: name if brief else str(number) for number, name in enumerate(names, start=1)}
 
@@ -58,7 +58,7 @@ def _legend(label: Mapping[str, str]) -> str:
 def symbol(name: str, label: Mapping[str, str] = MappingProxyType({})) -> str:
     """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R.
 
-    ``label`` says what stands for the name of a body.
+    ``label`` maps a body's name to its label.
     """
     kind, index, _ = parameter_of(name)
     plain = re.sub(r"R$", "", index) if index else ""

@@ -49,7 +49,7 @@ def model_text(
 ) -> tuple[str, tuple[str, ...], dict[str, float]]:
     """Write a model as MJCF: its text, notes on what it lacks, and differences of torques; raises GtauError.
 
-    With ``delays`` these are elsewhere, and no note says that they are missing.
+    With ``delays`` these are written elsewhere, and not noted as missing.
     """
     result = model.result
     spec, expressed = _spec(mujoco, model)
@@ -131,7 +131,7 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
 
 
 def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
-    """Draw thin capsules from each body's origin to the bodies that it carries; they neither collide nor weigh."""
+    """Draw thin capsules from each body's origin to its child bodies, without collision and mass."""
     ends = [(joint.antecedent, joint.placement) for joint in robot.joints]
     ends += [(end.body, end.placement) for closure in robot.closures for end in (closure.a, closure.b)]
     look = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": (0.35, 0.45, 0.6, 1.0)}
@@ -161,7 +161,7 @@ def _add_couplings(mujoco: ModuleType, spec: Any, robot: Robot) -> None:
 
 
 def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> None:
-    """Add one actuator a motor: torque = gear (ctrl + bias), with the drive gain as gear and the current as ctrl."""
+    """Add one actuator per motor: torque = gear (ctrl + bias), with the drive gain as gear and the current as ctrl."""
     for joint in model.result.robot.actuated:
         gear, bias = gain_prm(model, joint)
         actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -188,7 +188,7 @@ def _add_home(spec: Any, compiled: Any, result: Result) -> None:
 
 
 def _text(spec: Any, comments: Sequence[Any]) -> str:
-    """Write the spec as XML, with all digits of its numbers, of which MuJoCo writes six."""
+    """Write the spec as XML with full-precision numbers, as MuJoCo writes six digits."""
     root = ElementTree.fromstring(spec.to_xml())
     exact = {
         "body": ({body.name: body for body in spec.bodies}, ("pos", "quat")),
@@ -219,7 +219,7 @@ def _text(spec: Any, comments: Sequence[Any]) -> str:
 
 
 def digits(values: Any) -> str:
-    """Write numbers so that they are read back to the last digit."""
+    """Write numbers with round-trip precision."""
     numbers = [float(value) for value in np.atleast_1d(values)]
     return " ".join(repr(number) if number != int(number) else f"{number:.0f}" for number in numbers)
 
@@ -231,7 +231,7 @@ def _couplings(spec: Any) -> list[Any]:
 
 
 def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool, delays: bool = False) -> list[str]:
-    """List what the file lacks: friction terms, offsets, massless bodies."""
+    """List the quantities that the file lacks: friction terms, offsets, massless bodies."""
     result = model.result
     unlike = [] if cubic else [Parameter("f3", joint).name for joint in model.cubics]
     said = term_notes(model, "MJCF", [*unlike, *terms_left_out(model)], delays)

@@ -1,4 +1,4 @@
-"""An identified model put back into the MJCF file it came from."""
+"""Identified model written into the robot's original MJCF file."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def _put_friction(file: InputFile, element: Element, model: ConsistentModel, joi
 
 
 def _put_springs(file: InputFile, model: ConsistentModel) -> Iterator[str]:
-    """Put springs into the tendons that they were read from; names of those that cannot be there."""
+    """Write springs into their original tendons; return the names of springs that these cannot represent."""
     tendons = {tendon.get("name"): tendon for tendon in file.root.iter("spatial")}
     for spring in model.result.robot.springs:
         attributes = spring_attributes(spring, model.standard)
@@ -158,7 +158,7 @@ def _put_springs(file: InputFile, model: ConsistentModel) -> Iterator[str]:
 
 
 def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
-    """Put drive gains as gears of motors, and list what to mind."""
+    """Write drive gains as gears of motors, and list the notes on them."""
     put, left = [], []
     for actuator in (each for section in file.root.findall("actuator") for each in section if each.get("joint")):
         joint = actuator.get("joint", "")

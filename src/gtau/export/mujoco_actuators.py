@@ -1,4 +1,4 @@
-"""Actuators for MuJoCo in a file of their own, which a model of the bodies includes."""
+"""Actuators for MuJoCo in a separate file, included by a model of the bodies."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def body_texts(model: ConsistentModel) -> tuple[BodyTexts, tuple[str, ...], dict[str, float]]:
-    """Divide the MJCF export into bodies and actuators; with its notes and figures."""
+    """Split the MJCF export into bodies and actuators, with its notes and figures."""
     mujoco = imported()
     text, notes, figures = model_text(mujoco, model, delays=True)
     root = ElementTree.fromstring(text)

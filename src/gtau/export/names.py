@@ -1,4 +1,4 @@
-"""Names of robots, joints and payloads as the languages of the exports take them."""
+"""Names of robots, joints and payloads, valid in the languages of the exports."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def identifier(name: str) -> str:
 
 
 def suffixes(names: Iterable[str]) -> dict[str, str]:
-    """Make names ends of identifiers, all different: ``a-b`` and ``a_b`` become ``a_b`` and ``a_b_2``."""
+    """Make names unique suffixes of identifiers: ``a-b`` and ``a_b`` become ``a_b`` and ``a_b_2``."""
     found: dict[str, str] = {}
     for name in names:
         plain, number = _word(name)[:LONGEST], 1

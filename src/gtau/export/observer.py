@@ -1,4 +1,4 @@
-"""A causal estimate of external torques: the observer of generalized momentum ``p = M qd``.
+"""Causal estimate of external torques by the observer of generalized momentum ``p = M qd``.
 
     ``dp/dt = tau + tau_ext + C^T qd - g - friction``, so ``r`` with ``dr/dt = K (tau_ext - r)`` needs no acceleration.
 
@@ -42,7 +42,7 @@ def momentum_observer(result: Result, run: Run, bandwidth: float) -> np.ndarray:
     Returns
     -------
     ndarray
-        External torques (N, n), what the environment exerts on each joint, N m or N; 0 before the third sample.
+        External torques (N, n), exerted by the environment on each joint, N m or N; 0 before the third sample.
 
     Raises
     ------

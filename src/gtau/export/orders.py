@@ -17,7 +17,7 @@ DRIVES = {"ia": "IA", "fv": "FV", "fs": "FS"}
 
 
 def export(result: Result, out: Path) -> Exported:
-    """Write ``NAME_PROGRAM.csv`` into ``out`` for each program: a row a body, a column a parameter, SI units.
+    """Write ``NAME_PROGRAM.csv`` into ``out`` for each program: one row per body, one column per parameter, SI units.
 
     Raises
     ------

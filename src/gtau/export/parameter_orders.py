@@ -22,9 +22,9 @@ _ENTRIES = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2)
 
 @dataclass(frozen=True)
 class Order:
-    """Names of a program's parameters of a body, in its order, and what they are.
+    """Names, order and meaning of a program's parameters of a body.
 
-    ``inertia`` names the six entries in the program's order, ``about`` says about which point, and ``moments`` whether
+    ``inertia`` names the six entries in the program's order, ``about`` is its reference point, and ``moments`` whether
     first moments take the place of the centre of mass; ``per_mass`` is for inertias divided by the mass.
     """
 

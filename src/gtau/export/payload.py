@@ -1,6 +1,6 @@
-"""Payloads as controllers take them: URScript, Franka's JSON, KRL, RAPID, and a ROS message.
+"""Payloads in the formats of controllers: URScript, Franka's JSON, KRL, RAPID, and a ROS message.
 
-Every format holds the same body: mass in kg, centre of mass, inertia about it, at the frame in which it was asked for.
+Every format describes the same body: mass in kg, centre of mass, inertia about it, in the requested frame.
 Numbers keep all their digits.
 """
 

@@ -1,4 +1,4 @@
-"""The kinds of exports: a new one is a file with a function ``export`` and a line here."""
+"""Registry of export kinds: a new one is a module with a function ``export`` and a line here."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def export_model(
     Parameters
     ----------
     model : Result or path
-        The result, or the ``model.json`` of one.
+        A result, or its ``model.json``.
     kind : str
         One of ``gtau.export.registry.KINDS``.
     out : path
@@ -83,10 +83,10 @@ def export_model(
         For the kinds ``urdf`` and ``mjcf``: the robot's own file, of which a copy with the identified parameters
         and everything else as it was is written.
     samples : int
-        Also draw this many models from what was identified, see :func:`gtau.export.samples.draw`: ``samples.npz``, and
+        Number of models to draw as well, see :func:`gtau.export.samples.draw`: ``samples.npz``, and
         for the kinds that simulate the first ``models`` of them, each in a folder of its own (``samples/0000``).
     models, seed : int
-        How many draws are written as models, and the seed of the draws.
+        Number of draws written as models, and the seed of the draws.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
     Returns
     -------
     Exported
-        Files written, and notes on the frame and on what the motion does not show.
+        Files written, and notes on the frame and on parameters not identifiable from the motion.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Draws from what was identified: models as far apart as the data allow, each of rigid bodies that can exist.
+"""Samples of the identified distribution: models as far apart as the data allow, each physically consistent.
 
 Parameters, drive gains and delays are drawn together, with the correlations of the result's covariance and, each by
-itself, the distribution of its interval (Student's t). A draw that no rigid bodies have is moved to the nearest one
-that some have, the distance counted in standard deviations (as in
-:mod:`gtau.estimation.estimators.physical_consistency`). What acts on no motor stays as it is: it has no effect.
+itself, the distribution of its interval (Student's t). An inconsistent draw is moved to the nearest consistent one,
+with distances in standard deviations (as in
+:mod:`gtau.estimation.estimators.physical_consistency`). Parameters without effect on any motor are unchanged.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Samples:
     Attributes
     ----------
     result : Result
-        What was identified.
+        Identification result.
     standard, base : ndarray
         Standard parameters (N, n_st) and base parameters (N, n_b), SI units, in the order of the robot's model.
     gains, delays : ndarray
@@ -46,7 +46,7 @@ class Samples:
     friction : dict
         Draws (N,) of the friction with which the model predicts, by name.
     moved : ndarray
-        How far each draw was moved for rigid bodies to have it, in standard deviations, (N,).
+        Distance by which each draw was moved to be physically consistent, in standard deviations, (N,).
     seed : int
     """
 
@@ -69,7 +69,7 @@ class Samples:
 
     @property
     def note(self) -> str:
-        """Say how many draws there are, and how many were moved."""
+        """Report the number of draws, and how many were moved."""
         share, distance = 100 * self.moved_share, float(np.median(self.moved))
         return (
             f"{len(self)} draws of what was identified (seed {self.seed}): {share:.0f} % of them were moved to "
@@ -77,7 +77,7 @@ class Samples:
         )
 
     def npz(self) -> bytes:
-        """Return the draws as an NPZ file, with names beside the numbers."""
+        """Return the draws as an NPZ file with names."""
         model, file = self.result.model, io.BytesIO()
         np.savez(
             file,
@@ -96,7 +96,7 @@ class Samples:
         return file.getvalue()
 
     def results(self) -> Iterator[Result]:
-        """Make a result of each draw, which every export takes."""
+        """Convert each draw to a result, the input of every export."""
         return (self._result(k) for k in range(len(self)))
 
     def _result(self, k: int) -> Result:
@@ -129,7 +129,7 @@ class Samples:
 
 
 def draw(result: Result, count: int, seed: int = 0) -> Samples:
-    """Draw models from what was identified.
+    """Draw models from the identified distribution.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
 
 
 def _drawn(result: Result, count: int, seed: int) -> dict[str, np.ndarray]:
-    """Draw changes (N,) of all that the covariance is of, by name: normal together, Student's t by themselves."""
+    """Draw changes (N,) of all estimates in the covariance, by name: jointly normal, with Student's t marginals."""
     from scipy.special import ndtr, stdtrit
 
     std = np.sqrt(np.diag(result.covariance))
@@ -207,7 +207,7 @@ def _freedom(result: Result) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Projection:
-    """Finds the rigid bodies and gains nearest to drawn base parameters and gains."""
+    """Projection of drawn base parameters and gains onto physically consistent ones."""
 
     R: np.ndarray
     S: np.ndarray
@@ -246,7 +246,7 @@ class _Projection:
         there = np.array([name in order for name in values])
         C[np.ix_(there, there)] = result.covariance[np.ix_(rows, rows)]
         std = np.sqrt(np.diag(C))
-        given = std == 0  # a gain that was given stays
+        given = std == 0  # a given gain is kept
         std[given], C[given, given] = 1e-6, 1e-12
         sizes, axes = np.linalg.eigh(C / np.outer(std, std))
         R = (axes / np.sqrt(np.maximum(sizes, 0.0) + LEAST)).T / std
@@ -259,7 +259,7 @@ class _Projection:
         )  # fmt: skip
 
     def nearest(self, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return standard parameters (n_st,), gains (n,), and how far the draw was moved, in standard deviations."""
+        """Return standard parameters (n_st,), gains (n,), and the distance moved, in standard deviations."""
         n = len(self.centre)
         stay = np.zeros((n, self.S.shape[1]))
         stay[:, :n] = np.diag(LOOSE / self.unit[:n])

@@ -1,4 +1,4 @@
-"""URDF with inertias and friction, and YAML files beside it for what a URDF has no place for: loops and drives."""
+"""URDF with inertias and friction, and YAML files for loops and drives, which URDF cannot express."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from gtau.robots.robot import (
 from gtau.robots.units import gain_unit, torque_unit, unit_of
 
 ROOT = "base"
-UNLIMITED = 1e6  # rad, m: the format wants limits of slides
+UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints
 
 
 def export(result: Result, out: Path) -> Exported:
@@ -66,7 +66,7 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def notes(model: ConsistentModel, name: str) -> list[str]:
-    """List what the URDF lacks and where it is written instead."""
+    """List the quantities missing in the URDF, and where they are written instead."""
     robot = model.result.robot
     sprung = bool(robot.springs) or any(joint.spring is not None for joint in robot.joints)
     springs = " and springs" if sprung else ""
@@ -208,7 +208,7 @@ def _loops_text(robot: Robot) -> str:
 
 
 def drives_text(model: ConsistentModel) -> str:
-    """Write drive gains, rotor inertias and what else the drives have as YAML."""
+    """Write drive gains, rotor inertias and other drive data as YAML."""
     joints: dict[str, dict[str, object]] = {}
     for joint in model.result.robot.joints:
         unit = torque_unit(model.result.robot, joint.name)

@@ -1,4 +1,4 @@
-"""An identified model put back into the URDF it came from."""
+"""Identified model written into the robot's original URDF."""
 
 from __future__ import annotations
 

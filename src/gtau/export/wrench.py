@@ -1,4 +1,4 @@
-"""The wrench that the environment exerts at a frame, from the external torques of the joints: ``tau_ext = J^T w``.
+"""Wrench exerted by the environment at a frame, from the external torques of the joints: ``tau_ext = J^T w``.
 
 Weighted by the covariance of the torques (residual of the identification, and what the parameters' and gains' joint
 covariance leaves open at the sample's motion), so that seven motors average and six are exact. Near a singular pose
@@ -35,7 +35,7 @@ BEYOND = 4.0  # standard deviations, as in the table of torques
 
 @dataclass(frozen=True)
 class Component:
-    """A component of the wrench along a log.
+    """Component of the wrench along a log.
 
     ``seen`` is the share of samples that show it. Over those of them that are usable: ``rms``, ``largest`` (at
     ``time``, s), ``interval`` (half the 95 % interval, the median) and ``share`` beyond four standard deviations; None
@@ -56,7 +56,7 @@ class Component:
 class WrenchAlongLog:
     """Wrench at a ``frame``, in its axes: moments and forces (N, 6), N m and N, of which NaN are not ``seen`` (N, 6).
 
-    ``interval`` (N, 6) is half the 95 % interval; ``directions`` (N,) how many of six the pose shows; ``usable`` (N,)
+    ``interval`` (N, 6) is half the 95 % interval; ``directions`` (N,) how many are observable; ``usable`` (N,)
     as of all joints.
     """
 
@@ -82,7 +82,7 @@ class WrenchAlongLog:
 
     @property
     def components(self) -> tuple[Component, ...]:
-        """A summary of each component."""
+        """Summary of each component."""
         return tuple(self._component(k) for k in range(len(WRENCH)))
 
     def _component(self, k: int) -> Component:
@@ -117,12 +117,12 @@ def wrench_along_log(
     frame : tuple
         Name and placement on the body, by :func:`gtau.robots.readers.frames.frame_on`.
     force_only : bool
-        Whether the contact is known to exert no moment about the frame's origin, so that three motors see its force.
+        True if the contact exerts no moment about the frame's origin, so that three motors suffice for the force.
 
     Raises
     ------
     GtauError
-        Where the base floats, or the model says nothing of a joint's residual.
+        Where the base floats, or the model lacks a joint's residual.
     """
     refuse_floating(result.robot, "the external wrench is")
     rms = {each.joint: each.rms for each in result.residuals}

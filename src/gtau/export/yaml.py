@@ -1,4 +1,4 @@
-"""A YAML file of gains, friction and base parameters with regroupings and intervals, for a controller or a person."""
+"""YAML file of gains, friction and base parameters with regroupings and intervals, for a controller or a person."""
 
 from __future__ import annotations
 

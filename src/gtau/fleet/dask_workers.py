@@ -1,4 +1,4 @@
-"""Work on the workers of a Dask scheduler, or on a cluster of processes made for it."""
+"""Map over the workers of a Dask scheduler, or over a local cluster of processes."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def connected(address: str, patience: float = PATIENCE) -> Iterator[Client]:
 
 @contextmanager
 def _silenced(logger: str) -> Iterator[None]:
-    """Silence a log: what goes wrong with a scheduler is reported in one sentence, without a traceback."""
+    """Silence a log: scheduler errors are reported in one sentence, without a traceback."""
     known = logging.getLogger(logger)
     before = known.level
     known.setLevel(logging.CRITICAL + 1)
@@ -80,7 +80,7 @@ def _silenced(logger: str) -> Iterator[None]:
 
 
 def _check_scheduler(address: str, patience: float) -> None:
-    """Ask for its name: a client that fails to connect leaves threads behind."""
+    """Check that the scheduler responds: a client that fails to connect leaves threads behind."""
     import asyncio
 
     from distributed import rpc
@@ -134,7 +134,7 @@ def dask_map(
     client: Client,
     without_workers: float = WITHOUT_WORKERS,
 ) -> Iterator[tuple[int, Made | GtauError]]:
-    """Map a function over items on the workers; an item whose worker dies goes to another worker.
+    """Map a function over items on the workers; an item whose worker dies is retried on another worker.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def dask_map(
     ------
     int, object
         Index of an item and its result, in the order in which they finish; a GtauError for an item that gtau
-        refused, or that killed one worker after the other.
+        refused, or that repeatedly killed its worker.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def _results(
 
 
 def _work(function: Callable[[Item], Made], expected: str, item: Item) -> Made | GtauError:
-    """Work on an item, on a worker; a refusal is a result, as there is no use in trying again."""
+    """Process an item on a worker; a refusal is a result, as a retry is useless."""
     from distributed import get_worker
 
     address = get_worker().address

@@ -1,4 +1,4 @@
-"""Identify every robot of a fleet from its own experiment, whatever happens to the others."""
+"""Identification of every robot of a fleet from its own experiment, independent of failures of others."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from gtau.signals.experiment import Experiment, read_experiment
 
 @dataclass(frozen=True)
 class Member:
-    """A robot of a fleet: its name, its experiment file, and the folder of its logs if that is another one."""
+    """A robot of a fleet: its name, its experiment file, and the folder of its logs, if different."""
 
     name: str
     experiment: Path
@@ -47,9 +47,9 @@ class Member:
 
 @dataclass(frozen=True)
 class Identified:
-    """The result of a member: the text of its model.json with the key of its inputs, or a sentence why there is none.
+    """The result of a member: the text of its model.json with the key of its inputs, or the reason why there is none.
 
-    ``model`` is None where the model that was written before is still valid.
+    ``model`` is None if the existing model is still valid.
     """
 
     key: str = ""
@@ -60,7 +60,7 @@ class Identified:
 
 @dataclass(frozen=True)
 class Report:
-    """A member with the document of its model, or with a sentence why there is none."""
+    """A member with the document of its model, or with the reason why there is none."""
 
     member: Member
     model: dict[str, Any] | None
@@ -166,7 +166,7 @@ def identify_fleet(
     out : Path
         An existing folder.
     mapper : callable
-        Where to work: :func:`gtau.fleet.processes.process_map` or
+        Executor: :func:`gtau.fleet.processes.process_map` or
         :func:`gtau.fleet.dask_workers.dask_map`.
     method : str
         See :func:`gtau.identify`.
@@ -176,7 +176,7 @@ def identify_fleet(
     Raises
     ------
     GtauError
-        Where the folder is not writable. What is wrong with a robot is in its report.
+        Where the folder is not writable. Errors of a robot are in its report.
     """
     known = [_read_text(_key_file(out, member)) if _model_file(out, member).is_file() else "" for member in members]
     reports: dict[int, Report] = {}
@@ -211,9 +211,9 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
 
 
 def inputs_key(experiment: Experiment, method: str) -> str:
-    """Compute the SHA-256 of all that a model depends on: program, method, robot, settings and logs.
+    """Compute the SHA-256 of all inputs of a model: program, method, robot, settings and logs.
 
-    Logs count by their names and bytes, wherever they lie.
+    Logs enter by name and content, independent of their folder.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The drive gains of a fleet in one table, with the outliers among them marked."""
+"""Table of the drive gains of a fleet, with outliers marked."""
 
 from __future__ import annotations
 
@@ -100,11 +100,11 @@ def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class FleetGain:
-    """A drive gain of one robot beside those of the others.
+    """Drive gain of one robot compared with the rest of the fleet.
 
     ``gain`` and ``std`` in ``unit``, None where the gain is not identifiable; ``difference_percent`` from the median
-    of the fleet; ``z`` the same in standard deviations, and ``limit`` where an outlier begins, both None where there
-    is nothing to compare with. ``outcome`` and ``why`` are the verdict of its own identification,
+    of the fleet; ``z`` the same in standard deviations, and ``limit`` the outlier threshold, both None without
+    others to compare with. ``outcome`` and ``why`` are the verdict of its own identification,
     and ``half_width`` is half its 95 % interval, in ``unit``.
     """
 

@@ -1,4 +1,4 @@
-"""Work in this process, and in processes of this machine."""
+"""Map in this process, and in local processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ place of the result says why there is none.
 
 
 def serial_map(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-    """Work in this process, one item after the other."""
+    """Process the items one by one in this process."""
     return enumerate(map(function, items))
 
 
@@ -86,14 +86,14 @@ def process_map(
 
 
 def handed_out(jobs: int) -> int:
-    """Return how many items loky hands to its workers at once, at most: those at work, as many again, and one."""
+    """Return the maximum number of items that loky hands out at once: twice the number of jobs, and one."""
     return 2 * jobs + 1
 
 
 def _until_death(
     function: Callable[[Item], Made], left: dict[int, Item], indices: Iterable[int], jobs: int
 ) -> Iterator[tuple[int, Made]]:
-    """Work on some of the items ``left``, and remove those that finish, until all have or a process dies."""
+    """Process the items ``left``, and remove finished ones, until all are done or a process dies."""
     from loky import BrokenProcessPool, ProcessPoolExecutor
 
     items = {k: left[k] for k in indices}
@@ -115,7 +115,7 @@ def _until_death(
 
 
 def end_with(parent: Connection) -> None:
-    """End this worker process once the other end of the pipe closes: when its parent ends, however that ends."""
+    """End this worker process when the other end of the pipe closes, that is, when its parent ends in any way."""
 
     def watch() -> None:
         with suppress(EOFError, OSError):

@@ -1,4 +1,4 @@
-"""Names of columns: the kind of signal and the joint that a name stands for, and the columns of common recorders.
+"""Column names: signal kind and joint of a name, and the column presets of common recorders.
 
 These are looked up in the recorders' sources: libfranka ``log.cpp`` (time in ms, ``state.q[0]`` ...), Universal Robots'
 RTDE client (``timestamp``, ``actual_q_0`` ...), PlotJuggler's parser of ``sensor_msgs/JointState``, and the manual of
@@ -34,7 +34,7 @@ PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "
 REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d", "soll"])
 TEMPERATURE = frozenset(["temp", "temps", "temperature", "temperatures"])
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
-TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # whose motion is not that of a base
+TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # bodies other than the base
 SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
 COMPOUND = re.compile("(ist|soll|motor|gelenk|achs)(?=strom|winkel|lage|position|drehmoment|moment|geschw)")  # German
 COMPONENTS = {  # words before the letter of an axis, and all axes
@@ -65,8 +65,8 @@ class ColumnName:
     """A parsed column ``name``: its remainder without the joint, the joint's label, the kind and the unit.
 
     ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), ``sensor`` (of torque), or None;
-    ``motor`` is a torque of a motor, or what is only named after it;
-    ``reference`` where it is what was asked for and not what was measured.
+    ``motor`` is a motor torque, or a column merely named after a motor;
+    ``reference`` is True for a setpoint rather than a measurement.
     """
 
     name: str
@@ -117,7 +117,7 @@ def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
 
 
 def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnName:
-    """Parse what an item of a list is called, ``FEATURE/NAME`` as LeRobot has it; goals (``action``) are references.
+    """Parse the name of a list item, ``FEATURE/NAME`` as in LeRobot; goals (``action``) are references.
 
     ``observation.state/elbow.pos`` is a position of ``elbow``, ``observation.effort/elbow`` an effort.
     """
@@ -140,7 +140,7 @@ def is_pose(name: str) -> bool:
 
 
 def base_like(names: Sequence[str]) -> tuple[str, ...]:
-    """Select columns that may say how a base moved: its orientation, its position beside that, and accelerations."""
+    """Select columns that may hold the motion of a base: orientation, accompanying position, and accelerations."""
     names = [name for name in names if TOOL.isdisjoint(_words(name))]
     quaternions, accelerations = _vectors(names, "quaternion"), _vectors(names, "acceleration")
     places = [of for prefix, of in _vectors(names, "position").items() if prefix in quaternions]
@@ -156,7 +156,7 @@ def wrench_like(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _vectors(names: Sequence[str], kind: str) -> dict[str, tuple[str, ...]]:
-    """Collect the columns of each whole vector of a kind in ``COMPONENTS``, by what stands before its components."""
+    """Collect the columns of each complete vector of a kind in ``COMPONENTS``, by the prefix of its components."""
     words, axes = COMPONENTS[kind]
     pattern = re.compile(rf"(.*?)(?<![a-z])(?:{words})[^a-z0-9]*([{axes}])(?:\s*[\[(].*)?", re.IGNORECASE)
     found: dict[str, dict[str, str]] = {}
@@ -176,7 +176,7 @@ def _words(text: str) -> list[str]:
 class Preset:
     """Time column with its unit, and patterns of the columns by joint: its number from 0 (``{k}``) or 1, or its name.
 
-    The torques of one without ``gravity`` are compensated by the controller.
+    Without ``gravity``, the torques are gravity-compensated by the controller.
     """
 
     time: str
@@ -215,7 +215,7 @@ def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        There is no such preset, or its joints are missing; the text says what to write.
+        There is no such preset, or its joints are missing; the text gives the remedy.
     """
     given = {key: value for key, value in signals.items() if key != "joints"}
     preset = PRESETS.get(str(signals["preset"]))

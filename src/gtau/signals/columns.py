@@ -1,4 +1,4 @@
-"""Assign columns of a log to signals and units."""
+"""Assignment of log columns to signals and units."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ TwoColumns = tuple[str, str]
 
 
 class StampsOfEach(Keys):
-    """Time columns of positions and of commands that were logged with stamps of their own."""
+    """Time columns of positions and commands logged with separate time stamps."""
 
     position: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
     command: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
@@ -67,8 +67,8 @@ class Signals(Keys):
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
     the gears, of all joints or some. A ``pose`` tests the robot's geometry, friction may depend on a ``temperature``.
-    ``base`` is the pose of a base that floats, and what holds it; ``wrenches`` act on other bodies from outside;
-    ``calibration`` says how accurate the sensors are. A ``preset`` has filled in the columns of a maker's log.
+    ``base`` is the pose of a floating base with its wrenches; ``wrenches`` are external wrenches on other bodies;
+    ``calibration`` is the accuracy of the sensors. A ``preset`` fills in the columns of a manufacturer's log.
     """
 
     time: Annotated[
@@ -265,7 +265,7 @@ def as_signals(signals: Signals | Mapping[str, Any]) -> Signals:
 
 
 def document_of(name: str, data: Mapping[str, Any]) -> Document:
-    """Turn a mapping into what reading it from a file called ``name`` gives, keys and integers as texts."""
+    """Convert a mapping to the document read from a file called ``name``, with keys and integers as texts."""
     return Document(Path(name), _as_written(data), {})
 
 
@@ -283,9 +283,9 @@ def _one_or_by_joint(kind: Kind) -> Any:
 
 
 class Units(Keys):
-    """Units of the log's columns, or quantities that stand for 1 in it (``0.0012 A``); SI by default.
+    """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
 
-    ``joint_torque`` are those of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
+    ``joint_torque`` is that of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
     ``%`` and ``‰`` are shares.
     """
 
@@ -327,7 +327,7 @@ class Units(Keys):
         Raises
         ------
         GtauError
-            A share is logged of a rated value that is not given.
+            A share of a rated value is logged, but the rated value is not given.
         """
         positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
         commands = [self._of_command(joint, signals) for joint in signals.position]

@@ -16,16 +16,16 @@ from gtau.robots.units import torque_unit, unit_of
 from gtau.signals.notes import Kind, Note
 
 TOLERANCE = 0.1  # standard deviation of a torque constant or rotor inertia: data sheets state tolerances of 10 %
-EFFICIENCY = 0.85  # of a gear whose efficiency nobody gives: 0.65 to 1 is within two standard deviations
+EFFICIENCY = 0.85  # of a gear without stated efficiency: 0.65 to 1 is within two standard deviations
 EFFICIENCY_STD = 0.1
 
 
 class Drive(Keys):
     """A motor and its gear, from their data sheets.
 
-    ``gear_ratio`` is rad of the motor per rad (or m) of the joint, negative where they turn against each other;
+    ``gear_ratio`` is rad of the motor per rad (or m) of the joint, negative where they turn in opposite directions;
     ``torque_constant`` N m/A and ``rotor_inertia`` kg m2 are those of the motor; ``uncertainty`` is the relative
-    standard deviation of what is expected of them.
+    standard deviation of the expected values.
     """
 
     gear_ratio: FiniteFloat = 1.0
@@ -69,7 +69,7 @@ class Drive(Keys):
 
 
 def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
-    """Check that the gears of data sheets are not those of the robot's couplings too; raises GtauError."""
+    """Refuse data-sheet gears that the robot's couplings already contain; raises GtauError."""
     for joint, drive in drives.items():
         if robot.joint(joint).parameters == "drive" and drive.gear_ratio != 1.0:
             raise GtauError(

@@ -15,12 +15,12 @@ from typing import Literal
 import numpy as np
 
 MAX_FACTOR = 20
-PASSED = 0.8  # cut-off of the low-pass, of the Nyquist frequency of what is kept: that of MATLAB's ``decimate``
+PASSED = 0.8  # cut-off of the low-pass, as a share of the new Nyquist frequency, as in MATLAB's ``decimate``
 
 
 @dataclass(frozen=True)
 class Block:
-    """A stretch of a log (``samples``), what it yields (``outputs``, of all), and the sample of the first one."""
+    """Stretch of a log (``samples``), its ``outputs`` (by number), and the sample of the first output."""
 
     samples: slice
     outputs: slice
@@ -29,10 +29,10 @@ class Block:
 
 @dataclass(frozen=True)
 class Decimator:
-    """A zero-phase low-pass that keeps one sample of ``factor``.
+    """Zero-phase low-pass that keeps every ``factor``-th sample.
 
     ``fir`` is a Kaiser-windowed sinc of 3 ``factor`` samples with unit gain at zero frequency: an output
-    rests on the samples of its ``support`` and on no others. ``chebyshev`` is MATLAB's ``decimate``, the
+    depends only on the samples of its ``support``. ``chebyshev`` is MATLAB's ``decimate``, the
     paper's way: Chebyshev I of order 8, ripple 0.05 dB, forward and backward; its response never ends, and
     180 ``factor`` samples of warm-up leave 1e-13 of it. Both cut off at 0.8 of the new Nyquist frequency,
     ``PASSED``. With factor 1 nothing is filtered.
@@ -47,27 +47,27 @@ class Decimator:
 
     @property
     def support(self) -> int:
-        """Samples to either side of an output that a log must have."""
+        """Number of samples that a log needs on either side of an output."""
         if self.factor == 1:
             return 0
         return ceil(1.5 * self.factor) if self.kind == "fir" else self.factor
 
     @property
     def guard(self) -> int:
-        """Samples to either side of an output that must be usable for it to be used.
+        """Number of samples on either side of an output that must be usable.
 
-        What of the ``fir`` lies beyond ``factor`` samples has 0.5 to 1.5 % of its weight, in lobes of both signs; that
-        of ``chebyshev`` has no end.
+        The part of the ``fir`` beyond ``factor`` samples has 0.5 to 1.5 % of its weight, in lobes of both signs; the
+        response of ``chebyshev`` is infinite.
         """
         return self.factor if self.factor > 1 else 0
 
     @property
     def warm_up(self) -> int:
-        """Samples to either side of an output that its value is computed from, fewer at the ends of a log."""
+        """Number of samples on either side of an output from which it is computed, fewer at the ends of a log."""
         return 180 * self.factor if self.kind == "chebyshev" and self.factor > 1 else self.support
 
     def instants(self, n: int) -> np.ndarray:
-        """List the samples (outputs,) of a log of `n` at which the outputs stand."""
+        """List the sample of each output, (outputs,), for a log of `n` samples."""
         return np.arange(self.support, n - self.support, self.factor)
 
     def outputs(self, n: int) -> int:
@@ -117,14 +117,14 @@ class Decimator:
         return upfirdn(taps, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
 
     def smooth(self, columns: np.ndarray, first: int, count: int) -> np.ndarray:
-        """Filter without leaving samples out: the outputs at ``count`` samples of a block from its ``first`` on.
+        """Filter without decimation: compute the outputs at ``count`` samples of a block from its ``first`` on.
 
-        Where the log ends before the filter does, its last sample goes on; see :meth:`near`.
+        Beyond the ends of the log its last sample is repeated; see :meth:`near`.
 
         Parameters
         ----------
         columns : ndarray (..., M)
-            Columns at the samples of the block, ``warm_up`` of them to either side where there are so many.
+            Columns at the samples of the block, with up to ``warm_up`` samples on either side.
 
         Returns
         -------
@@ -146,12 +146,12 @@ class Decimator:
         return oaconvolve(seen[..., : count + 2 * self.support], taps, mode="valid", axes=-1)
 
     def near(self, usable: np.ndarray) -> np.ndarray:
-        """Mark the samples (N, n) from which no unusable one, and no end of the log, is within ``guard``."""
+        """Mark the samples (N, n) with no unusable sample and no end of the log within ``guard``."""
         masked = np.cumsum(~np.pad(usable, ((self.guard + 1, self.guard), (0, 0))), axis=0)
         return masked[2 * self.guard + 1 :] == masked[: -2 * self.guard - 1]
 
     def keep(self, usable: np.ndarray) -> np.ndarray:
-        """Mark the outputs that rest on usable samples only.
+        """Mark the outputs computed from usable samples only.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Draft an experiment file from the contents of logs; :mod:`gtau.signals.draft_file` writes it."""
+"""Draft of an experiment file from the contents of logs; :mod:`gtau.signals.draft_file` writes it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from gtau.signals.column_names import base_like, is_pose, is_temperature, mass_i
 from gtau.signals.log_contents import Group, LogContents
 from gtau.signals.log_file import find_columns
 
-LARGEST_CURRENT = 100.0  # A; commands of no known kind that reach further are taken for torques, to be checked
-TURNS = 20.0  # rad or m; joints that are said to move further are logged in deg or mm
+LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
+TURNS = 20.0  # rad or m; positions with a larger range are in deg or mm
 # Rest of torques beside a straight line of the currents, over their standard deviation, median of the joints; below,
 # they are computed from these. Torque sensors of a Rokae: 0.50 (0.40 to 0.80). Currents of a UR10e and that Rokae,
 # behind a low-pass of 10 Hz: 0.07 and 0.21; rounded to tenths of their standard deviation: 0.03.
@@ -26,7 +26,7 @@ COMPUTED = 0.3
 
 @dataclass(frozen=True)
 class Draft:
-    """An experiment file to be: what was found (``reasons`` say how, by key) and what could not be (``open``).
+    """Drafted experiment file: findings (with ``reasons`` by key) and undetermined entries (``open``).
 
     ``time`` are time columns, one or two, or the ``rate`` (Hz) instead; ``command_time`` those of commands with stamps
     of their own. ``position`` and ``command`` are columns by joint, ``kind`` what the latter hold. ``masses`` (kg) of
@@ -67,18 +67,18 @@ class Draft:
 
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
-    """Find out what logs hold that were recorded alike.
+    """Infer the signals of logs recorded with the same layout.
 
     Parameters
     ----------
     paths : sequence of Path
         The logs, one for each run; or all logs of positions and then as many of commands, run by run.
     robot : Robot, optional
-        Its actuated joints are looked for in the names, and its kinds and numbers of joints help to infer units.
+        Its actuated joints are matched with column names; joint types and number help to infer units.
     source : str, optional
-        What the experiment file is to name as the robot.
+        Entry of the experiment file under ``robot``.
     base : optional
-        What it is to say of the robot's base; where it says so, no columns are taken for the motion of a base.
+        Placement of the robot's base; where it is given, no columns are taken for the motion of a base.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     kind = "current" if in_amperes or commands.kind in ("current", "motor") else "torque"
     if commands.kind == "motor" and not in_amperes:
         unsure.append("motor")
-    elif commands.kind == "torque" and "effort" in commands.first.lower():  # of ROS: what the driver puts there
+    elif commands.kind == "torque" and "effort" in commands.first.lower():  # of ROS: content depends on the driver
         unsure.append("kind")
     elif commands.kind == "command" and not in_amperes:
         reach = max(float(np.nanmax(np.abs(command_log.values[pair[1]]))) for pair in joints.values())
@@ -192,7 +192,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
 
 
 def _computed(log: LogContents, commands: Mapping[str, str], torques: Mapping[str, str]) -> bool:
-    """Decide whether torques are computed from the commands beside them, as straight lines of these."""
+    """Decide whether torques are linear functions of the commands and hence computed from them."""
     rests = []
     for joint, column in torques.items():
         x, y = log.values[commands[joint]], log.values[column]
@@ -224,7 +224,7 @@ def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, L
 
 
 def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
-    """Match columns of positions and commands to joints; also say how, and whether by their order alone."""
+    """Match columns of positions and commands to joints; also return how, and whether by their order alone."""
     common = [label for label in positions.columns if label in commands.columns]
     pairs = {label: (positions.columns[label], commands.columns[label]) for label in common}
     by_order = False

@@ -1,4 +1,4 @@
-"""Write the text of a drafted experiment file, and notes on every guess in it."""
+"""Text of a drafted experiment file, and notes on every guess in it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ UNSURE = {
 def draft_text(draft: Draft, folder: Path) -> str:
     """Write the experiment file of a draft for ``folder``, each finding with its reason.
 
-    What is only guessed is marked with ``CHECK``.
+    Guesses are marked ``CHECK``.
     """
     why = draft.reasons
     lines = [
@@ -118,7 +118,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
 
 
 def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
-    """Note all that a draft took from the logs and that may be wrong, with what to change in its ``file``."""
+    """List the guesses of a draft, each with the entry to change in its ``file``."""
     commands, columns = list(draft.command.values()), _pairs(draft.position)
     first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
     taken = {

@@ -1,4 +1,4 @@
-"""Draft an experiment file from logs: shared by ``gtau init`` and ``gtau identify LOG...``."""
+"""Drafting of an experiment file from logs: shared by ``gtau init`` and ``gtau identify LOG...``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def draft_logs(
     kind: Literal["current", "torque"] | None = None,
     preset: str | None = None,
 ) -> Draft:
-    """Draft an experiment from logs that were recorded alike.
+    """Draft an experiment from logs recorded with the same layout.
 
     Parameters
     ----------
@@ -45,9 +45,9 @@ def draft_logs(
     masses : mapping, optional
         Payloads, kg, by path, name or stem of a log; 0 for none.
     kind : {"current", "torque"}, optional
-        What the commands are, where that is known.
+        Kind of the commands, where it is known.
     preset : str, optional
-        A name of :data:`gtau.signals.column_names.PRESETS`, which says it too, and whether torques have gravity.
+        A name of :data:`gtau.signals.column_names.PRESETS`, which gives the kind and whether torques include gravity.
 
     Raises
     ------
@@ -72,14 +72,14 @@ def draft_logs(
 
 
 def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
-    """Return the draft with commands of a kind that is known."""
+    """Return the draft with commands of known kind."""
     settled = {"kind", "motor"}
     units = {key: unit for key, unit in draft.units.items() if key in ("time", "position", kind)}
     return replace(draft, kind=kind, units=units, open=tuple(key for key in draft.open if key not in settled))
 
 
 def with_sensors(draft: Draft) -> Draft:
-    """Return the draft with torques beside the currents taken for those of sensors where no payload gives a scale."""
+    """Return the draft with logged torques beside currents as sensor torques where no payload gives a scale."""
     if not draft.torques or draft.masses or "torques" in draft.reasons:
         return draft
     open_ = tuple("sensors" if key == "torques" else key for key in draft.open)
@@ -87,7 +87,7 @@ def with_sensors(draft: Draft) -> Draft:
 
 
 def with_preset(draft: Draft, name: str) -> Draft:
-    """Return the draft with the meaning that a preset gives to its commands; raises GtauError where it is of others."""
+    """Return the draft with command kind and gravity of a preset; raises GtauError if its columns are missing."""
     if name not in PRESETS:
         raise GtauError(f"there is no preset '{name}'; choose from {', '.join(PRESETS)}.")
     preset = PRESETS[name]
@@ -119,12 +119,12 @@ def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
 
 
 def write_draft(draft: Draft, file: Path) -> list[Path]:
-    """Write the experiment file of a draft, and the robot's where a bag holds it, in place of those of earlier drafts.
+    """Write the experiment file of a draft, and the robot file from a bag, replacing those of earlier drafts.
 
     Raises
     ------
     GtauError
-        Other files of these names are there, or an earlier draft that has been edited.
+        Other files with these names exist, or an earlier draft has been edited.
     """
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}
@@ -145,13 +145,13 @@ def _sealed(text: str) -> str:
 
 
 def _unedited(file: Path) -> bool:
-    """Decide by its last line whether a file is a draft as it was written."""
+    """Decide by its last line whether a file is an unedited draft."""
     text = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
     return SEAL in text and text == _sealed(text.rpartition(SEAL)[0])
 
 
 def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> tuple[Robot, tuple[str, ...]]:
-    """Load the robot, and name the joints that a log of joint states has, where it lacks others, such as fingers."""
+    """Load the robot; list its logged joints where a log of joint states lacks some, such as fingers."""
     with TemporaryDirectory(prefix="gtau-") as folder:
         source = robot or str(Path(folder) / URDF)
         if urdf is not None:

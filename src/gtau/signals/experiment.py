@@ -1,4 +1,4 @@
-"""The experiment file: which robot, which columns of which logs, and which payloads."""
+"""The experiment file: robot, columns of the logs, and payloads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Find faults of logged signals: outliers and jumps of positions, commands clipped at a limit."""
+"""Faults of logged signals: outliers and jumps of positions, commands clipped at a limit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 
 
 @dataclass(frozen=True)
 class Glitch:
-    """A ``sample`` (its number in the log) of a ``joint`` (by number) that is off, and the ``value`` expected there."""
+    """Outlier at a ``sample`` (number in the log) of a ``joint`` (by number), with the ``value`` expected there."""
 
     sample: int
     joint: int
@@ -45,16 +45,16 @@ class Glitch:
 
 
 def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[Glitch, ...]:
-    """Find samples whose position is off while those around agree with each other, in two passes.
+    """Find position outliers between mutually consistent neighbours, in two passes.
 
     Parameters
     ----------
     samples : Samples
         The log, its angles unwrapped.
     instants : ndarray
-        (N,) When the samples were taken, s.
+        (N,) Sampling instants, s.
     held : Held
-        How positions are held: stale samples do not count.
+        Sample-and-hold of the positions: stale samples are ignored.
 
     Returns
     -------
@@ -103,10 +103,10 @@ def _blocks(
 def _of_joint(
     time: np.ndarray, position: np.ndarray, off: np.ndarray, scale: float, period: float
 ) -> list[tuple[int, float]]:
-    """List the samples of one joint (M,) that are off, by number, with the values expected there."""
+    """List the outliers of one joint (M,), by sample number, with the values expected there."""
     near = np.flatnonzero(off > SCALES / 2 * scale) + REACH  # of two and three samples every one is off by half
     ends = [*range(REACH), *range(len(time) - REACH, len(time))]
-    found: list[tuple[float, int, np.ndarray]] = []  # how clearly, first sample, values
+    found: list[tuple[float, int, np.ndarray]] = []  # significance, first sample, values
     for width in range(1, WIDEST + 1):
         first = np.unique((np.r_[near, ends][:, None] - np.arange(width)).ravel())
         first = first[(first >= 0) & (first <= len(time) - width)]
@@ -158,7 +158,7 @@ def _judge(
 
 
 def without_glitches(samples: Samples, glitches: Sequence[Glitch]) -> Samples:
-    """Put the expected values in place of glitches, as those of up to three missing samples are interpolated."""
+    """Replace glitches by the expected values, as up to three missing samples are interpolated."""
     if not glitches:
         return samples
 
@@ -174,7 +174,7 @@ def without_glitches(samples: Samples, glitches: Sequence[Glitch]) -> Samples:
 
 
 def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Note:
-    """Say how many glitches there are, in which joints, and what the first looks like; ``samples`` still hold them."""
+    """Report number and joints of the glitches, and the first one; ``samples`` still hold them."""
     names, first = samples.source.joints, glitches[0]
     counts = {names[j]: sum(each.joint == j for each in glitches) for j in sorted({each.joint for each in glitches})}
     time, logged = float(samples.time[first.sample]), float(samples.position[first.sample, first.joint])
@@ -199,9 +199,9 @@ def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Note:
 
 
 def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
-    """Refuse a position that jumps between two samples and stays there, as after a slipped coupling or lost counts.
+    """Refuse positions with a permanent jump between two samples, as after a slipped coupling or lost counts.
 
-    What follows a stale position makes up for it, and is no jump.
+    The catch-up after a stale position is no jump.
     """
     source, n = samples.source, len(samples.source.joints)
     stride = stride_of(len(samples.time))
@@ -269,7 +269,7 @@ UNSIGNED = (
 def refuse_magnitudes(samples: Samples) -> None:
     """Refuse commands without sign.
 
-    A joint that holds against gravity may need one sign only, but then it stays away from zero; and not all joints do.
+    A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
 
     Raises
     ------
@@ -293,7 +293,7 @@ MAX_CLIPPED = 0.1
 
 
 def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
-    """Find joints, and levels at which their commands stay although they move, as at a limit of the drive.
+    """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
 
     Raises
     ------
@@ -306,7 +306,7 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
     moving = [*range(len(source.joints)), *map(source.joints.index, source.sensors)]
     for j, (what, mover) in enumerate(zip(source.measured, moving, strict=True)):
         if low[j] == high[j]:
-            continue  # nothing acts on a floating base
+            continue  # a floating base has no command
         for level in (float(high[j]), float(low[j])):
             at = _count_at(samples.command, j, level)
             if at < CLIPPED_RUN or at < PILE_UP * _count_beside(samples.command, j, level):
@@ -346,7 +346,7 @@ def _count_beside(command: np.ndarray, j: int, level: float) -> int:
 
 
 def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
-    """Count the most samples in a row in which joint j moves and its command stays at ``level``."""
+    """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
     position, command, count = samples.position, samples.command, len(samples.time)
     steps = [np.sum(np.diff(block(position, *span)[:, mover]) ** 2) for span in ahead(count)]
     least = 0.05 * np.sqrt(sum(steps) / count)

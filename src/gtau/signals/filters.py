@@ -1,4 +1,4 @@
-"""Compute speeds and accelerations from positions, without phase shift."""
+"""Zero-phase velocities and accelerations from positions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float =
 
 
 def below_nyquist(cutoff: float, rate: float) -> float | None:
-    """Return the cut-off (Hz), or None where it is so near the Nyquist frequency that a filter gains nothing."""
+    """Return the cut-off (Hz), or None where it is too near the Nyquist frequency for a filter to help."""
     return cutoff if cutoff < HIGHEST_CUTOFF * rate else None
 
 
@@ -58,10 +58,10 @@ def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
 
 
 def smooth_path(position: np.ndarray, rate: float, cutoff: float | None, start: int, stop: int) -> np.ndarray:
-    """Smooth some samples of positions by a Gaussian, with a gain of 1 / sqrt(2) at the cut-off.
+    """Smooth a stretch of positions by a Gaussian with a gain of 1 / sqrt(2) at the cut-off.
 
-    Its weights are positive, so that a path turns nowhere but where the logged one does. That of :func:`low_pass`
-    swings where a joint stops, on a UR10e by 1.4e-4 rad, twice the width of its presliding.
+    Its weights are positive, so that the path reverses only where the logged one does. :func:`low_pass`
+    rings where a joint stops, on a UR10e by 1.4e-4 rad, twice the width of its presliding.
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -76,12 +76,12 @@ def smooth_path(position: np.ndarray, rate: float, cutoff: float | None, start: 
 
 
 def filter_edge(rate: float, cutoff: float | None) -> int:
-    """Count samples at either end of a log on which its unknown past or future acts by more than 1e-3."""
+    """Count samples at either end of a log that its unknown past or future affects by more than 1e-3."""
     return STENCIL + (0 if cutoff is None else ceil(EDGE * rate / cutoff))
 
 
 def filter_margin(rate: float, cutoff: float | None) -> int:
-    """Count samples to either side of one that act on its filtered motion by more than 1e-18."""
+    """Count samples on either side of one that affect its filtered motion by more than 1e-18."""
     return STENCIL + (0 if cutoff is None else ceil(FORGOTTEN * rate / cutoff))
 
 
@@ -104,7 +104,7 @@ def position_filter(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute filtered positions, speeds and accelerations.
 
-    Those of some samples equal those of the whole log; only the samples that the filters reach are read.
+    A stretch of the result equals that of the whole log; only samples within reach of the filters are read.
 
     Parameters
     ----------

@@ -16,13 +16,13 @@ from gtau.signals.column_names import ColumnName, parse_column_name, parse_item
 from gtau.signals.formats.table import Table
 from gtau.signals.log_file import find_columns, read_log
 
-ROWS = 200_000  # of a log that are looked at
+ROWS = 200_000  # of a log that are evaluated
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
 # Between commands and positions, rms, in standard deviations of the position; below, commands are of positions.
 # Positions that lag by 20 to 120 ms on sines of up to 0.9 Hz: 0.02 to 0.14, references of a quadruped 0.23; currents
 # and torques of eight measured logs 1.2 to 1270.
 FOLLOWED = 0.3
-ADDED = 50  # samples over which velocities are added up
+ADDED = 50  # samples over which velocities are integrated
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
 COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, those preferred first
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -45,14 +45,14 @@ class Group:
 
     @property
     def listed(self) -> str:
-        """The columns in a few words: the first and the last of them."""
+        """Short list of the columns: the first and the last."""
         names = list(self.columns.values())
         return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
 
 
 @dataclass(frozen=True)
 class LogContents:
-    """A log with its columns by kind, and the numbers of the first rows (N,) by column."""
+    """A log with its columns by kind, and the values of the first rows (N,) by column."""
 
     path: Path
     table: Table
@@ -100,7 +100,7 @@ class LogContents:
         return max((len(each) for each in self.values.values()), default=0)
 
     def group(self, kind: str) -> Group | None:
-        """Return the columns of a kind, measured ones before references, those of most joints first."""
+        """Return the columns of a kind, measured ones before references, the group with most joints first."""
         found = [each for each in self.groups if each.kind == kind and set(each.columns.values()) <= set(self.values)]
         return min(found, key=lambda each: (each.reference, -len(each.columns)), default=None)
 
@@ -113,7 +113,7 @@ class LogContents:
         return next(iter(alike or groups), None)
 
     def other_clocks(self) -> list[str]:
-        """List columns that are named as times, too, and grow; a bag's stamps of its messages are none."""
+        """List further increasing columns with time names, except the message stamps of a bag."""
         names = [name for name in self.values if name not in self.time and parse_column_name(name).kind == "time"]
         if len(self.time) != 1:
             return []
@@ -125,7 +125,7 @@ class LogContents:
         return time if len(self.time) == 1 else time + 1e-9 * self.values[self.time[1]]
 
     def time_unit(self) -> tuple[str, str]:
-        """Determine the time column's unit, the first in which drives are logged at such a rate, and say why."""
+        """Determine the time unit, the first with a plausible logging rate of drives, and the reason."""
         step = float(np.median(np.diff(self.seconds())))
         written = parse_column_name(self.time[0]).unit
         for unit, factor in TIME_UNITS.items():
@@ -137,7 +137,7 @@ class LogContents:
         )
 
     def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
-        """Find the sampling rate, Hz, that makes the logged velocities the positions' derivatives, and say why."""
+        """Find the sampling rate, Hz, at which logged velocities are the positions' derivatives, and the reason."""
         velocities = self.group("velocity")
         if velocities is None:
             return None, "not in the log"
@@ -162,7 +162,7 @@ class LogContents:
 
 
 def _rate(position: np.ndarray, velocity: np.ndarray) -> float | None:
-    """Find the rate, Hz, at which velocities add up to how far a joint moves; None where they do not.
+    """Find the rate, Hz, at which the integrated velocities match the positions; None where none does.
 
     Over some samples, as from one to the next a position moves little more than its noise, which makes the rate small:
     of 240 logs simulated at 97 Hz with noise of up to a step, central differences found 56 to 97 Hz, this 96.8 to 97.3.
@@ -189,7 +189,7 @@ def _topic(name: str, topics: Sequence[str]) -> str:
 
 
 def _values(path: Path, names: Sequence[str], table: Table) -> dict[str, np.ndarray]:
-    """Read the first rows, of several episodes those of the first."""
+    """Read the first rows; of several episodes, those of the first one."""
     log = read_log(path, names)
     rows = next(iter(table.episodes.values()), range(ROWS))
     parts, count = [], 0
@@ -212,7 +212,7 @@ def _grouped(names: Sequence[ColumnName]) -> list[Group]:
 
 
 def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """Find the column that grows among those named as time, or the two of seconds and nanoseconds."""
+    """Find the increasing column among those named as time, or the two of seconds and nanoseconds."""
     times = [each.name for each in names if each.kind == "time" and not each.label]
     parts = [name for name in times if re.search(r"nano|nsec", name, re.IGNORECASE)]
     if parts and len(times) > len(parts):
@@ -274,7 +274,7 @@ def correlation(position: np.ndarray, other: np.ndarray) -> float:
 
 
 def _numbered(path: Path, table: Table, joints: int) -> LogContents:
-    """Group a log without header: time grows, velocities are derivatives of columns as many to the left as joints."""
+    """Group columns of a log without header: time increases, velocities are derivatives of columns n to their left."""
     values = _values(path, table.columns, table)
     names = list(table.columns)
     time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()

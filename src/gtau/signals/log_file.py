@@ -1,4 +1,4 @@
-"""One log file of any format, or a table in memory: the columns asked for, as numbers, block by block."""
+"""Log files of any format, or tables in memory: requested columns as numbers, block by block."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ALL = range(1 << 62)  # rows
 
 @dataclass(frozen=True)
 class LogFile:
-    """Columns ``names`` of a log, found but not yet read.
+    """Columns ``names`` of a log, located but not yet read.
 
     ``texts`` holds, as far as the log has been read, for every column with a value that is missing or not a number,
     the first one as written.
@@ -38,7 +38,7 @@ class LogFile:
     table: Table
 
     def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
-        """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction then read.
+        """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far.
 
         Parameters
         ----------
@@ -67,9 +67,9 @@ class LogFile:
 
 
 def read_log(path: str | Path, names: Iterable[str]) -> LogFile:
-    """Find columns of a log by name, to be read as :class:`LogFile` says.
+    """Locate columns of a log by name, as a :class:`LogFile`.
 
-    The ending of its name says of which format a log is; see :data:`gtau.signals.formats.READERS`.
+    The file name extension gives the format; see :data:`gtau.signals.formats.READERS`.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _refusals(path: Path) -> Iterator[None]:
 
 
 def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
-    """Read numbers of a column, nan where there is none, and the first entry that is none, if any."""
+    """Read numbers of a column, nan for other entries, and the first non-numeric entry, if any."""
     import polars as pl
 
     numbers = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
@@ -150,7 +150,7 @@ NAME = "table"
 
 @contextmanager
 def as_log(table: Any) -> Iterator[Path]:
-    """Write a table as a Parquet file that exists as long as the context, so that it is read and checked as any log.
+    """Write a table to a temporary Parquet file for the context, so that it is read and checked like any log.
 
     Parameters
     ----------

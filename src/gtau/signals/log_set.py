@@ -1,4 +1,4 @@
-"""The logs of a run, one file or two, as samples in SI units; commands with stamps of their own are interpolated."""
+"""Logs of a run, one file or two, as samples in SI units; commands with separate time stamps are interpolated."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from gtau.signals.storage import block, spans, store
 
 @dataclass(frozen=True, eq=False)
 class Logged:
-    """The logs of a run, found but not yet read.
+    """Logs of a run, located but not yet read.
 
     Of the ``files``' columns side by side, ``order`` are the positions, commands and torque sensors (n + c), or the
     positions where the others are ``aligned``, and ``times`` the time, in one column or two; ``scale`` (n + c) and
-    ``time_scale`` bring them to SI units. ``rate`` (Hz) stands for time columns that there are not. ``notes`` report
+    ``time_scale`` bring them to SI units. ``rate`` (Hz) replaces absent time columns. ``notes`` report
     what was left out or aligned.
     """
 
@@ -154,7 +154,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
 
 
 def _side_by_side(files: Sequence[LogFile], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
-    """Join rows of logs that were sampled together, with the part of the first that is then done."""
+    """Join rows of logs that were sampled together, with the fraction of the first read so far."""
     streams = [file.blocks(wanted) for file in files]
     held = [next(stream, None) for stream in streams]
     rows = [0] * len(files)
@@ -211,7 +211,7 @@ class Aligned:
 def align(
     path: Path, columns: Sequence[str], times: tuple[LogFile, Sequence[str]], scale: float, what: str
 ) -> Aligned:  # fmt: skip
-    """Read commands and their stamps, and compare these with the stamps of the positions.
+    """Read commands and their time stamps, and compare these with the stamps of the positions.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _distances(time: np.ndarray, stamps: np.ndarray) -> float:
-    """Compute the usual distance in s from an instant to the closest stamp."""
+    """Compute the typical distance in s from an instant to the closest stamp."""
     found = []
     for span in spans(len(time)):
         part = block(time, *span)

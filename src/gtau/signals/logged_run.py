@@ -1,4 +1,4 @@
-"""A run as an experiment file describes it: its logs, which part of them, and its payload."""
+"""Run entries of an experiment file: logs, the part used, and the payload."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def file_or_name(robot: str, folder: Path) -> str:
     Raises
     ------
     ValueError
-        What is written is the path of a file that is not there.
+        The entry is the path of a file that does not exist.
     """
     file = folder / robot
     if file.is_file() or (file / "robot.urdf").is_file():
@@ -86,7 +86,7 @@ class LoggedRun(Keys):
 
     @property
     def part(self) -> Part:
-        """The part of the log that is used."""
+        """Part of the log to use."""
         end = np.inf if self.to is None else self.to
         if self.episode is None:
             return Part(self.skip, self.begin, end)
@@ -98,7 +98,7 @@ class LoggedRun(Keys):
         return Part(rows.start + self.skip, self.begin, end, rows.stop, self.episode)
 
     def overlaps(self, other: LoggedRun) -> bool:
-        """Decide whether the same rows are in both."""
+        """Decide whether both runs share rows."""
         if self.log != other.log or (None not in (self.episode, other.episode) and self.episode != other.episode):
             return False
         ends = (np.inf if each.to is None else each.to for each in (self, other))
@@ -137,7 +137,7 @@ class LoggedRun(Keys):
 
 
 def _placed(folder: Path, path: Path) -> Path:
-    """Place a path in a folder whose own name is no pattern."""
+    """Join a path to a folder whose name is taken literally."""
     return folder / path if (folder / path).exists() else Path(escape(str(folder))) / path
 
 

@@ -1,4 +1,4 @@
-"""Notes on logs and robots: what was found, where, and what to do about it."""
+"""Notes on logs and robots: finding, location, and remedy."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class Kind(StrEnum):
     VALIDATION = "validation log"  # one that cannot be used
     ROWS = "usable rows"
     SCALE = "scale of the gains"
-    WEIGHING = "weighing"  # all that these logs can do, without a payload of known mass
+    WEIGHING = "weighing"  # limits of logs without a payload of known mass
     SEPARATION = "separable parameters"
-    MODEL = "model"  # what the data say against the model
+    MODEL = "model"  # evidence of the data against the model
     CLIPPED = "clipped command"
     FILTERED = "filtered command"
     HELD = "held signal"
@@ -25,12 +25,12 @@ class Kind(StrEnum):
     UNIT = "unit"  # of commands or payloads, doubtful
     SINGULARITY = "singularity"
     REPAIR = "repair"
-    DRAFT = "draft"  # what a drafted experiment file takes for granted
+    DRAFT = "draft"  # assumptions of a drafted experiment file
     READING = "reading"  # how the log was read: its clock, its layout
     REST = "joint at rest"
     ROBOT = "robot description"
     DATA_SHEET = "data sheet"
-    GEOMETRY = "geometry"  # what logged poses say against it
+    GEOMETRY = "geometry"  # evidence of logged poses against it
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Note:
     Attributes
     ----------
     kind : Kind
-        What it is about.
+        Subject of the note.
     what, action : str
         The two parts of the sentence; ``action`` is empty where there is nothing to do.
     source : str
-        Name of the run or robot, empty where the note is on all of them.
+        Name of the run or robot, empty for a note on all of them.
     joint : str
         Name of the joint, empty where the note is on none or several.
     time : float, optional
@@ -65,9 +65,9 @@ class Note:
     finding: str = ""
 
     def __str__(self) -> str:
-        """Put the sentence together."""
+        """Compose the sentence."""
         return (f"{self.source}: " if self.source else "") + self.what + (f"; {self.action}" if self.action else "")
 
     def of(self, source: str) -> Note:
-        """Return the same note on a run or robot of this name."""
+        """Return the note with this run or robot as its source."""
         return replace(self, what=f"{self.source}: {self.what}" if self.source else self.what, source=source)

@@ -1,4 +1,4 @@
-"""The payload of a run: known, or to be weighed."""
+"""Payload of a run, known or to be estimated."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAYLOAD_KINDS = ("m", *FIRST_MOMENTS, *INERTIAL[:6])
 
 
 class Payload(Keys):
-    """A load on the robot's tool; without ``mass`` it is unknown and will be weighed.
+    """A load on the robot's tool; without ``mass`` it is unknown and will be estimated.
 
     ``mass`` and its standard deviation in kg; ``parameters`` are further known inertial parameters
     (``xx xy xz yy yz zz`` in kg m2, ``mx my mz`` in kg m) in the frame of the body that carries it; ``center`` is the

@@ -1,4 +1,4 @@
-"""Prepare a run for model and estimators: q, qd, qdd, the command, and a mask."""
+"""Preparation of a run for model and estimators: q, qd, qdd, the command, and a mask."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gtau.signals.storage import block, spans, stored
 
 SPEED_FRACTION = 0.05  # of a joint's rms speed
 
-PARTS = 2000  # of a run, which show where it rests
+PARTS = 2000  # of a run, used to find rests
 CLOSE_TO_NYQUIST = 0.1  # of the sampling rate: bandwidths above are noted; speeds are then too small by 0.5 %
 NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than 0.1 % to the speed's power
 
@@ -39,13 +39,13 @@ class Preparation:
     bandwidth, cutoff : float
         Of the motion and of the position filter (None: no filter), Hz.
     decimator : Decimator
-        Of runs with this ``rate``; those with another one are decimated to the same rate of rows.
+        Of runs with this ``rate``; others are decimated to the same row rate.
     speed_fraction : float
         A joint's row is left out where its speed is below this share of its rms speed.
     rate : float
-        Sampling rate of the slowest run, Hz; 0 where that is not known.
+        Sampling rate of the slowest run, Hz; 0 if unknown.
     given : tuple of str
-        What was set by hand, see :class:`gtau.signals.settings.PreparationSettings`.
+        Names of settings made by hand, see :class:`gtau.signals.settings.PreparationSettings`.
     """
 
     bandwidth: float
@@ -56,7 +56,7 @@ class Preparation:
     given: tuple[str, ...] = ()
 
     def at(self, rate: float) -> Preparation:
-        """Adapt the preparation to runs with another sampling ``rate`` (Hz): the same filter and rate of rows."""
+        """Adapt the preparation to runs with another sampling ``rate`` (Hz): same filter, same row rate."""
         if not self.rate or abs(rate / self.rate - 1) < 0.1:
             return self
         factor = max(1, round(self.decimator.factor * rate / self.rate))
@@ -93,25 +93,25 @@ class SampleWindow:
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """A run of which any stretch can be had ready for the model, by :meth:`samples`.
+    """Prepared run; :meth:`samples` returns any stretch of it ready for the model.
 
     Attributes
     ----------
     run, preparation : Run, Preparation
-        The run, and how it is prepared.
+        The run and its preparation.
     kept : range
         Samples of the run that are used: those from the first motion to the last.
     moves : ndarray
-        (n,) Whether a joint moves at all.
+        (n,) True for joints that move.
     speeds : ndarray
-        (n, n) Mean of ``qd qd^T`` over these samples: what the joints' thresholds of speed refer to.
+        (n, n) Mean of ``qd qd^T`` over these samples, the reference of the joints' speed thresholds.
     motor_to_joint_speed : ndarray
-        (n_y, n) Speeds of joints whose friction acts in the rows of the motors for which the entry is not zero, from
-        the motors' speeds; of each motor's own joint, and of others in coupled chains.
+        (n_y, n) Joint speeds from motor speeds; nonzero where a joint's friction appears in the motor's row: for the
+        motor's own joint, and for others in coupled chains.
     peaks : ndarray
         (PARTS, n) Largest speeds in equal parts of the run.
     notes : tuple of Note
-        What was left out.
+        On omitted parts.
     """
 
     run: Run
@@ -132,24 +132,24 @@ class PreparedRun:
         return self.run.time[self.kept.start : self.kept.stop]
 
     def awake(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cut the samples that are used into parts, at (parts + 1,) of them, and mark those in which a joint moves."""
+        """Split the used samples into parts at (parts + 1,) indices, and mark the parts in which a joint moves."""
         limit = self.preparation.speed_fraction * np.sqrt(np.diag(self.speeds))
         moving = ((self.peaks >= limit) & self.moves).any(axis=1)
         at = np.clip(_parts(len(self.run.time)), self.kept.start, self.kept.stop) - self.kept.start
         return at, moving
 
     def valid(self, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Mark where speeds and accelerations rest on good samples only, (M, n), for the samples of :meth:`samples`."""
+        """Mark speeds and accelerations from valid samples only, (M, n), for the samples of :meth:`samples`."""
         at = self.kept[start:stop]
         return valid_samples(self.run, self.preparation, at.start, at.stop)
 
     def path(self, time: np.ndarray) -> np.ndarray:
-        """Return positions (n, N) at consecutive samples, given by their times, with no turns that the log lacks."""
+        """Return positions (n, N) at consecutive samples, given by their times, without spurious reversals."""
         start = int(np.searchsorted(self.run.time, time[0]))
         return smooth_path(self.run.position, self.run.rate, self.preparation.cutoff, start, start + len(time)).T
 
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
-        """Prepare samples from ``start`` to before ``stop`` of those that are used, their neighbours included."""
+        """Prepare the used samples from ``start`` to before ``stop``, with their neighbours."""
         at = self.kept[start:stop]
         run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
         q, qd, qdd = position_filter(run.position, run.rate, preparation.cutoff, at.start, at.stop)
@@ -185,9 +185,9 @@ class PreparedRun:
 
 @dataclass(frozen=True, eq=False)
 class InMemoryRun:
-    """A run ready for the model along a motion that was made, all of it there; to be used as :class:`PreparedRun`.
+    """In-memory run along a synthetic motion, ready for the model; interface of :class:`PreparedRun`.
 
-    It may be a window, the samples of another run, ``whole``, from the number ``first`` on.
+    It may be a window of another run, ``whole``, that begins with its sample ``first``.
     """
 
     run: Run
@@ -199,7 +199,7 @@ class InMemoryRun:
         return len(self.all.time)
 
     def awake(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cut the samples into parts, at (parts + 1,) of them, and mark those in which a row is usable."""
+        """Split the samples into parts at (parts + 1,) indices, and mark the parts in which a row is usable."""
         at = _parts(len(self))
         moving = [bool(np.any(block(self.all.usable, *each))) for each in pairwise(at.tolist())]
         return at, np.array(moving)
@@ -213,7 +213,7 @@ class InMemoryRun:
 
 
 def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
-    """Join stretches of samples into one."""
+    """Concatenate stretches of samples."""
     if len(windows) == 1:
         return windows[0]
     return SampleWindow(
@@ -222,7 +222,7 @@ def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
 
 
 def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray | None = None) -> PreparedRun:
-    """Find where in a run its joints move.
+    """Find the moving part of a run.
 
     The rest at the beginning and the end, where no joint exceeds its speed threshold, is cut off.
 
@@ -238,7 +238,7 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     Returns
     -------
     PreparedRun
-        Not decimated: the decimator takes the columns of the model.
+        Not decimated: decimation is applied to the columns of the model.
 
     Raises
     ------
@@ -299,12 +299,12 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
 
 
 def _parts(samples: int) -> np.ndarray:
-    """List where the parts of a run begin, and its end, (PARTS + 1,)."""
+    """List the first samples of the parts of a run, and its end, (PARTS + 1,)."""
     return np.asarray(np.arange(PARTS + 1) * samples // PARTS)
 
 
 def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray) -> Iterator[Note]:
-    """List what a user should know of the motion and its noise."""
+    """List notes on the motion and its noise."""
     noisy = []
     for joint, each, rubs in zip(run.joints, found, rubbing, strict=True):
         if not each.moves and not rubs:
@@ -328,7 +328,7 @@ def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, r
 
 
 def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
-    """Mark where speeds and accelerations rest on good samples only (stop - start, n)."""
+    """Mark where speeds and accelerations depend on valid samples only (stop - start, n)."""
     samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
     begin, end = max(0, start - STENCIL), min(samples, stop + STENCIL)
     bad = ~block(run.valid, begin, end)

@@ -1,4 +1,4 @@
-"""Choose a preparation from the runs: bandwidth, position filter and decimation."""
+"""Automatic choice of the preparation: bandwidth, position filter and decimation."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from gtau.signals.storage import spans
 # Orthoglide's gains from 1.3 to 2.8 N/A.
 KEPT = 0.85
 FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves if the logs have them
-STRETCHES = 8  # parts of a long run that are looked at for that
+STRETCHES = 8  # parts of a long run that are evaluated for that
 LARGEST_FACTOR = 400
 
 
 def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:
-    """Choose the preparation of an experiment from its runs; what their ``settings`` give is taken as it is.
+    """Choose the preparation of an experiment from its runs; entries of their ``settings`` take precedence.
 
     The bandwidth is the largest of all joints in all runs. The position filter follows from it and from where noise
     takes over, see :func:`gtau.signals.filters.cutoff_frequency`. The decimation leaves five rows in a period of the

@@ -11,7 +11,7 @@ from gtau.documents.validation import Keys
 
 
 def _per_cent(value: Any) -> Any:
-    """Read ``5 %`` as 5; a number alone could be a share."""
+    """Read ``5 %`` as 5; a bare number could be a share."""
     found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*%\s*", value) if isinstance(value, str) else None
     if found is None:
         raise ValueError(f"write per cent, such as '{value} %', if that is what '{value}' means")
@@ -22,7 +22,7 @@ Percent = Annotated[FiniteFloat, Field(gt=0), BeforeValidator(_per_cent)]
 
 
 class Requirements(Keys):
-    """Limits that a result meets or misses, per cent.
+    """Limits on the result, per cent.
 
     ``torque_error`` holds for every joint over the rows used, and on each run kept for validation; ``gain_interval``
     for half the 95 % interval of every drive gain.

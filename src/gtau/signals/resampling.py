@@ -1,6 +1,6 @@
-"""Resample a log to a uniform grid; interpolate and mask missing and held values.
+"""Resampling of a log to a uniform grid; missing and held values are interpolated and masked.
 
-Signals that are logged faster than they are updated repeat values, which are no samples.
+Signals logged faster than they are updated contain repeated values, which are not new samples.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Held:
     """Sample-and-hold of a group of columns: positions, commands, torque sensors or wrenches.
 
     ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
-    ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` says that repeated values are as many as noise
-    and reversals make, so that all samples are new.
+    ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` is True if noise and
+    reversals explain the repeated values, so that all samples are new.
     """
 
     period: int
@@ -110,7 +110,7 @@ class Holds:
         ]
 
     def notes(self, count: int, rate: float) -> list[Note]:
-        """List what to report of a log of ``count`` samples at ``rate`` Hz."""
+        """List the notes on a log of ``count`` samples at ``rate`` Hz."""
         found = []
         for each, stale, what in zip(self.groups, self.stale, GROUPS, strict=True):
             if each is None or not stale:
@@ -137,13 +137,13 @@ def holds_of(samples: Samples) -> Holds:
 
 
 def _spans(widths: Sequence[int]) -> list[slice]:
-    """Find the columns of groups that stand side by side."""
+    """Find the column spans of adjacent groups."""
     ends = np.cumsum([0, *widths]).tolist()
     return [slice(*pair) for pair in pairwise(ends)]
 
 
 def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
-    """Find how a group's columns (N, n) are held, and count its stale samples."""
+    """Detect sample-and-hold of a group's columns (N, n), and count its stale samples."""
     n = len(range(array.shape[1])[columns])
     if not n:
         return Held(1, ()), 0
@@ -172,7 +172,7 @@ def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
 
 
 def _period(lengths: np.ndarray) -> int:
-    """Find the usual length of runs of equal samples, where most runs are nearly as long; otherwise 1."""
+    """Find the typical length of runs of equal samples, where most runs have nearly that length; otherwise 1."""
     held = lengths * np.arange(len(lengths))
     if not held.any():
         return 1
@@ -192,7 +192,7 @@ SURROUNDINGS = 64  # samples to either side that a spline is made from: what lie
 
 @dataclass(frozen=True)
 class UniformSamples:
-    """Samples on a uniform grid; where ``valid`` (N, c) is false a command's were interpolated or clipped."""
+    """Samples on a uniform grid; ``valid`` (N, c) is False where a command was interpolated or clipped."""
 
     time: np.ndarray
     position: np.ndarray
@@ -216,7 +216,7 @@ class Resampling:
 
     @property
     def direct(self) -> bool:
-        """True where the samples stand on the grid already."""
+        """True where the samples are on the grid already."""
         return self.clock.gapless and self.holds.none and not self.delay
 
 
@@ -269,7 +269,7 @@ def uniform(samples: Samples, instants: np.ndarray, grid: Resampling, given: boo
 
 
 def _of_clock(clock: Clock, given: bool) -> list[Note]:
-    """List what to report of a clock that is not simply the time column."""
+    """List the notes on a clock that differs from the time column."""
     why = "as preparation.clock says" if given else "which makes the positions smoother"
     if not clock.regular:
         if not given:

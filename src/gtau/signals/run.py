@@ -1,4 +1,4 @@
-"""A run: the checked signals of a log, in SI units and on a uniform grid."""
+"""Runs: checked signals of a log, in SI units on a uniform grid."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class Run:
     where ``kind`` says so, torques in N m (forces in N), 0 for the joints of a floating base, then those of the torque
     ``sensors`` (names of joints), and then moments and forces of the ``wrenches`` on bodies, six of each about the
     origin of its axes; ``channels`` list them. Where ``valid``
-    (N, c) is false the sample was interpolated or clipped. ``notes`` say what was repaired, ``settings`` what is given
-    of the preparation, ``temperature`` that of the joints, ``calibration`` the accuracy of sensors, ``log`` where it
-    was read.
+    (N, c) is false the sample was interpolated or clipped. ``notes`` report repairs, ``settings`` are those of
+    the preparation made by hand, ``temperature`` is that of the joints, ``calibration`` the accuracy of sensors,
+    ``log`` the origin.
 
-    The arrays of a long log lie in a file, of which NumPy reads what is looked at.
+    The arrays of a long log are memory-mapped from a file.
     """
 
     name: str
@@ -130,14 +130,14 @@ def read_run(
     progress : callable, optional
         Called with the part of the log that has been read.
     settings : PreparationSettings or mapping
-        What is given of the preparation.
+        Settings of the preparation made by hand.
     part : Part
-        Which part of the log is used.
+        Part of the log to use.
 
     Returns
     -------
     Run
-        Its ``notes`` say what was repaired. The joints are in the order of `signals`.
+        Its ``notes`` report repairs. The joints are in the order of `signals`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The complete samples of a log as logged."""
+"""Complete samples of a log, as logged."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ MAX_MISSING = 0.05  # part of a log that may be bad or missing
 
 @dataclass(frozen=True)
 class Source:
-    """A log, as messages name it.
+    """Description of a log for messages.
 
     ``columns`` are the names of the position columns, the command columns, those of the torque ``sensors`` (by joint),
-    those behind the ``components`` of wrenches and the time column; ``texts`` their first entries that are no numbers,
-    as far as they have been read. Row 0 is in ``first_line``. The joints of a floating ``base`` are first; their
-    commands are forces from outside.
+    those of the wrench ``components`` and the time column; ``texts`` their first non-numeric
+    entries read so far. Row 0 is in ``first_line``. The joints of a floating ``base`` are first; their
+    commands are external forces.
     """
 
     name: str
@@ -38,12 +38,12 @@ class Source:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Contents of the columns behind the positions, for messages: commands, then torque sensors."""
+        """Contents of the columns after the positions, for messages: commands, then torque sensors."""
         commands = (f"the command of joint '{joint}'" for joint in self.joints)
         return (*commands, *(f"the torque sensor of joint '{joint}'" for joint in self.sensors))
 
     def places(self, rows: Sequence[int], count: int) -> str:
-        """Find where ``count`` rows are in the file, of which ``rows`` are the first."""
+        """Describe the location in the file of ``count`` rows, the first of which are ``rows``."""
         listed = ", ".join(str(int(row) + self.first_line) for row in rows[:5])
         return f"{self.line_word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
 
@@ -62,7 +62,7 @@ class Samples:
     command: np.ndarray
 
     def place(self, sample: int) -> str:
-        """Find where a sample is in the file."""
+        """Describe the location of a sample in the file."""
         return self.source.places([self.rows[sample]], 1)
 
 
@@ -117,7 +117,7 @@ WHOLE = Part()
 
 
 def refuse_short(source: Source, count: int) -> None:
-    """Refuse a log of so few samples."""
+    """Refuse a log with too few samples."""
     if count < MIN_SAMPLES:
         raise GtauError(
             f"{source.name} has {counted(count, 'sample')}; identification needs a log of several seconds (at least "
@@ -129,7 +129,7 @@ def refuse_short(source: Source, count: int) -> None:
 class Incomplete:
     """Of ``count`` rows, the number ``of_rows`` that lack a value, the ``first`` of them, and the column that it lacks.
 
-    ``numbers`` are those in each column. ``empty`` further rows hold no position and no command: where they are many,
+    ``numbers`` are those in each column. ``empty`` further rows hold no position and no command: if there are many,
     they hold other signals.
     """
 
@@ -142,7 +142,7 @@ class Incomplete:
 
 
 def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -> tuple[Samples, Incomplete]:
-    """Collect the samples of a log, or of a part of it, none of whose values is missing."""
+    """Collect the complete samples of a log or of a part of it."""
     n, count = len(source.joints), 0
     wide = 2 * n + len(source.sensors) + source.components  # columns before the time
     stores = Store(dtype=int), Store(), Store((n,)), Store((wide - n,))
@@ -174,7 +174,7 @@ def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -
 
 
 def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], part: Part = WHOLE) -> Samples:
-    """Return the samples none of whose values is missing; raises GtauError where there are too few."""
+    """Return the complete samples; raises GtauError if there are too few."""
     samples, lacking = gathered(source, blocks, part)
     if not lacking.count and part != WHOLE:
         raise GtauError(
@@ -224,5 +224,5 @@ def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ahead(samples: int) -> Iterator[tuple[int, int]]:
-    """Extend spans for what needs the sample before too: each begins with the last one of the span before."""
+    """Extend each span by the last sample of the span before."""
     return ((max(start - 1, 0), stop) for start, stop in spans(samples))

@@ -1,4 +1,4 @@
-"""Settings of the preparation that a user may set by hand."""
+"""Settings of the preparation made by hand."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class PreparationSettings(Keys):
     position_filter : float or "none", optional
         Cut-off of the low-pass of the positions, Hz.
     decimation : int, optional
-        Samples of the slowest log for one row of the regression.
+        Samples of the slowest log per row of the regression.
     delay : float
-        By how much the currents (or torques) lag behind the positions in the logs, s; they are shifted by it.
+        Lag of the currents (or torques) behind the positions in the logs, s; it is compensated.
     least_speed : float, optional
         Share of a joint's rms speed below which its rows are left out.
     clock : {"stamps", "regular"}, optional

@@ -47,10 +47,10 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
     Raises
     ------
     GtauError
-        A column is not there, or hardly any row holds a pose.
+        A column is missing, or hardly any row holds a pose.
     """
     pose, path = signals.pose, Path(paths[0])
-    assert pose is not None  # whoever calls has looked
+    assert pose is not None  # checked by the caller
     n = len(signals.joints)
     position_scale, _, _ = units.scale(signals)
     columns, scale = [*signals.position.values(), *pose.columns], [*position_scale, *units.pose.scale(pose)]
@@ -63,7 +63,7 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
     return LoggedPoses(path.stem + part.label, table[:, -1], table[:, :n], table[:, n:-1])
 
 
-KEPT = 2000  # instants of a run: what depends on it is slow
+KEPT = 2000  # instants of a run: its effects are slow
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part
     Raises
     ------
     GtauError
-        A column is not there, or holds no numbers.
+        A column is missing, or holds no numbers.
     """
     if signals.temperature is None:
         return None

@@ -17,14 +17,14 @@ from gtau.errors import GtauError
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes that bound the memory that a long log takes; results depend on none but the last.
+    """Sizes that bound the memory of a long log; results depend on the last one only.
 
     Attributes
     ----------
     block : int
-        Samples that are worked on at once.
+        Samples processed at once.
     in_memory : int
-        Bytes of an array that are not worth a file.
+        Largest array kept in memory, bytes.
     rows, text : int
         Rows of a table, and bytes of a text file, that are read at once.
     looked_at : int
@@ -48,7 +48,7 @@ def sizes() -> Sizes:
 
 @contextmanager
 def working_with(chosen: Sizes) -> Iterator[None]:
-    """Use other sizes, in this thread and as long as the context lasts."""
+    """Use other sizes in this thread for the duration of the context."""
     token = _current.set(chosen)
     try:
         yield
@@ -68,7 +68,7 @@ def spans(samples: int, size: int = 0) -> Iterator[tuple[int, int]]:
 
 
 class Store:
-    """An array that grows by blocks; a long one lies in a file that is gone with it.
+    """Array that grows by blocks; a long one is stored in a file deleted with it.
 
     The file has no name: it is in the folder for temporary files (``TMPDIR``), and even a killed program leaves
     nothing there.
@@ -138,7 +138,7 @@ def store(blocks: Iterable[np.ndarray], width: tuple[int, ...] = (), dtype: type
 
 
 def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Copy the rows of an array at increasing ``places``, however long it is."""
+    """Copy the rows of an array of any length at increasing ``places``."""
     rows = Store(array.shape[1:], array.dtype.type)
     for start, stop in spans(len(array)):
         first, last = np.searchsorted(places, [start, stop])
@@ -147,7 +147,7 @@ def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def block(array: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """Copy some rows of an array; those of a stored one need no memory afterwards."""
+    """Copy some rows of an array; a stored one releases their memory afterwards."""
     copy = array[start:stop].copy()
     file = stored(array)
     if file is not None and hasattr(mmap, "MADV_DONTNEED"):
@@ -156,7 +156,7 @@ def block(array: np.ndarray, start: int, stop: int) -> np.ndarray:
 
 
 def stored(array: np.ndarray) -> mmap.mmap | None:
-    """Return the file that an array lies in, if it does not lie in memory."""
+    """Return the file of an array that is not in memory."""
     owner: object = array
     while isinstance(owner, np.ndarray):
         owner = owner.base

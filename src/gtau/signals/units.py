@@ -1,4 +1,4 @@
-"""Units of a log's columns, as factors to SI; those that are not in ``COMMON`` by the library pint."""
+"""Units of a log's columns, as factors to SI; units outside ``COMMON`` are converted by pint."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import AfterValidator
 
 Kind = Literal["time", "position", "current", "torque", "force"]
 
-COMMON: dict[str, dict[str, float]] = {  # what nearly all logs hold, without the half second that pint takes to import
+COMMON: dict[str, dict[str, float]] = {  # units of nearly all logs, without the half second that pint takes to import
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "angle": {"rad": 1.0, "deg": math.pi / 180},
     "length": {"m": 1.0, "mm": 1e-3},
@@ -39,7 +39,7 @@ def si_factor(text: str, kind: Kind) -> float:
     Raises
     ------
     ValueError
-        It is no unit of that kind; the text says what to write.
+        It is no unit of that kind; the text gives the remedy.
     """
     return _found(text, kind)[1]
 
@@ -53,7 +53,7 @@ def is_angle(text: str) -> bool:
 def checked_unit(
     kind: Kind, quantity: Literal["angle", "length"] | None = None, shares: bool = False
 ) -> AfterValidator:
-    """Make the validator of a unit of a kind, of one ``quantity`` of those of positions; ``shares`` may be allowed."""
+    """Make the validator of units of a kind and, for positions, of a ``quantity``; ``shares`` may be allowed."""
 
     def checked(text: str) -> str:
         if shares and text in SHARES:
@@ -91,7 +91,7 @@ def _found(text: str, kind: Kind) -> tuple[str, float]:
     except (pint.PintError, ArithmeticError, AttributeError, TypeError, ValueError, SyntaxError):
         pass
     except Exception as error:
-        if type(error).__module__ not in ("tokenize", "builtins"):  # what pint's parser lets through
+        if type(error).__module__ not in ("tokenize", "builtins"):  # accepted by pint's parser
             raise
     raise ValueError(f"write {choices}, or another unit of {' or '.join(QUANTITIES[kind])}, not '{text}'")
 

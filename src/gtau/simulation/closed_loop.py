@@ -34,9 +34,9 @@ class Drive:
 
 @dataclass(frozen=True)
 class Sensors:
-    """What is measured and logged of a joint.
+    """Measurement and logging of a joint.
 
-    Positions are late by ``delay`` s and rounded to ``position_quantum``, rad or m. The logged current has white noise
+    Positions are delayed ``delay`` s and rounded to ``position_quantum``, rad or m. The logged current has white noise
     of the rms ``current_noise`` and is rounded to ``current_quantum``, both in A.
     """
 
@@ -83,7 +83,7 @@ DIGITS = 9  # decimals of what is logged, finer than any encoder
 
 
 class Engine(Protocol):
-    """What moves the robot: :class:`~gtau.simulation.plant.Plant` or its like in MuJoCo."""
+    """Dynamics engine of the robot: :class:`~gtau.simulation.plant.Plant` or its MuJoCo counterpart."""
 
     def start(self, q: np.ndarray) -> PlantState:
         """Return the state at rest at actuated positions."""
@@ -94,7 +94,7 @@ class Engine(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """What a simulation gives: the ``run`` as logged, and the true tracking ``error`` (N, n), rad or m."""
+    """Result of a simulation: the ``run`` as logged, and the true tracking ``error`` (N, n), rad or m."""
 
     run: Run
     error: np.ndarray
@@ -127,7 +127,7 @@ def simulate(
     rng : Generator
         Of the noise and the phase of the ripple.
     payload : Payload, optional
-        What the run says of its payload.
+        Payload stated in the run.
     joints : tuple of str
         Names of the actuated joints.
     progress : callable
@@ -136,7 +136,7 @@ def simulate(
     Raises
     ------
     GtauError
-        Where the robot gets to a singular pose or out of control.
+        Where the robot reaches a singular pose or the control loop diverges.
     """
     reference = controller.reference
     samples, n = reference.q.shape
@@ -180,7 +180,7 @@ def write_log(run: Run, path: str | Path) -> None:
 
 
 def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:
-    """Compute positions (n,) as the sensors give them, from the latest states, newest first."""
+    """Compute the measured positions (n,) from the latest states, newest first."""
     late = hardware.delay / period
     whole = late.astype(int)
     past, older = (

@@ -1,4 +1,4 @@
-"""The five control strategies of the paper's Table 4, on the same robot and the same trajectories."""
+"""Comparison of the five control strategies of the paper's Table 4, on the same robot and trajectories."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ STRATEGIES = (
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """How a strategy followed a trajectory: ``maximum`` and ``rms`` (n,) of the error, means of the repetitions.
+    """Tracking error of a strategy on a trajectory: ``maximum`` and ``rms`` (n,), means over the repetitions.
 
     ``error`` (N, n) is the first repetition's; rad or m, ``time`` (N,) in s.
     """
@@ -93,18 +93,18 @@ def compare_control(
     simulation_file : path
         The robot, its true parameters, drives and sensors, and the trajectories.
     experiment : path
-        Logs of that robot and the manufacturer's gains, from which each computed torque gets a model of its own.
+        Logs of that robot and the manufacturer's gains, from which each computed torque's model is identified.
     progress : callable
         Called as the work goes on.
     identified : mapping, optional
         Joint to identified gain; by maximum likelihood from the experiment if left out.
     repetitions : int
-        How often every trajectory is run; the paper's Table 4 holds means of two.
+        Number of runs of every trajectory; the paper's Table 4 holds means of two.
 
     Raises
     ------
     GtauError
-        Where a file is wrong, or the robot gets out of control.
+        Where a file is wrong, or the control loop diverges.
     """
     simulation = read_simulation(simulation_file)
     robot = load_robot(simulation.robot)

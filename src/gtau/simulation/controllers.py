@@ -1,4 +1,4 @@
-"""The control laws that the paper compares (section 5.2), all with the same linear part.
+"""Control laws that the paper compares (section 5.2), all with the same linear part.
 
 Force = ``inertia`` (kp e + ki int e + kd (weight qd_r - qd)) + ``feedforward``, with ``e = q_r - q``. The laws differ
 in the inertia, in the ``weight`` of the reference's velocity (0: simple PID, 1: velocity feedforward) and in the

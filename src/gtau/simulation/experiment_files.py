@@ -1,4 +1,4 @@
-"""Logs of a simulated robot, and the experiment file that ``gtau identify`` takes as it is."""
+"""Logs of a simulated robot, and an experiment file ready for ``gtau identify``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ HELD = 10  # samples over which the controller keeps an inertia matrix
 
 
 def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> dict[str, float]:
-    """Add a payload to the standard parameters of the body that carries it; what it does not state is zero."""
+    """Add a payload to the standard parameters of the body that carries it; missing ones are zero."""
     chi = dict(chi)
     if payload is not None:
         for kind, value in {"m": payload.mass or 0.0, **payload.parameters}.items():
@@ -50,7 +50,7 @@ def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, flo
     Raises
     ------
     GtauError
-        Where the identified model is of another robot, or friction is stated that the law does not have.
+        Where the identified model is of another robot, or a stated friction term is not part of the law.
     """
     smoothing = simulation.friction_width.model_dump()
     if simulation.model is not None:
@@ -117,10 +117,10 @@ def simulate_experiment(
     Parameters
     ----------
     source : path, Simulation or mapping
-        The simulation file, what was read of it, or a mapping with its keys, whose paths are relative to the working
+        The simulation file, its parsed content, or a mapping with its keys, whose paths are relative to the working
         directory.
     out : path
-        A folder; it is made where there is none.
+        Output folder, created if missing.
     progress : callable, optional
         Called as the work goes on.
 
@@ -134,7 +134,7 @@ def simulate_experiment(
     GtauError
         Where the file is wrong, a run cannot be made, or a file cannot be written.
     KeyboardInterrupt
-        Where it is interrupted; the text says which logs are finished.
+        Where it is interrupted; the text lists the finished logs.
     """
     simulation, out = as_simulation(source), folder_of(out)
     robot = load_robot(simulation.robot)
@@ -142,11 +142,11 @@ def simulate_experiment(
     check_joints(simulation, robot, source if isinstance(source, (str, Path)) else "simulation")
     model = InverseDynamics(robot)
     described = (*simulation.runs, *simulation.validation)
-    for each in described:  # what is wrong is said before the first run is made
+    for each in described:  # errors are reported before the first run is made
         make_trajectory(each.trajectory, robot, f"run '{each.name}'")
     written: list[Path] = []
     experiment = out / "experiment.yaml"
-    experiment.unlink(missing_ok=True)  # it would name logs of which some are new and some old
+    experiment.unlink(missing_ok=True)  # it would name a mix of new and old logs
     try:
         for each in described:
             made = make_run(simulation, model, each, lambda done, total, name=each.name: progress(name, done, total))  # type: ignore[misc]
@@ -162,7 +162,7 @@ def simulate_experiment(
 
 
 def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
-    """Write the experiment file of a simulation: what its logs hold, and what is to be known of them."""
+    """Write the experiment file of a simulation: contents of its logs, and prior knowledge."""
     file = Path(simulation.robot)
     document: dict[str, Any] = {
         "robot": relpath(file, out) if file.is_file() else simulation.robot,

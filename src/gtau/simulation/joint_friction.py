@@ -1,8 +1,8 @@
 """Friction of a simulated robot: the law of an identified model, driven by the simulated positions.
 
 It is :class:`gtau.estimation.friction.law.FrictionLaw`, state z included. A joint without presliding slides at once,
-and its ``sign(qd)`` is ``tanh(qd / width)``, so that an integrator finds its way. The state of one with presliding is
-the stop operator of the position itself, not of the speed: nothing of it is integrated, and a joint that rests stays.
+and its ``sign(qd)`` is ``tanh(qd / width)``, so that it can be integrated. The state of one with presliding is
+the stop operator of the position itself, not of the speed: it is not integrated, and a joint at rest does not creep.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from gtau.robots.parameter import Parameter, parameter_of
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: sign(v) is tanh(v / width)
 TERMS = ("fb", "fl")
 """Kinds of friction that are no standard parameters; those of the plain law are."""
-MISSED = 1e-9  # of its band: what a joint may go on in a step beyond the point where it turns
-BALANCES = 3  # how often terms that propel are scaled to the load that they leave
+MISSED = 1e-9  # of its band: how far a joint may overshoot its reversal within a step
+BALANCES = 3  # iterations that scale propelling terms to the resulting load
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +37,14 @@ class JointFriction:
     law : FrictionLaw
         Of the robot.
     values : dict
-        ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units; what is missing is zero.
+        ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units; missing ones are zero.
     smoothing : dict
         Kind of joint to the width of its ``sign(qd)``, m/s or rad/s.
 
     Raises
     ------
     GtauError
-        Where a joint has a shape, or friction by load, that the law does not know of it.
+        Where a joint has a shape or load-dependent friction that the law does not include.
     """
 
     law: FrictionLaw
@@ -86,12 +86,12 @@ class JointFriction:
 
     @cached_property
     def reach(self) -> np.ndarray:
-        """States' changes (s, n) for unit changes of the actuated joints, 1/rad or 1/m, as long as nothing slides."""
+        """Derivatives (s, n) of the states with respect to the actuated joints, 1/rad or 1/m, before sliding."""
         return self.law.ratios[list(self.law.states)] / self.law.widths[:, None]
 
     @cached_property
     def propels(self) -> bool:
-        """Whether some term of the law may propel, and is scaled down where it does."""
+        """True if some term of the law may propel, and is then scaled down."""
         terms = [
             {kind: self.values.get(Parameter(kind, joint.name).name, 0.0) for kind in ("fv", "fs", "fb", "fl", "f3")}
             for joint in self.law.model.robot.joints
@@ -99,14 +99,14 @@ class JointFriction:
         return any(min(each["fv"], each["fs"], each["fs"] + each["fb"], each["fl"], each["f3"]) < 0 for each in terms)
 
     def moved(self, z: np.ndarray, dq: np.ndarray) -> np.ndarray:
-        """Move states (s,) along monotone ways (n,) of the actuated joints."""
+        """Update states (s,) for monotone displacements (n,) of the actuated joints."""
         return np.clip(z + self.reach @ dq, -1.0, 1.0)
 
     def until_turn(self, z: np.ndarray, before: np.ndarray, after: np.ndarray, step: float) -> float:
         """Compute the part of a step in which no sliding joint turns: 1, or less where the step is to be shorter.
 
-        A state forgets where its joint has slid, so that steps end where sliding joints turn; what has not slid only
-        counts where it is. ``before`` and ``after`` (n,) are the speeds at the ends of the step, in s.
+        Sliding erases the history of a state, so that steps end where sliding joints reverse; a state that has not slid
+        depends on the position alone. ``before`` and ``after`` (n,) are the speeds at the ends of the step, in s.
         """
         v, w = self.reach @ before, self.reach @ after
         turns = v * w < 0
@@ -119,9 +119,9 @@ class JointFriction:
         return float(part[late].min()) if late.any() else 1.0
 
     def effort(self, yd: ca.SX, J: ca.SX, force: ca.SX, z: ca.SX) -> ca.SX:
-        """Express what motors' forces leave to the robot (n,), ``force - friction``: the load of joints, too.
+        """Express the effort left for the robot (n,), ``force - friction``, which is also the load of the joints.
 
-        Friction by load is ``s |e|`` of the effort e itself, so that ``e + s |e|`` is what other friction leaves.
+        Friction by load is ``s |e|`` of the effort e itself, so that ``e + s |e|`` is the force less other friction.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class JointFriction:
         return effort
 
     def on_joints(self, yd: ca.SX, z: ca.SX) -> ca.SX:
-        """Express friction without ``fl`` and offsets of each joint (joints,) at velocities (joints,) and states."""
+        """Express friction (except ``fl``) and offsets of each joint (joints,) at velocities (joints,) and states."""
         (plain, _), speeds = self._forces(yd, z)
         forces = self.law.scales(ca, plain, speeds) * plain if self.propels else plain
         joints = forces[: len(self.offsets)] + ca.DM(self.offsets)
@@ -161,7 +161,7 @@ class JointFriction:
         return np.array([self.values.get(Parameter("off", joint.name).name, 0.0) for joint in joints])
 
     def _forces(self, yd: ca.SX, z: ca.SX) -> tuple[tuple[ca.SX, ca.SX], ca.SX]:
-        """Express the forces of the law without load, by what a unit of it adds to them, and the speeds they oppose."""
+        """Express the forces of the law at zero load, their change per unit load, and the speeds they oppose."""
         law, joints, n = self.law, self.law.model.robot.joints, len(self.law.model.actuated)
         sliding = [ca.tanh(yd[row] / self.smoothing[joint.kind]) for row, joint in enumerate(joints)]
         states = dict(zip(law.states, ca.vertsplit(z) if law.states else [], strict=True))
@@ -182,7 +182,7 @@ class JointFriction:
 def plain_friction(
     model: InverseDynamics, values: Mapping[str, float], smoothing: Mapping[str, float] = WIDTH
 ) -> JointFriction:
-    """Make the friction of parameters ``fv``, ``fs`` and ``off`` alone."""
+    """Make friction with the parameters ``fv``, ``fs`` and ``off`` alone."""
     return JointFriction(FrictionLaw(model, {}), values, smoothing)
 
 

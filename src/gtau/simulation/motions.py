@@ -1,4 +1,4 @@
-"""The trajectory that a simulation file describes: of one of five kinds, and inside the robot's limits."""
+"""Trajectory of a simulation file: of one of five kinds, within the robot's limits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gtau.signals.log_file import read_log
 from gtau.simulation.simulation_file import MotionEntry
 from gtau.simulation.trajectories import Envelope, PointToPoint, Sines, Trajectory, envelope, point_to_point, sines
 
-ROUNDED = 1.01  # times a limit: by so much may speeds and accelerations of rounded samples be off
+ROUNDED = 1.01  # times a limit: tolerance on speeds and accelerations of rounded samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Traj
     robot : Robot
         Whose actuated joints move.
     where : str
-        What messages call the run.
+        Name of the run in messages.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot,
 
 
 def check_positions(q: np.ndarray, joint: Joint, where: str) -> None:
-    """Refuse positions (N,) of a joint, rad or m, beyond its limits; ``where`` is what the message calls the run.
+    """Refuse positions (N,) of a joint, rad or m, beyond its limits; ``where`` names the run in the message.
 
     Raises
     ------

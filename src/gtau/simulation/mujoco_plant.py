@@ -1,7 +1,7 @@
-"""Simulate the plant in MuJoCo, which shares no equations with the estimator.
+"""Plant in MuJoCo, which shares no equations with the estimator.
 
 Viscous friction and rotor inertia are MuJoCo's damping and armature; all other friction is applied as in
-:mod:`gtau.simulation.plant`, anew in every step. MuJoCo's constraints give way a little.
+:mod:`gtau.simulation.plant`, anew in every step. MuJoCo's constraints are slightly compliant.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class MujocoPlant:
     Raises
     ------
     GtauError
-        Where MuJoCo is not installed, a body's inertia could not be built, or the robot has couplings or friction by
-        load, which this engine does not know.
+        Where MuJoCo is not installed, a body's inertia could not be built, or the robot has couplings or load-dependent
+        friction, which this engine does not support.
     """
 
     def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
@@ -108,7 +108,7 @@ class MujocoPlant:
         Raises
         ------
         GtauError
-            Where the motion has no bounds.
+            Where the motion diverges.
         """
         data, applied, z = self._data, np.zeros(self._model.nv), state.z
         steps = max(1, round(duration / STEP))

@@ -105,14 +105,14 @@ class PlantState:
 
 
 class Plant:
-    """A robot that moves as the forces on its actuated joints make it.
+    """Forward dynamics of a robot under forces on its actuated joints.
 
     Parameters
     ----------
     model : InverseDynamics
         Of the robot, with all parameters.
     chi : mapping
-        Standard parameters by name, SI units; what is missing is zero.
+        Standard parameters by name, SI units; missing ones are zero.
     friction : JointFriction, optional
         In every joint, passive ones too; ``fv v + fs tanh(v / width) + off`` of chi if left out.
 
@@ -164,7 +164,7 @@ class Plant:
         Raises
         ------
         GtauError
-            Where the robot runs into a singular pose or its motion has no bounds.
+            Where the robot reaches a singular pose or its motion diverges.
         """
         c, qd, z, left, step = state.c, state.qd, state.z, duration, duration
         actuated = self.layout.actuated
@@ -242,7 +242,7 @@ class Plant:
         return ca.Function("dynamics", [c, yd, ydd, J_passive], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
 
     def _symbolic_effort(self) -> ca.Function:
-        """Compile (yd, J, force, z) to what friction leaves of the forces."""
+        """Compile (yd, J, force, z) to the forces less friction."""
         yd, force = ca.SX.sym("yd", self.layout.n_y), ca.SX.sym("force", len(self.layout.actuated))
         z, (J_passive, J) = ca.SX.sym("z", len(self.friction.law.states)), self._motions()
         effort = ca.densify(self.friction.effort(yd, J, force, z))
@@ -306,7 +306,7 @@ class Plant:
         return ca.Function("step", [c, qd, force, z, h], [self._closed(x[: layout.n_c]), x[layout.n_c :], error])
 
     def _closed(self, c: ca.MX) -> ca.MX:
-        """Take one step of Newton's method back onto the closures, with quaternions of unit length."""
+        """Project onto the closures by one step of Newton's method, with unit quaternions."""
         layout = self.layout
         if self._constraints is None:
             return c

@@ -1,4 +1,4 @@
-"""The simulation file: which robot, its true parameters, drives and sensors, and the runs to be made."""
+"""The simulation file: robot, true parameters, drives and sensors, and the runs to be made."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ def as_simulation(source: str | Path | Simulation | Mapping[str, Any]) -> Simula
 
 
 def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:
-    """Check that drives and prior gains are those of the robot's actuated joints; raises GtauError."""
+    """Check that drives and prior gains belong to the robot's actuated joints; raises GtauError."""
     for what, names in (("drives", simulation.drives), ("prior_gains", simulation.prior_gains)):
         missing = [joint for joint in robot.actuated if joint not in names] if names else []
         extra = [joint for joint in names if joint not in robot.actuated]

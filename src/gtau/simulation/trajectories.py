@@ -1,7 +1,7 @@
 """Exciting trajectories of the actuated joints: sums of sines, and moves from point to point.
 
 A trajectory takes instants (N,) in s and returns positions, velocities and accelerations, each (N, n)
-in rad or m and s. It starts and ends at rest, and stands still outside its duration.
+in rad or m and s. It starts and ends at rest, and is constant outside its duration.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REST = 0.05  # s, between two moves
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """What a trajectory may use, (n,) each: positions ``reach`` to either side of ``center``, speed, acceleration."""
+    """Motion range of a trajectory, (n,) each: ``reach`` on either side of ``center``, speed, acceleration."""
 
     center: np.ndarray
     reach: np.ndarray
@@ -141,9 +141,9 @@ def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], re
     Parameters
     ----------
     within : Envelope
-        What the moves may use.
+        Motion range of the moves.
     duration : float
-        In s; the last move is the last that ends before, and the first is made in any case.
+        Duration, s; only moves that end before it are made, but at least one.
     targets : iterator of ndarray
         Points (n,), from -1 to 1 of the envelope's reach to either side of its center; without end.
     rest : float
