@@ -1,1 +1,1 @@
-"""Hypotheses about what is wrong, and verdicts."""
+"""Hypotheses about model and data errors, and verdicts on the estimates."""

@@ -96,12 +96,12 @@ class Alternative:
 
     @property
     def significant(self) -> bool:
-        """Whether it is no chance: by its size, or by the share that made it an alternative."""
+        """Whether it is significant: by its size, or by the share that made it an alternative."""
         return bool(np.isnan(self.std)) or abs(self.t) > REFUTED_STD
 
     @property
     def mean_square(self) -> float:
-        """What remains of its size squared, given the data."""
+        """Posterior mean square of its size, given the data."""
         return self.probability * self.second_moment
 
 
@@ -123,7 +123,7 @@ def support(size: float, std: float, plausible: float) -> tuple[float, float]:
 
 
 def compete(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
-    """Give the alternatives of each group their probabilities: one of them holds, or none."""
+    """Assign probabilities to the alternatives of each group: one of them holds, or none."""
     groups: dict[tuple[str, ...], list[Alternative]] = {}
     for each in alternatives:
         groups.setdefault(each.group, []).append(each)
@@ -214,7 +214,7 @@ def _alternatives(fit: Fit, hypothesis: Hypothesis, candidates: Candidates, test
 def _counted_once(
     alone: Sequence[Sequence[Alone]], columns: Sequence[slice], windows: Sequence[LinearisedWindow]
 ) -> list[list[Alternative]]:
-    """Keep, of all that have the same effect, the alternative with the largest plausible one, and name the others."""
+    """Keep the alternative with the largest plausible effect among those of the same effect, and name the others."""
     flat = [(k, column, joint, each) for k, members in enumerate(alone) for column, joint, each in members]
     tried = [Tried(columns[k].start + m, joint, each.plausible, each.description) for k, m, joint, each in flat]
     kept = {}
@@ -234,7 +234,7 @@ def _together(
     windows: Sequence[LinearisedWindow],
     known: tuple[np.ndarray, np.ndarray],
 ) -> list[Alternative]:
-    """Fit all candidates of a hypothesis at once, since they may explain much together and little alone."""
+    """Fit all candidates of a hypothesis jointly, since they may explain much together and little alone."""
     e, J, columns = stack(windows)
     e, J = np.concatenate([e, known[0]]), np.concatenate([J, known[1]])
     columns = np.pad(columns, ((0, len(known[0])), (0, 0)))
@@ -262,7 +262,7 @@ def _together(
 
 
 def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarray:
-    """Compute what all alternatives together add to the covariance of (theta, gains, delays), (k, k)."""
+    """Compute the covariance of (theta, gains, delays) that all alternatives together add, (k, k)."""
     total = np.zeros((size, size))
     for each in alternatives:
         total += each.mean_square * np.outer(each.slopes, each.slopes)

@@ -41,7 +41,7 @@ from gtau.signals.notes import Note
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """Verdicts on gains, delays and known payloads, and notes on what was found.
+    """Verdicts on gains, delays and known payloads, and notes on the findings.
 
     Of the drive ``gains`` by joint, the ``delays`` (c,), with those of torque sensors, and the ``payloads`` by name.
     ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good; ``sensors`` are the scales
@@ -64,7 +64,7 @@ def diagnose(
     prior_gains: Mapping[str, float],
     accuracy: float,
 ) -> Diagnosis:
-    """Judge what can be believed of a fit.
+    """Judge which estimates of a fit can be trusted.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def diagnose(
 
 
 def _small_refutations(examined: Examination, accuracy: float) -> list[Finding]:
-    """List what the data refute of the description where no gain moves by more than the accuracy."""
+    """List the parts of the description that the data refute without moving any gain by more than the accuracy."""
     moves = [(each, float(np.abs(each.moves).max())) for each in examined.refuted]
     return [
         Finding(F.SMALL_REFUTATION, values={"share": each.share, "move": move}, causes=each.causes)

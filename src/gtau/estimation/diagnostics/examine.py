@@ -52,7 +52,7 @@ from gtau.progress import Progress, silent
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """What the data say against a fit.
+    """Evidence of the data against a fit.
 
     Attributes
     ----------
@@ -76,12 +76,12 @@ class Examination:
 
     @property
     def covariance(self) -> np.ndarray:
-        """What the model's deficits may add to the covariance of (theta, gains, delays), (k, k)."""
+        """Covariance of (theta, gains, delays) that model deficits may add, (k, k)."""
         return self.ripple.covariance + model_covariance(self.alternatives, len(self.ripple.moves))
 
     @property
     def refuted(self) -> tuple[Alternative, ...]:
-        """Alternatives that contradict the description and that the data ask for, the best supported first.
+        """Alternatives that contradict the description and that the data support, the best supported first.
 
         Each is tried alone, so what a lag of the currents leaves, say, goes in part with gravity, with lengths and with
         currents that change: none of these refutes the description unless it explains more than the lag of all joints.
@@ -146,7 +146,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
 
 
 def _likelier(fit: Fit, missing: OtherGravity | None, other: OtherGravity | None) -> OtherGravity | None:
-    """Choose between no gravity and another one by what each leaves; alike, only torques may be without."""
+    """Choose between no gravity and another one by residual variance; if similar, only logged torques lack it."""
     if missing is None or other is None:
         return missing or other
     alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
@@ -162,7 +162,7 @@ def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
 
 
 def _certain(fit: Fit, hypothesis: str, cause: Finding, size: float, std: float, moves: np.ndarray) -> Alternative:
-    """Make an alternative that a test of its own found significant; ``moves`` (n,) are those of the gains."""
+    """Make an alternative from a finding of a separate significant test; ``moves`` (n,) are those of the gains."""
     slopes = np.zeros(len(fit.solution.stacked))
     slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
     return Alternative(
@@ -214,7 +214,7 @@ def _of_gain_changes(fit: Fit) -> list[Alternative]:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariances (k, k) of (theta, gains, delays): by ``scatter``, the ``scale``, and what the ``model`` may lack.
+    """Covariances (k, k) of (theta, gains, delays) from ``scatter``, the ``scale`` and ``model`` deficits.
 
     ``freedom`` (k,) are the degrees of freedom behind the scatter, None for very many.
     """
@@ -226,7 +226,7 @@ class Uncertainty:
 
     @property
     def random(self) -> np.ndarray:
-        """The random part: scatter, and masses and calibrations that give the scale."""
+        """Random part: scatter, and uncertainty of the masses and calibrations that set the scale."""
         return self.scatter + self.scale
 
     @property
@@ -245,7 +245,7 @@ class Uncertainty:
 
 
 def uncertainty_of(fit: Fit, examined: Examination, correlated: bool) -> Uncertainty:
-    """Find the uncertainty of a fit.
+    """Compute the uncertainty of a fit.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ RELATIVE = "of itself"  # unit of a size that is a share of what it changes
 
 
 class FindingKind(StrEnum):
-    """What was found; :mod:`gtau.estimation.diagnostics.sentences` has the words for each."""
+    """Kind of a finding; :mod:`gtau.estimation.diagnostics.sentences` has the words for each."""
 
     # against drive gains, in the order of their rank
     NEGATIVE_MASS = "negative mass"

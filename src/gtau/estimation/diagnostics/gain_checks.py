@@ -97,7 +97,7 @@ def estimated_gains(
 
 
 def gains_apart(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
-    """Find joints whose gains are further apart than motors and gears of one robot make them; those lost are none."""
+    """Find joints whose gains differ by more than motors and gears of one robot explain; ignore lost gains."""
     known, robot, kind = half_widths(fit, uncertainty) < 1, fit.dataset.robot, fit.dataset.runs[0].kind
     joints = zip(fit.system.problem.joints, np.abs(fit.gains), known & ~np.isin(fit.system.problem.joints, robot.base),
                  strict=True)  # fmt: skip
@@ -123,7 +123,7 @@ def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
 
 
 def _widest(examined: Examination, uncertainty: Uncertainty, row: int) -> tuple[F, tuple[Finding, ...]]:
-    """Find what contributes most to the interval of an estimate."""
+    """Find the largest contribution to the interval of an estimate."""
     random, model = uncertainty.random[row, row], uncertainty.model[row, row]
     if uncertainty.scale[row, row] > NAMED_SHARE * (random + model):
         return F.WIDE_SCALE, ()
@@ -161,7 +161,7 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
 
 
 def prior_gains_off(fit: Fit, priors: Mapping[str, float]) -> Iterator[Finding]:
-    """Find gains with a prior (by joint, N m/A or N/A) that are more than a factor of two off it."""
+    """Find gains that differ by more than a factor of two from their prior (by joint, N m/A or N/A)."""
     robot = fit.dataset.robot
     for joint, gain in zip(fit.system.problem.joints, fit.gains, strict=True):
         ratio = abs(gain / priors[joint]) if joint in priors else 1.0
@@ -194,7 +194,7 @@ def in_context(fit: Fit, finding: Finding) -> Finding:
 
 
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
-    """Find what contradicts measured wrenches: a negative mass of the robot, unexplained forces or moments on its base.
+    """Find contradictions of measured wrenches: a negative mass of the robot, or an unexplained wrench on its base.
 
     Both are against all gains.
     """

@@ -65,7 +65,7 @@ def geometry_test(
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A constant beside those that a fit has: what it explains, to first order or, where it was fitted, for good.
+    """A further free constant: the residual that it explains, to first order or, once fitted, exactly.
 
     ``left`` are the squares that it leaves.
     """
@@ -106,7 +106,7 @@ def _fitted(before: PoseFit, candidate: _Candidate) -> _Candidate:
 
 
 def _better(before: PoseFit, candidates: Sequence[_Candidate], length: float) -> PoseFit | None:
-    """Return the fit with the best further constant if it explains much, and its change is certain and large."""
+    """Return the fit with the best further constant if it explains much and its change is significant and large."""
     best = next((each for each in candidates if each.fit is not None), None)
     if best is None or best.constant in before.chosen:
         return None

@@ -64,7 +64,7 @@ class PoseTrace:
 
 @dataclass(frozen=True, eq=False)
 class GeometryTest:
-    """What logged poses say of a robot's geometry.
+    """Test of a robot's geometry against logged poses.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class GeometryTest:
 
     @property
     def note(self) -> Note:
-        """The outcome as a note."""
+        """Outcome as a note."""
         before, after = _sizes(self.position_rms, self.angle_rms), _sizes(self.position_after, self.angle_after)
         logged = f"the logged pose of '{self.body}'"
         if self.outcome == "confirmed":

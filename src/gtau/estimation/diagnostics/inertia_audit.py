@@ -1,4 +1,4 @@
-"""The inertias of the robot's file held against the data: how well they predict, and what contradicts them.
+"""Audit of the robot file's inertias against the data: their prediction errors and contradictions.
 
 The file's parameters are summed to base parameters, which the motions determine. Where motions leave some of these
 open, the file's are regrouped with the others as the data regroup them. Friction, offsets, payloads and gains are as
@@ -77,7 +77,7 @@ class AuditedLink:
 
 @dataclass(frozen=True)
 class InertiaAudit:
-    """What the data say of the inertias of the robot's file.
+    """Comparison of the robot file's inertias with the data.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ def _rms(errors: Mapping[str, float]) -> float:
 def without_file_inertias(
     fit: Fit, covariance: np.ndarray, freedom: np.ndarray | None
 ) -> tuple[Fit, np.ndarray, np.ndarray | None] | None:
-    """Fit again without the inertias of the robot's file, where they were priors: what the data say without them.
+    """Refit without the robot file's inertias where they were priors, for estimates from the data alone.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def without_file_inertias(
 def audit_inertias(
     fit: Fit, covariance: np.ndarray, freedom: np.ndarray | None, prior: float = 0.0
 ) -> InertiaAudit | None:
-    """Hold the inertias of the robot's file against a fit without them; None where the file states none.
+    """Compare the robot file's inertias with a fit without them; None where the file states none.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class _Comparison:
 
     @property
     def rows(self) -> np.ndarray:
-        """Weighted rows of the whole problem's parameters, (., n_whole): what a change of each adds to residuals."""
+        """Weighted Jacobian of the residuals with respect to the whole problem's parameters, (., n_whole)."""
         return _rows(self.system.whole, self.solution)
 
 
@@ -281,7 +281,7 @@ def _parameters(
 
 
 def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> list[AuditedLink]:
-    """Name the links that explain why the file predicts worse, one after the other."""
+    """Name the links that explain the larger torque error of the file, one after the other."""
     base, names = fit.dataset.base, fit.dataset.model.parameter_names
     rows, difference = comparison.rows, comparison.identified - comparison.file
     torque = rows @ difference
@@ -310,7 +310,7 @@ def _left(bodies: Mapping[str, np.ndarray], found: Sequence[AuditedLink]) -> lis
 
 
 def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:
-    """Explain ``torque`` by changes along ``G`` (n_b, c): what is left, squared, and the change (n_b,)."""
+    """Fit ``torque`` by changes along ``G`` (n_b, c): the squared residual, and the change (n_b,)."""
     A = rows[:, : len(G)] @ G
     norms = np.linalg.norm(A, axis=0)
     norms[norms == 0] = 1.0

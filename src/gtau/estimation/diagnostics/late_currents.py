@@ -1,4 +1,4 @@
-"""Currents that were logged so late, or early, that the expansion of a delay in derivatives does not reach it."""
+"""Currents with delays or advances too large for the derivative expansion of a delay."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def late_currents(dataset: Dataset, slowest: float) -> tuple[Finding, ...]:
 
 
 def _windows(dataset: Dataset, reach: float) -> Iterator[_Window]:
-    """Iterate over the middle of the runs, where currents can be had up to ``reach`` (s) before and after."""
+    """Iterate over the middle of the runs, with currents available up to ``reach`` (s) before and after."""
     joints, regressor = range(len(dataset.model.actuated)), dataset.model.columns(dataset.base.standard)
     loads = [None if run.payload is None else run.payload.name for run in dataset.runs]
     kinds = list(dict.fromkeys(loads))

@@ -1,4 +1,4 @@
-"""Whether another length of the robot explains the residuals.
+"""Test whether another length of the robot explains the residuals.
 
 A wrong length leaves residuals that depend on the motion, as unmodelled friction does; their size does not separate
 the two, their shape does. The robot is fitted again with each length a little longer and a little shorter: a parabola
@@ -53,7 +53,7 @@ class OtherLength:
 
 
 def other_length(fit: Fit, progress: Progress = silent) -> OtherLength | None:
-    """Find the length that explains most of the residuals, of several the one that is least wrong; None without one."""
+    """Find the length that explains most of the residuals, of similar ones that with the smallest change; or None."""
     found = [each for each in _tried(fit, progress) if each.share > LENGTH_SHARE and abs(each.change) > LENGTH_CHANGE]
     most = max((each.share for each in found), default=0.0)
     likely = (each for each in found if each.share > LENGTH_ALIKE * most)
@@ -85,7 +85,7 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
 
 
 def _left(fit: Fit, windows: Windows, model: InverseDynamics) -> tuple[float, np.ndarray]:
-    """Fit another ``model`` to first order: squares of the residuals that it leaves, and its gains (n,)."""
+    """Fit another ``model`` to first order: sum of its squared residuals, and its gains (n,)."""
     e, J, _ = stack(linearise(fit, None, windows, model))
     errors, known = known_rows(fit, windows)
     e, J = np.concatenate([e, errors]), np.concatenate([J, known])

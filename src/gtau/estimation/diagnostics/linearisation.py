@@ -1,4 +1,4 @@
-"""Residuals of a fit along windows of the runs, linearised, beside candidate columns that the model lacks."""
+"""Linearised residuals of a fit along windows of the runs, with candidate columns that the model lacks."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def moving_stretches(dataset: Dataset, pieces: int = 1) -> list[list[range]]:
 
 
 def _moving_stretches(prepared: PreparedRun, wanted: int, longest_rest: int) -> list[range]:
-    """Look from the middle of a run outwards for ``wanted`` samples in stretches without longer rests."""
+    """Search outwards from the middle of a run for ``wanted`` samples in stretches without longer rests."""
     margin = max(prepared.preparation.decimator.support, STENCIL)
     width = wanted
     while True:
@@ -110,7 +110,7 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
 
 
 def in_step(dataset: Dataset, windows: Windows) -> np.ndarray:
-    """Give numbers (W,) to windows, the same to those of runs that repeat a motion which are nearest to each other."""
+    """Assign numbers (W,) to the windows, equal ones to the nearest windows of runs that repeat a motion."""
     found: list[int] = []
     first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
     for run, window in windows:
@@ -237,7 +237,7 @@ def at_full_rate(window: InMemoryRun, dataset: Dataset, torques: np.ndarray) -> 
 
 
 def on_channels(offer: Offer, felt: bool) -> Offer:
-    """Offer a joint's torque to its torque sensor too, where the sensor has ``felt`` it, or there nothing."""
+    """Add a joint's torque to its torque sensor's rows where the sensor has ``felt`` it, otherwise zeros."""
 
     def with_sensors(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
         columns = offer(window, values)
@@ -266,7 +266,7 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
 
 
 def side_by_side(offers: Sequence[Offer]) -> Offer:
-    """Offer the columns of several hypotheses at once, in one pass of the windows."""
+    """Build the columns of several hypotheses in one pass over the windows."""
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
         each = [make(window, values) for make in offers]

@@ -1,4 +1,4 @@
-"""Tests of the logs: commands that lag, channels that are swapped, currents that never felt the payload.
+"""Tests of the logs: lagging commands, swapped channels, currents without the effect of the payload.
 
 Torque causes acceleration, so the command of a drive comes before the motion by its delay. One that comes after the
 motion was filtered or stamped late. A low-pass of first order with time constant T makes ``v + T v'`` of what the

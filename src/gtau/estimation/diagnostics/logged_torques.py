@@ -1,4 +1,4 @@
-"""What columns called torque or 'effort' hold instead: shares of a rated value, motor-side torques, those of a model.
+"""Detect torque or 'effort' columns with other contents: shares of a rated value, motor-side or model torques.
 
 Torques without gravity are found by :mod:`gtau.estimation.diagnostics.missing_gravity`, late ones by ``late_currents``,
 and magnitudes without sign are refused where logs are read.
@@ -25,7 +25,7 @@ from gtau.signals.storage import block, spans
 
 
 def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
-    """Find commands that are whole numbers, and torques far below all limits of effort, in all ``runs``."""
+    """Find integer-valued commands, and torques far below all effort limits, in all ``runs``."""
     n, kind = len(runs[0].joints), runs[0].kind
     whole, values, peaks = 0, 0, np.zeros(n)
     for run in runs:
@@ -48,7 +48,7 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
 
 
 def logged_torques(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
-    """Find torques of the motors before their gears, by their scale, and torques or currents that a model computed."""
+    """Find motor-side torques, by their scale, and torques or currents computed by a model."""
     kind = fit.dataset.runs[0].kind
     yield from doubtful_commands(fit.dataset.runs, fit.dataset.robot)
     if fit.free_gains and kind == "torque":

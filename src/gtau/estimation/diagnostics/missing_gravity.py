@@ -1,4 +1,4 @@
-"""Whether the torques have no gravity, as of a driver that compensates it.
+"""Test whether the logged torques exclude gravity, as with a driver that compensates it.
 
 Fitted with gravity, such torques ask for links whose centres lie on the axes, and are not explained by what the
 inertia of these does. So a robot whose fit hardly feels gravity is fitted once more without any.
@@ -47,7 +47,7 @@ def missing_gravity(fit: Fit, asked: bool = False) -> OtherGravity | Finding | N
 
 
 def gravity_shares(fit: Fit) -> np.ndarray:
-    """Compute the rms of each joint's torque of gravity about its mean over that of its whole torque, (n,)."""
+    """Compute the ratio of rms gravity torque (about its mean) to rms total torque of each joint, (n,)."""
     dataset, n = fit.dataset, len(fit.gains)
     gravity = np.array(dataset.robot.gravity)
     if not gravity.any():

@@ -57,7 +57,7 @@ Moments = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """What another estimator finds otherwise.
+    """Difference between the estimates of another estimator and those used.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Difference:
 
 
 def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alternative]:
-    """Make an alternative of each difference in a gain, and of those in a parameter that chance does not explain.
+    """Make an alternative of each difference in a gain, and of each significant one in a parameter.
 
     They compete for each estimate: one of the other estimators is right, or the one used. Before the data a difference
     is thought to be as large as the random standard deviation.
@@ -133,7 +133,7 @@ def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
 
 
 def two_stage_difference(fit: Fit) -> Difference | Finding:
-    """Find what 2SLS, which uses the same equations otherwise, finds otherwise, from the jackknife of both.
+    """Compare 2SLS on the same equations with the estimator used, by the jackknife of both.
 
     The standard deviation counts as no smaller than that of the estimates themselves, and the bias that instruments of
     this strength leave counts beside it. Where they are weak, what 2SLS finds otherwise is its bias, and the finding
@@ -154,7 +154,7 @@ def two_stage_difference(fit: Fit) -> Difference | Finding:
 
 
 def other_estimators(fit: Fit, windows: Windows | None = None) -> tuple[tuple[Difference, ...], tuple[Finding, ...]]:
-    """Find what estimators with other preparations, and instrumental variables, find otherwise, and which refuse.
+    """Compare estimates with other preparations and instrumental variables; also list the estimators that refuse.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def _untested(refusal: GtauError, *estimators: Finding) -> Finding:
 
 
 def _preparations(chosen: Preparation) -> list[tuple[Finding, Preparation]]:
-    """List the preparations to try, each with what it changes."""
+    """List the preparations to try, each with its change."""
     found = []
     for factor in (0.7, 1.4):
         cutoff = None if chosen.cutoff is None else below_nyquist(factor * chosen.cutoff, chosen.rate)
@@ -225,7 +225,7 @@ def _filtered_further(chosen: Preparation) -> Preparation | None:
 
 
 def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
-    """Prepare the same samples of the same runs otherwise."""
+    """Prepare the same samples of the same runs with another preparation."""
     prepared = tuple(replace(each, preparation=preparation.at(each.run.rate)) for each in dataset.prepared)
     return replace(dataset, preparation=preparation, prepared=prepared)
 
@@ -262,7 +262,7 @@ def _difference(
     back: np.ndarray,
     T: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute how (theta, gains, delays) differ between two estimators, (k,), and the standard deviations of that.
+    """Compute the differences of (theta, gains, delays) between two estimators, (k,), and their standard deviations.
 
     The solution counts as where the first estimator ends; the share of a cluster of windows in the difference is its
     influence on one estimator less that on the other.

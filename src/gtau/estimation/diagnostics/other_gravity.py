@@ -1,4 +1,4 @@
-"""Whether gravity along another axis of the base explains the residuals.
+"""Test whether gravity along another axis of the base explains the residuals.
 
 An arm on a wall or a ceiling, or a tracker whose vertical is y, has gravity where the robot file has none: beyond the
 few degrees of a base that is not level, parameters adapt, and a linear test of tilts points anywhere. So the robot is
@@ -57,7 +57,7 @@ class OtherGravity:
 
 
 def gravity_asked_for(fit: Fit, alternatives: Sequence[Alternative]) -> bool:
-    """Whether a tilt helps, or so much is unexplained that gravity may be the cause: fits take a few seconds each."""
+    """Decide whether another gravity is worth fitting (seconds per fit): a tilt helps, or the residual is large."""
     of_gravity = [each.share for each in alternatives if each.hypothesis == GRAVITY.name]
     misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
     return max(of_gravity, default=0.0) > REFUTED_SHARE or misfit > GRAVITY_MISFIT
@@ -126,7 +126,7 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
 
 
 def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) -> Iterator[Fit]:
-    """Turn gravity to where the residuals ask for it."""
+    """Rotate gravity to the direction that the residuals favour."""
     at: Fit | None = start
     for _ in range(STEPS):
         if at is None or (candidates := GRAVITY.candidates(at)) is None:
@@ -146,7 +146,7 @@ def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) ->
 
 
 def left_of(fit: Fit, own: Fit) -> float:
-    """Compute what is left of the residual variance of ``own``, the geometric mean of all channels (the likelihood's).
+    """Compute the residual variance relative to ``own``, the geometric mean over all channels (the likelihood's).
 
     So a single joint that feels gravity counts among many that do not.
     """

@@ -71,7 +71,7 @@ def known_verdict(
     explained: tuple[str, ...] = (),
     remains: float = 1.0,
 ) -> Verdict:
-    """Judge a known ``parameter`` of a payload by its estimate from all else that is known.
+    """Judge a known ``parameter`` of a payload by its estimate from the other known constants and the data.
 
     ``given`` is the kind of the commands where gains are given, else empty; ``explained`` the joints whose torque only
     the declared value leaves unexplained, and ``remains`` what the other leaves of the residual variance, the geometric
@@ -137,7 +137,7 @@ FRICTION = ("fv", "fs", "off")  # these always differ, and the table of paramete
 
 @dataclass(frozen=True)
 class LegDifference:
-    """How far a leg's identified parameters are from the mean of the legs of the same geometry.
+    """Deviation of a leg's identified parameters from the mean of the legs of the same geometry.
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ class LegDifference:
 
     @property
     def worst(self) -> tuple[str, float]:
-        """The parameter that differs most, and by how many standard deviations."""
+        """Parameter with the largest difference, and that difference in standard deviations."""
         k = int(np.abs(self.deviations).argmax())
         return self.compared[k], float(self.deviations[k])
 

@@ -60,7 +60,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """Where Gauss-Newton ended with the frames and the constants ``chosen`` free."""
+    """Gauss-Newton solution with the frames and the constants ``chosen`` free."""
 
     poses: Poses
     state: State
@@ -103,7 +103,7 @@ class PoseFit:
 
     @cached_property
     def left(self) -> float:
-        """Sum of the squared weighted residuals less what the columns explain of them to first order."""
+        """Sum of the squared weighted residuals that the columns do not explain to first order."""
         beyond = self.beyond(self.residual)
         return float(beyond @ beyond)
 
@@ -174,7 +174,7 @@ def _at(poses: Poses, state: State, chosen: Sequence[int]) -> PoseFit:
 def fit_frames(
     model: InverseDynamics, columns: PoseColumns, joints: Sequence[str], logged: Sequence[LoggedPoses]
 ) -> PoseFit:
-    """Fit what is unknown of the frames alone, components weighed by what no constant explains to first order.
+    """Fit the unknown frames alone, components weighted by the residual that no constant explains to first order.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far logged poses are from those computed from the joints' positions.
+"""Deviation of logged poses from those computed from the joint positions.
 
 A logged pose is ``T_t(0_T_b(q(t - d))) T_m``: that of the body in the base, after a frame ``T_m`` of a tool or marker
 fixed to the body, in the frame ``T_t`` of a tracker, delayed by ``d`` to the positions. What of these nobody knows is
@@ -22,7 +22,7 @@ OWN = 7  # entries of a step that are the delay's and the marker's; six of the t
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Where a tracker and a marker stand, and by how much poses lag.
+    """Poses of tracker and marker, and the delay of the logged poses.
 
     ``tracker`` are the orientations (runs, 3, 3) and positions (runs, 3) of the base in the tracker's frame,
     ``marker`` those (3, 3) and (3,) of the marker on the body; ``delay`` in s.
@@ -122,7 +122,7 @@ def compare(
 
 
 def first_frames(columns: PoseColumns, values: np.ndarray, body: BodyPose, run: np.ndarray) -> Frames:
-    """Guess where a tracker and a marker stand, from whole positions and orientations; else they are not moved."""
+    """Guess the poses of tracker and marker from full positions and orientations; otherwise leave them unchanged."""
     runs, measured = int(run.max()) + 1, _orientations(columns, values)
     R_t, p_t = np.tile(np.eye(3), (runs, 1, 1)), np.zeros((runs, 3))
     if columns.source == "tracker" and len(columns.axes) == 3:

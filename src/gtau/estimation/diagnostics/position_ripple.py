@@ -39,7 +39,7 @@ LARGEST = 10.0  # times the joint's error: how large such a torque may be, more 
 
 @dataclass(frozen=True, eq=False)
 class PositionRipple:
-    """What repeats at the same positions.
+    """Residual torque that repeats at the same positions.
 
     ``shares`` (c,) of the variance of each channel's errors that one half of the runs predicts in the other, and by how
     much (theta, gains, delays) move when it is taken into account, ``moves`` (n_theta + 2 c,), which are zero where
@@ -56,17 +56,17 @@ class PositionRipple:
 
     @property
     def found(self) -> bool:
-        """Whether anything repeats."""
+        """Whether a ripple was found."""
         return bool(np.max(self.shares) >= RIPPLE_SHARE)
 
     @property
     def covariance(self) -> np.ndarray:
-        """What it adds to the covariance of (theta, gains, delays), (k, k)."""
+        """Covariance of (theta, gains, delays) that it adds, (k, k)."""
         return np.outer(self.moves, self.moves)
 
 
 def position_ripple(fit: Fit) -> PositionRipple:
-    """Find what of the residuals repeats at the same positions.
+    """Estimate the part of the residuals that repeats at the same positions.
 
     Parameters
     ----------
@@ -129,14 +129,14 @@ def _fit(
 
 
 def _left(pieces: Sequence[LinearisedWindow], known: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Fit steps of the estimates alone (k,), and the squares of the errors that they leave, (n,)."""
+    """Fit steps of the estimates alone (k,), and compute the remaining squared errors, (n,)."""
     e, J, _ = stack(pieces)
     step = least_squares_step(np.concatenate([J, known[1]]), np.concatenate([e, known[0]]))
     return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))
 
 
 def ripple_findings(found: PositionRipple, fit: Fit) -> list[Finding]:
-    """Find the torque that repeats at the same positions, and what it does to the gains."""
+    """Find the torque that repeats at the same positions, and its effect on the gains."""
     if not found.found:
         return []
     problem = fit.system.problem

@@ -1,4 +1,4 @@
-"""What the residuals of runs with different loads have in common where these repeat a motion.
+"""Correlate the residuals of runs that repeat a motion with different loads.
 
 What the model lacks of the motion alone stands in both runs, and cancels in the gains. What changes sign between them
 depends on the load, and moves gains as a wrong payload does.
@@ -36,7 +36,7 @@ class Correlations:
 
     @property
     def significant(self) -> np.ndarray:
-        """Whether residuals of a joint are correlated, (n,)."""
+        """Joints whose residuals are significantly correlated, (n,)."""
         return (np.abs(self.values) > CORRELATED) & (np.abs(self.values) > CORRELATED_STD * self.std)
 
 
@@ -92,7 +92,7 @@ def _residuals(fit: Fit, run: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def repeated_motion_findings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
-    """Find joints whose residuals runs with different loads have in common, and those where they are opposed.
+    """Find joints whose residuals are correlated, or anticorrelated, between runs with different loads.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ def _products(W: np.ndarray, c: np.ndarray, e: np.ndarray) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class GainChange:
-    """By what share of itself a joint's current is larger in some ``runs`` than in the others; how significant.
+    """Relative increase of a joint's current in some ``runs`` over the others, and its significance.
 
     ``share`` of the residual variance of all joints goes where each has such a change in these runs; ``moves`` (n,) is
     by what share of itself each gain moves when this joint's change is modelled. It is the most significant of as many
@@ -189,7 +189,7 @@ def gain_changes(problem: Problem, solution: Solution, block_positions: np.ndarr
 
 
 def _first_largest(values: np.ndarray) -> np.ndarray:
-    """Find the first of the largest values along the first axis, whatever rounding does to equal ones.
+    """Find the first of the largest values along the first axis, robust to rounding of ties.
 
     Of two runs one is larger as significantly as the other is smaller.
     """

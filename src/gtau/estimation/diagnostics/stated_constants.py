@@ -45,7 +45,7 @@ from gtau.signals.payload import Payload
 
 @dataclass(frozen=True, eq=False)
 class StatedConstant:
-    """A constant that gives scale: its ``source``, ``value`` and standard deviation, 0 where it is taken for exact.
+    """A constant that sets the scale: its ``source``, ``value`` and standard deviation, 0 if taken as exact.
 
     The derivatives of the equations by it: of the torques that are known, ``torques`` (U, c, p), of the ``readings``
     (c,) of the channels, as shares of themselves, and of the residuals of the known parameters, ``known`` (k,).
@@ -59,7 +59,7 @@ class StatedConstant:
     known: np.ndarray
 
     def changed(self, problem: Problem, by: float) -> Problem:
-        """Return a problem in which the constant, no known parameter, is larger ``by`` this much."""
+        """Return a problem with the constant, no known parameter, increased ``by`` an amount."""
         blocks = problem.blocks.copy()
         blocks[..., KNOWN] += by * self.torques
         blocks[..., SIGNALS] *= (1 + by * self.readings)[:, None, None]
@@ -168,7 +168,7 @@ def scale_uncertainty(dataset: Dataset, system: System, solve: Solve) -> np.ndar
 
 @dataclass(frozen=True, eq=False)
 class SensorScale:
-    """The torque of a joint by all else that is known, over that of its sensor, and the standard deviation of this.
+    """Ratio of a joint's torque from the other stated constants to that of its sensor, with its standard deviation.
 
     ``moves`` (n,) is by what share of itself each gain moves where the sensor's scale is found instead of taken for 1.
     """
@@ -187,7 +187,7 @@ def sensor_verdict(scale: SensorScale, accuracy: float) -> Verdict:
 
 
 def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
-    """Find the scale of each torque sensor from all else that is known, to first order, where there is such.
+    """Estimate the scale of each torque sensor from the other stated constants, to first order, where there are any.
 
     Each sensor is offered the torque of its model once more, with an unknown factor; all other unknowns adapt to it.
 
@@ -238,7 +238,7 @@ def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.nda
 
 
 def sensor_contradictions(found: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
-    """Find the gains of ``joints`` (n,) that rest on a torque sensor contradicting all else that is known."""
+    """Find the gains of ``joints`` (n,) that rest on a torque sensor contradicting the other stated constants."""
     for each in found:
         moves = np.abs(each.moves)
         moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
@@ -247,7 +247,7 @@ def sensor_contradictions(found: Sequence[SensorScale], joints: Sequence[str], a
 
 
 def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> list[Finding]:
-    """Find base parameters that all data put elsewhere than their priors, by more than the ``accuracy``.
+    """Find base parameters whose estimates from the data differ from their priors by more than the ``accuracy``.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> l
 
 @dataclass(frozen=True)
 class Freed:
-    """A payload's value estimated from all else, its standard deviation, the residual and the gains' move.
+    """A payload's value estimated without stating it, its standard deviation, the residual and the gains' move.
 
     ``explained`` are the joints whose torque this value alone leaves unexplained.
     """
@@ -288,7 +288,7 @@ class Freed:
 
 
 def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
-    """Estimate what is known of each payload, one value at a time, with gains that are given or from all else.
+    """Estimate each known value of a payload in turn, with given gains or gains from the other constants.
 
     Of several values of a payload that the data contradict, the one is named that leaves least when it alone is freed.
     A single payload's mass is not among them where it sets the scale alone. Gains that are given are taken for exact
@@ -325,7 +325,7 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
 
 
 def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
-    """Estimate a payload's parameter from all else; None where it is not identifiable."""
+    """Estimate a payload's parameter without stating it; None where it is not identifiable."""
     dataset, system = fit.dataset, fit.system
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass

@@ -1,4 +1,4 @@
-"""Verdicts: whether a number can be believed, and the finding that decides it."""
+"""Verdicts: the credibility of an estimate, and the finding that decides it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gtau.estimation.diagnostics.sentences import advice, reason
 
 
 class Outcome(StrEnum):
-    """What can be said of an estimate, the best first."""
+    """Outcomes of judging an estimate, the best first."""
 
     GIVEN = "given"
     GOOD = "good"
@@ -35,7 +35,7 @@ class Verdict:
 
     @property
     def advice(self) -> str:
-        """What to do about it."""
+        """Advice of the deciding finding."""
         return "" if self.finding is None else advice(self.finding)
 
     @property

@@ -1,1 +1,1 @@
-"""Friction of each joint over all samples: what presliding and sliding the logs show, and the law that predicts it."""
+"""Friction of each joint from all samples: presliding and sliding in the logs, and the law that predicts it."""

@@ -20,7 +20,7 @@ BETWEEN = {"width": 0.09, "speed": 0.07}
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedFriction:
-    """Friction of a joint as its logs show it.
+    """Friction of a joint identified from its logs.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def _errors(group: Group, trial: Trial) -> list[tuple[float, float]]:
 
 
 def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:
-    """Take the covariance of gains (n,) and base parameters (n_b,) out of that of all; 0 where they are known."""
+    """Extract the covariance of gains (n,) and base parameters (n_b,) from that of all; 0 where they are known."""
     problem, names, n = fit.system.problem, fit.dataset.base.names, len(fit.dataset.model.actuated)
     place = {name: k for k, name in enumerate(problem.parameters)}
     # friction of the plain law is not subtracted from the torque, so that its errors do not count
@@ -114,7 +114,7 @@ def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:
 
 
 def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
-    """Compute the covariance (k, k) that comes of the few widths and speeds tried, to which other parameters adapt.
+    """Compute the covariance (k, k) due to the grid of widths and speeds, to which other parameters adapt.
 
     One that is tried stands for all up to half the way to the next.
     """

@@ -46,7 +46,7 @@ SPEEDS = 200  # at which a straight line is fitted
 
 @dataclass(frozen=True)
 class Shape:
-    """What friction of a joint is not linear in.
+    """Parameters in which a joint's friction is nonlinear.
 
     ``width`` of presliding, rad or m, None where the joint slides at once; ``speed`` v_s by which friction falls or
     rises from that at rest to that of sliding, rad/s or m/s, None for friction without ``fb``.
@@ -58,7 +58,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class FrictionLaw:
-    """Friction of a robot as a function of its parameters, of which some may propel.
+    """Friction of a robot as a function of its parameters, some of which may add energy.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class FrictionLaw:
         return np.array([self.shapes[joints[row].name].width for row in self.states], dtype=float)
 
     def followers(self, path: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
-        """Make what follows a run that comes in blocks: from times (N,) to states z (s, N), by actuated positions."""
+        """Make the followers of a run in blocks: from times (N,) to states z (s, N), by actuated positions."""
         rows = self.states
         elements = [Follower(np.array([width])) for width in self.widths]
 
@@ -122,14 +122,14 @@ class FrictionLaw:
         return np.hstack([(of_actuated @ driven.T > 0).astype(float), of_actuated])
 
     def directions(self, math: ModuleType, yd: Any, z: Any) -> list[Any]:
-        """List what friction of each joint goes with: its state where it preslides (``z`` (s,)), else ``sign(yd)``."""
+        """List the direction factor of each joint's friction: its presliding state (``z`` (s,)), else ``sign(yd)``."""
         states = dict(zip(self.states, range(len(self.states)), strict=True))
         return [z[states[row]] if row in states else math.sign(yd[row]) for row in range(len(self.ratios))]
 
     def forces(
         self, math: ModuleType, values: Mapping[str, Any], yd: Any, load: Any, z: Sequence[Any] | None = None
     ) -> tuple[list[Any], list[Any]]:
-        """Compute torques of friction, and the speeds that they oppose: of all joints, then the f3 of actuated ones.
+        """Compute friction torques and the speeds that they oppose: of all joints, then the f3 of actuated ones.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class FrictionLaw:
         return int(moving[0]) if len(moving) == 1 else None
 
     def scales(self, math: ModuleType, forces: Any, speeds: Any) -> Any:
-        """Compute by what each of the forces (joints + n,) is scaled: 1, or less where it propels more than allowed."""
+        """Compute the scale factor of each force (joints + n,): 1, or less where it adds more power than allowed."""
         groups = self.groups if math is np else math.DM(self.groups)
         power = forces * speeds
         taken, given = groups @ math.fmax(power, 0.0), groups @ math.fmax(-power, 0.0)
@@ -183,7 +183,7 @@ class FrictionLaw:
 
     @property
     def range_sentence(self) -> str:
-        """Describe over which speeds friction was identified, and what it is beyond."""
+        """Describe the range of speeds over which friction was identified, and its extrapolation."""
         listed = ", ".join(f"{joint} {self.logged(joint)}" for joint in self.logged_speeds)
         return (
             f"Friction is identified up to the fastest logged speeds ({listed}). Beyond it is extrapolated: along its "

@@ -44,7 +44,7 @@ class Group:
 
 
 def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site], finer: int = 1) -> tuple[Group, ...]:
-    """Stream all runs and reduce what friction has to explain, to so many rows for one of identification.
+    """Stream all runs and reduce the torque that friction has to explain, to ``finer`` rows for one of identification.
 
     The torque that is left is ``g_tau v(t + d)``, less what the inertial parameters give at their estimates, less the
     friction of passive joints, which no motor alone shows. It and the columns of friction pass the same low-pass and

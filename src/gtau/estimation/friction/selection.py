@@ -1,4 +1,4 @@
-"""Which friction a group of joints shows: structures are tried, and taken where they help blocks that are left out."""
+"""Selection of the friction structure of a group of joints by the errors on left-out blocks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WORDS = {"width": "presliding", "speed": "bent", "load": "load", "warm": "temper
 
 @dataclass(frozen=True)
 class Structure:
-    """What the friction of a joint consists of: numbers of a width and of a speed, None for none; load; temperature.
+    """Structure of a joint's friction: indices of a width and of a speed, None for none; load; temperature.
 
     A number between two stands for a value between theirs, whose column is interpolated. ``gradual`` presliding has all
     widths at once; no friction has it in the end, but terms are to pay beyond it.
@@ -45,7 +45,7 @@ class Structure:
             yield replace(self, warm=True)
 
     def has(self, kind: str) -> bool:
-        """Whether it has something of a kind."""
+        """Whether it has a term of a kind."""
         value = getattr(self, kind)
         return value is not None and value is not False  # the first of the widths has the number 0
 
@@ -114,7 +114,7 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """The trial that is taken, the plain one, and what each taken term gained, in standard errors, by (site, kind)."""
+    """Chosen trial, the plain one, and the gain of each term taken, in standard errors, by (site, kind)."""
 
     trial: Trial
     plain: Trial
@@ -122,7 +122,7 @@ class Chosen:
 
 
 def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
-    """Fit a group by these structures, and without each block; parameters that would be negative are left at zero."""
+    """Fit a group by these structures, also without each block; parameters that would be negative stay at zero."""
     from scipy.optimize import nnls
 
     listed, M = columns_of(group, structures)
@@ -184,7 +184,7 @@ def _solved(G: np.ndarray, k: int) -> np.ndarray:
 
 
 def gained(before: Trial, after: Trial) -> tuple[float, float]:
-    """Compute by how much a trial is better on blocks left out: in standard errors, and as a share of the error.
+    """Compute the improvement of a trial on left-out blocks: in standard errors, and as a share of the error.
 
     Reversals are few, and the squared errors of blocks so unequal that a mean of theirs has hardly a standard error.
     The difference of each block and motor counts in units of the errors there, with the mean added, which bounds it.
@@ -197,7 +197,7 @@ def gained(before: Trial, after: Trial) -> tuple[float, float]:
 
 
 def choose(group: Group) -> Chosen:
-    """Add one term after another as long as blocks that are left out gain by it.
+    """Add one term after another while the errors on left-out blocks decrease.
 
     A term enters where it takes the squared error of blocks left out down by a share that the eye sees and by more
     standard errors, over the blocks, than the best of many widths and speeds does by chance.
@@ -225,7 +225,7 @@ def choose(group: Group) -> Chosen:
 
 
 def _beyond(group: Group, after: Trial, s: int) -> bool:
-    """Whether friction that bends with the speed pays beyond any presliding.
+    """Decide whether friction nonlinear in the speed improves the fit beyond any presliding.
 
     Presliding of real joints, of LuGre's and of generalized Maxwell slip, turns into sliding gradually, while the joint
     is slow still. One stop turns at once, and friction that bends below a hundredth of the rms speed made up for it.
@@ -248,7 +248,7 @@ def _with(group: Group, trial: Trial, s: int, kind: str) -> list[Trial]:
 
 
 def _refined(group: Group, trial: Trial) -> Trial:
-    """Choose widths and speeds again, now that others are there."""
+    """Choose widths and speeds again, given the terms added since."""
     for s, kind in ((s, kind) for s in range(len(group.sites)) for kind in ("width", "speed")):
         if trial.structures[s].has(kind):
             trial = min([trial, *_with(group, trial, s, kind)], key=lambda each: float(each.errors.sum()))
@@ -256,7 +256,7 @@ def _refined(group: Group, trial: Trial) -> Trial:
 
 
 def polished(group: Group, trial: Trial) -> Trial:
-    """Move widths and speeds between those tried, by steps of Gauss and Newton, where blocks left out gain.
+    """Refine widths and speeds between those tried by Gauss-Newton steps, where errors on left-out blocks decrease.
 
     Better by as much as for a term. The speed of friction that saturates stays: it says more of speeds beyond those of
     the log than of these, and on a UR10e other days were worse for its move (3.35 to 3.40, 4.57 to 4.74 % of torque).
@@ -279,7 +279,7 @@ def polished(group: Group, trial: Trial) -> Trial:
 
 
 def with_shapes(group: Group, trial: Trial) -> Trial:
-    """Add what logarithms of widths and speeds change to the columns of a trial: names (site, width or speed) and x."""
+    """Append derivatives by log widths and log speeds to a trial's columns: names (site, width or speed) and x."""
     names, columns = list(trial.names), [trial.M]
     for s, structure in enumerate(trial.structures):
         for kind in ("width", "speed"):
@@ -298,7 +298,7 @@ def with_shapes(group: Group, trial: Trial) -> Trial:
 
 
 def shape_values(group: Group, s: int, kind: str) -> np.ndarray:
-    """Return the widths or speeds that are tried of a site."""
+    """Return the widths or speeds that are tried for a site."""
     return group.sites[s].widths if kind == "width" else group.sites[s].speeds
 
 

@@ -1,4 +1,4 @@
-"""Where friction acts that all samples can show: its candidate columns, by presliding and by falling speed."""
+"""Sites of friction that is identifiable from all samples: candidate columns of presliding and of falling speed."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
 
 
 class Columns:
-    """The columns of sites along a run that comes in blocks."""
+    """Columns of sites along a run that is read in blocks."""
 
     def __init__(self, sites: Sequence[Site], dataset: Dataset, run: int) -> None:
         self._sites, self._dataset, self._run = sites, dataset, run

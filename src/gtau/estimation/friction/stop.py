@@ -43,7 +43,7 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 class Follower:
-    """Elements of some widths along a path that comes in blocks, which may overlap: states go on from one to the next.
+    """Elements of some widths along a path in blocks, which may overlap: states continue from block to block.
 
     They begin at 0: where a joint rests, nothing says which way it came, and one that moves slips after its width.
     """
@@ -60,6 +60,6 @@ class Follower:
 
 
 def _turns(step: np.ndarray) -> np.ndarray:
-    """Find the samples where a path turns that may also rest: its direction is then that of the last step."""
+    """Find the reversals of a path that may rest: at rest it keeps the direction of its last step."""
     moved = np.flatnonzero(step)
     return moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]

@@ -1,1 +1,1 @@
-"""What an identification returns, and how it is printed, saved and used to predict."""
+"""Results of an identification: printed, saved, loaded, and used to predict."""

@@ -194,7 +194,7 @@ def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
 
 
 def _condition_number(problem: Problem, sigma: np.ndarray) -> float:
-    """Compute the condition number of the columns of what is estimated in ``W_tot``, scaled as its singular values."""
+    """Compute the condition number of the estimated columns of ``W_tot``, scaled as its singular values."""
     estimated = _scaled(_total(problem, sigma)[:, :-1])
     return float(np.linalg.cond(estimated)) if estimated.size else 1.0
 

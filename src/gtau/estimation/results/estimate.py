@@ -1,4 +1,4 @@
-"""Estimates with units, standard deviations and verdicts, and what else a result consists of."""
+"""Estimates with units, standard deviations and verdicts, and the other parts of a result."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class FrictionCurve:
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """All that is estimated of it."""
+        """All its estimates."""
         return (*self.parameters.values(), *(each for each in (self.width, self.speed) if each is not None))
 
 
@@ -157,7 +157,7 @@ class SensorEstimate:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether it agrees with all else that is known."""
+        """Verdict on its agreement with the other stated constants."""
         return GOOD if self.ratio is None else self.ratio.verdict
 
 
@@ -232,7 +232,7 @@ class TorqueError:
 
 @dataclass(frozen=True)
 class Requirement:
-    """A limit that the experiment file sets, per cent, and what was ``found``; None where nothing can be said.
+    """A limit that the experiment file sets, per cent, and the value ``found``; None if not available.
 
     A torque error is the largest of all joints, over the rows used, or on the ``run`` kept for validation that is
     named; a gain's interval is half the widest of 95 %.
@@ -246,7 +246,7 @@ class Requirement:
 
     @property
     def met(self) -> bool:
-        """Whether what was found is within the limit."""
+        """Whether the value found is within the limit."""
         return self.found is not None and self.found <= self.limit
 
 

@@ -1,4 +1,4 @@
-"""The table of all estimates of a result: what frames, summaries, reports and exports show."""
+"""Table of all estimates of a result, for frames, summaries, reports and exports."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight",
 
 @dataclass(frozen=True)
 class Reason:
-    """Why gains are not good, or what was noticed of good ones, and what to do: the same for all ``joints``."""
+    """Reason why gains are not good, or a remark on good ones, and advice: the same for all ``joints``."""
 
     outcome: Outcome
     joints: tuple[str, ...]
@@ -46,7 +46,7 @@ def headline(result: IdentifiedModel) -> str:
 
 
 def reasons(result: IdentifiedModel) -> tuple[Reason, ...]:
-    """List why gains are what they are and what to do, the worst first: one row for all joints with the same to do."""
+    """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a row."""
     groups: dict[tuple[Outcome, str, str], list[Estimate]] = {}
     for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
         found = gain.verdict.finding
@@ -60,7 +60,7 @@ def reasons(result: IdentifiedModel) -> tuple[Reason, ...]:
 
 
 def _why(gains: Sequence[Estimate]) -> str:
-    """Give the reason of several gains, where they differ in numbers that of the first, which is the worst."""
+    """Give the reason for several gains; where the numbers differ, that of the first and worst."""
     whys = dict.fromkeys(gain.verdict.why for gain in gains)
     first = next(iter(whys))
     return first if len(whys) == 1 else f"{first} ('{gains[0].name}')"
@@ -81,7 +81,7 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
 
 
 def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
-    """Say how well the weak gains are known."""
+    """State the accuracy of the weak gains."""
     if not gains:
         return []
     known = [

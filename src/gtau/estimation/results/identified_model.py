@@ -1,4 +1,4 @@
-"""An identified model: plain data that people read and programs load."""
+"""Identified model: plain data that people read and programs load."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ class IdentifiedModel:
 
     @cached_property
     def friction_parameters(self) -> Mapping[str, Estimate]:
-        """Friction that predictions take, by the names of standard parameters: of the curves, else of the plain law."""
+        """Friction used in predictions, by the names of standard parameters: of the curves, else of the plain law."""
         if not self.curves:
             return self.friction
         return {name: each for curve in self.curves.values() for name, each in curve.parameters.items()}

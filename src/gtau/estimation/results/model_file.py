@@ -1,4 +1,4 @@
-"""``model.json``: a result written to a file, and read back with all that a damaged file may hold refused."""
+"""Write a result to ``model.json``, and read it back, refusing a damaged file."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ class _Model(_Group):
     audit: InertiaAudit | None = None
 
     def made(self, path: Path, make: type[Model]) -> Model:
-        """Put the result together."""
+        """Assemble the result."""
         return make(
             robot=parse_native(self.robot_file, path),
             method=self.method,

@@ -37,7 +37,7 @@ SEEN = 2.0  # standard deviations of a mass above zero
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """What a weighing says of the parameters chi (10,), in the order of INERTIAL, at the frame of ``body``.
+    """Result of a weighing for the parameters chi (10,), in the order of INERTIAL, at the frame of ``body``.
 
     ``sums @ chi`` (k, 10) are ``values`` with ``covariance``, ``exact @ chi`` (r, 10) are ``stated`` by the user.
     ``freedom`` are the degrees of freedom behind the covariance, None for very many; ``reach`` is the longest placement
@@ -146,7 +146,7 @@ def _seen(weighed: Weighed, J: np.ndarray) -> _Seen:
 
 
 def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
-    """Find the parameters (10,) nearest to the sums that a body can have, compact where these say nothing."""
+    """Find the physically consistent parameters (10,) nearest to the sums, compact where these are uninformative."""
     moments = _seen(weighed, np.eye(10)[6:9])
     center = np.where(moments.shown, moments.values, 0.0) / mass
     ball = RigidBody(mass, center, compact_moment(mass) * np.eye(3))

@@ -1,4 +1,4 @@
-"""Estimates of a payload: its parameters, and its mass properties in the frame that a controller wants."""
+"""Estimates of a payload: its parameters, and its mass properties in the frame that a controller needs."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def _weighed(
     covariance: np.ndarray,
     freedoms: Mapping[str, float],
 ) -> Weighed:
-    """Collect the sums of parameters that were found, and what is stated of the others."""
+    """Collect the identified sums of parameters, and the stated values of the others."""
     found = [k for k, name in enumerate(carried.unknown) if name in problem.parameters]
     places = [problem.parameters.index(list(carried.unknown)[k]) for k in found]
     sums = np.zeros((len(found), len(INERTIAL)))
@@ -96,7 +96,7 @@ def _weighed(
 
 
 def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
-    """Follow a first moment from a mass whose center is known."""
+    """Derive a first moment from a mass whose centre is known."""
     value, std = (None if each is None else size * each for each, size in ((mass.value, at), (mass.std, abs(at))))
     return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")
 
@@ -107,5 +107,5 @@ def named_values(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[s
 
 
 def named_freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
-    """Return the degrees of freedom of each parameter of a problem, by name; none where they are very many."""
+    """Return the degrees of freedom of each parameter of a problem, by name; empty without ``freedom``."""
     return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))

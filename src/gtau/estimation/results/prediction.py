@@ -42,7 +42,7 @@ def suited(result: IdentifiedModel, run: Run) -> Run:
 
 
 def prepared_for(result: IdentifiedModel, run: Run) -> tuple[PreparedRun, range]:
-    """Prepare all samples of a run as for identification; also say in which of them the robot moves."""
+    """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
     run = suited(result, run)
     check_wrenches(result.robot, run)
     prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.model))

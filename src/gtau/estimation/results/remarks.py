@@ -28,7 +28,7 @@ def findings(result: IdentifiedModel) -> list[Note]:
 
 
 def remarks(result: IdentifiedModel) -> list[Note]:
-    """Note what is wrong with the fit beside the gains, and what to do about it."""
+    """Note faults of the fit beside the gains, with advice."""
     notes = []
     for payload in {each.name: each for each in result.payloads}.values():
         if payload.verdict.outcome != Outcome.GOOD:
@@ -51,7 +51,7 @@ def remarks(result: IdentifiedModel) -> list[Note]:
 
 
 def sums_with_mass(payload: PayloadEstimate) -> list[str]:
-    """List the identifiable sums that contain a payload mass which is not identifiable, as ``my - 0.1445 m``."""
+    """List the identifiable sums that contain an unidentifiable payload mass, as ``my - 0.1445 m``."""
     kinds = FIRST_MOMENTS if set(FIRST_MOMENTS) & set(payload.parameters) else tuple(payload.parameters)
     regroupings = [payload.parameters[kind].regrouping for kind in kinds if kind in payload.parameters]
     return [each.replace("+ -", "- ") for each in regroupings if each.split()[-1] == "m"]
@@ -62,7 +62,7 @@ def _of_verdict(what: str, verdict: Verdict) -> Note:
 
 
 def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
-    """Note the temperature assumed of logs without one where the model's friction depends on it."""
+    """Note the temperature assumed for logs without one where the model's friction depends on it."""
     warm = result.temperatures
     depends = {parameter_of(name).body for name in result.friction if parameter_of(name).kind in TEMPERATURE_TERMS}
     if warm is None or not depends or signals.temperature is not None:

@@ -1,4 +1,4 @@
-"""Whether a result meets what the owner of the experiment requires."""
+"""Compare a result with the requirements of the experiment file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gtau.signals.run import Run
 
 
 def judge(result: IdentifiedModel, require: Requirements, validation: Sequence[Run]) -> tuple[Requirement, ...]:
-    """Compare a result with what is required of it, its torque errors also on the runs kept for ``validation``."""
+    """Compare a result with its requirements, its torque errors also on the runs kept for ``validation``."""
     return tuple(_judged(result, require, validation))
 
 

@@ -1,4 +1,4 @@
-"""The result of an identification: the identified model, with what can be done with it."""
+"""Result of an identification: the identified model, with its methods to predict, validate, plot and save."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How near the runs of an experiment come to singularities (see :mod:`gtau.model.singularities`)."""
+"""Distances of the runs of an experiment to singularities (see :mod:`gtau.model.singularities`)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Distances:
 
 @dataclass(frozen=True)
 class NearestPose:
-    """Where a run comes nearest to a singularity of ``type`` 1 or 2: distance, time (s) since the run's start, pose.
+    """Nearest pose of a run to a singularity of ``type`` 1 or 2: distance, time (s) since the run's start, pose.
 
     The pose is in rad or m.
     """
@@ -49,7 +49,7 @@ def distances_of(prepared: PreparedRun, decimator: Decimator, values: np.ndarray
 
 
 def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Iterator[NearestPose]:
-    """Find where a run comes nearest to singularities of each type that the robot can have."""
+    """Find the pose of a run nearest to singularities of each type that the robot can have."""
     instants = decimator.instants(len(prepared.time))
     for kind, distances in zip(TYPES, values.T, strict=True):
         if distances.size and not np.isnan(distances).all():

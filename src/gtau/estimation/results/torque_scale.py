@@ -1,4 +1,4 @@
-"""Whether the torques that a robot reports are true: the gains of logs of torques, and their correction for people.
+"""Test the scale of the torques that a robot reports: the gains of logs of torques, and their correction as YAML.
 
 The gain of such a joint is its torque scale, the true torque over the one reported; what the arm reports of the torque
 is one over it.
@@ -43,12 +43,12 @@ class TorqueScale:
 
     @property
     def reported(self) -> float:
-        """What the joint reports of its torque."""
+        """Share of its torque that the joint reports."""
         return 1 / (self.gain.value or 1.0)
 
     @property
     def reported_interval(self) -> tuple[float, float]:
-        """The ends of its 95 % interval, of a scale that is known."""
+        """Ends of its 95 % interval, of an identifiable scale."""
         low, high = sorted(1 / end for end in self.gain.interval() or (1.0, 1.0))
         return low, high
 

@@ -1,4 +1,4 @@
-"""Errors of measured wrenches: a sensor that was not tared, and a point of application off from where the file says.
+"""Errors of measured wrenches: a sensor that was not tared, and a misplaced point of application.
 
 A sensor's offset is constant along its own axes. A point is a lever, ``m = m_at + at x f``, so that one which is
 off adds a moment proportional to the force.
@@ -35,7 +35,7 @@ def _offsets(fit: Fit) -> Candidates | None:
     unit = np.eye(len(WRENCH) * len(bodies))
 
     def read(measured: np.ndarray) -> np.ndarray:
-        """Give each component, one after another, a reading too large by one; (m, 6 k, M)."""
+        """Offset each component in turn by one unit; (m, 6 k, M)."""
         return np.broadcast_to(unit[:, :, None], (*unit.shape, measured.shape[-1]))
 
     levels = _rms(fit).reshape(-1, 2, 3)
@@ -62,7 +62,7 @@ def _points(fit: Fit) -> Candidates | None:
         return None
 
     def read(measured: np.ndarray) -> np.ndarray:
-        """Compute by how much moments are too large where the force acts 1 mm further back; (3 k, 6 k, M)."""
+        """Compute the errors of the moments for a force that acts 1 mm further back; (3 k, 6 k, M)."""
         found = np.zeros((3 * len(bodies), *measured.shape))
         for k in range(len(bodies)):
             force = measured[6 * k + 3 : 6 * k + 6].T
@@ -91,7 +91,7 @@ def _rms(fit: Fit) -> np.ndarray:
 
 
 def _felt(fit: Fit, window: InMemoryRun, read: Reading) -> CandidateColumns:
-    """Find the torques that the joints miss where wrenches read so much too large."""
+    """Compute the joint torques that errors of the wrench readings cause."""
     model, run = fit.dataset.model, window.run
     measured = window.samples().command.T
     first = len(run.channels) - len(WRENCH) * len(run.wrenches)
