@@ -60,8 +60,8 @@ def require_identifiable(
     dataset, system : Dataset, System
         The equations.
     chosen : bool
-        Whether the user chose the estimator. Where nothing tests the scale of logged torques it is taken for 1, but by
-        a chosen estimator of gains; known parameters alone test it only for such a one, as they may be rough.
+        Whether the user chose the estimator. Where nothing tests the scale of logged torques it is set to 1, except by
+        a chosen estimator of gains; known parameters alone test it only for the latter, as they may be rough.
 
     prior_gains : mapping, optional
         Joint to the factor that makes a torque true, for torques of which nothing tests the scale.

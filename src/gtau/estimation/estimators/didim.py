@@ -23,7 +23,7 @@ from gtau.estimation.regression.system import System
 from gtau.progress import Progress
 
 PASSES = 10
-SETTLED = 0.1  # standard deviations: a smaller change of every gain and delay ends the simulations
+SETTLED = 0.1  # standard deviations: convergence of every gain and delay
 SWITCHING = 1.0  # and of every parameter: Coulomb friction of a passive joint switches with the sign of single samples
 
 

@@ -63,7 +63,7 @@ class CarriedPayload:
 
     @property
     def acts(self) -> bool:
-        """Whether its known parameters act on some actuated joint."""
+        """Decide whether its known parameters act on some actuated joint."""
         return bool(self.columns[:, len(self.unknown) :].any())
 
 

@@ -246,7 +246,7 @@ def check_wrenches(robot: Robot, run: Run) -> None:
 
 
 def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
-    """Prepare runs whose joints stand in the model's order.
+    """Prepare runs with joints in the model's order.
 
     Raises
     ------

@@ -106,7 +106,7 @@ class Temperatures:
 
 
 def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
-    """Find the differences in all runs, whose stretches have ``edges``; None where none has a temperature.
+    """Compute the differences in all runs, with the ``edges`` of their stretches; None without temperatures.
 
     Raises
     ------

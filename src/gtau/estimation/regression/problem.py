@@ -77,12 +77,12 @@ class Problem:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Whether the gain of a channel is to be estimated, (c,)."""
+        """Mask of the channels with a gain to estimate, (c,)."""
         return np.array([each.free for each in self.channels])
 
     @property
     def scaled(self) -> bool:
-        """Whether torque sensors, measured wrenches or known parameters fix the scale of the gains, beside payloads."""
+        """Decide whether torque sensors, measured wrenches or known parameters fix the scale of the gains."""
         return not self.free.all() or bool(self.wrenches) or len(self.known) > 0
 
     @property
@@ -171,7 +171,7 @@ class Problem:
 
     @property
     def silent(self) -> np.ndarray:
-        """Whether a channel has no signal, (c,), such as a direction without external forces on a base."""
+        """Mask of the channels without a signal, (c,), such as a direction without external forces on a base."""
         return self.signal == 0.0
 
     def balance(self, theta: np.ndarray) -> np.ndarray:
